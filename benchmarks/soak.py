@@ -36,7 +36,7 @@ from rich.table import Table
 from tornado.httpclient import HTTPClientError, HTTPRequest
 from tornado.websocket import WebSocketError, websocket_connect
 
-from twinmatch.emulation.virtual_rig_control import ControlError, tell
+from twinmatch.emulation.virtual_rig_control import RigControlError, tell
 from twinmatch.errors import TwinmatchError
 from twinmatch.shipped import shipped
 
@@ -130,7 +130,7 @@ class Soak:
         """Read the memory of all processes, at this time of the plant; False: the plant is gone."""
         try:
             state = json.loads(tell(control, "state"))
-        except (ControlError, OSError):
+        except (RigControlError, OSError):
             return False
         self.elapsed, self.speed = state["time"], state["speed"]
         for process, name in _family(self.process.pid).items():

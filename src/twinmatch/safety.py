@@ -16,8 +16,8 @@ from twinmatch.settings import setting
 
 __all__ = [
     "ClockLimits",
-    "Fault",
     "FaultKind",
+    "GuardFault",
     "GuardLimits",
     "OutputGuard",
     "Runaway",
@@ -202,7 +202,7 @@ class FaultKind(Enum):
 
 
 @dataclass(frozen=True)
-class Fault:
+class GuardFault:
     """A latched fault: kind, message and time (s)."""
 
     kind: FaultKind
@@ -257,7 +257,7 @@ class OutputGuard:
     All times are seconds of one clock that does not step back, such as a `SafetyClock`.
     """
 
-    fault: Fault | None
+    fault: GuardFault | None
     """The latched fault, if any."""
 
     def __init__(self, limits: GuardLimits | None = None) -> None:
@@ -311,7 +311,7 @@ class OutputGuard:
     def trip(self, kind: FaultKind, message: str, now: float) -> None:
         """Latch a fault, unless one is latched already: the first one shows the cause."""
         if self.fault is None:
-            self.fault = Fault(kind, message, now)
+            self.fault = GuardFault(kind, message, now)
         self._armed = False
 
     def output(self, now: float) -> float:

@@ -14,7 +14,7 @@ from tests.support.places import PROJECT
 from tests.words.test_style import prose
 from twinmatch.comparing.verdict import ADMITTED, REFUSED, TrustLevel
 from twinmatch.fitting.gate import Status
-from twinmatch.health.faults import Fault, State
+from twinmatch.health.faults import Fault, HealthState
 from twinmatch.safety import FaultKind
 
 PAGE = (PROJECT / "docs" / "troubleshooting.md").read_text("utf-8")
@@ -63,7 +63,7 @@ def test_every_level_of_diagnostics_has_a_row() -> None:
 
 
 def test_states_and_fates_are_explained() -> None:
-    assert all(f"`{state.value}`" in section("Health of the plant") for state in State)
+    assert all(f"`{state.value}`" in section("Health of the plant") for state in HealthState)
     assert all(f"`{fate}`" in section("Matches: admitted or refused") for fate in (ADMITTED, REFUSED))
 
 

@@ -13,7 +13,7 @@ from tests.support import boards, pwm_mutations
 from tests.support.boards import Wire
 from twinmatch.emulation.arduino_pins import Board
 from twinmatch.links.pwm_link import AMPERES_PER_COUNT
-from twinmatch.links.pwm_protocol import PROTOCOL, Banner, Code, Flags, Refusal, Status, seal
+from twinmatch.links.pwm_protocol import PROTOCOL, Banner, BoardStatus, Code, Flags, Refusal, seal
 
 FUZZ = int(os.environ.get("TWINMATCH_FUZZ", "2000"))
 DEADLINE = 1.0
@@ -318,8 +318,8 @@ def test_no_damaged_frame_is_acted_on_with_a_changed_meaning(board: Board, wire:
         wire.send(line + b"\n")
         board.advance(0.008)  # what it answers to that must not crowd out the reply to the next
         wire.send(seal("Q 60000"))
-        reply = wire.wait(lambda r: isinstance(r, Status) and r.sequence == 60000)
-        assert isinstance(reply, Status)
+        reply = wire.wait(lambda r: isinstance(r, BoardStatus) and r.sequence == 60000)
+        assert isinstance(reply, BoardStatus)
         assert reply.applied in allowed(payload, now), (payload, line)
         assert not reply.flags & Flags.TRIPPED
         now = reply.applied

@@ -17,7 +17,7 @@ from tests.support.waiting import PATIENCE, wait_for
 from twinmatch import shipped
 from twinmatch.dynamics import begin, simulate_driven
 from twinmatch.emulation import virtual_rig_board, virtual_rig_camera
-from twinmatch.emulation.arduino_pins import ArduinoError, Drive
+from twinmatch.emulation.arduino_pins import ArduinoError, PinDrive
 from twinmatch.emulation.virtual_rig import RigSettings, VirtualRig
 from twinmatch.emulation.virtual_rig_board import SerialNoise, make_board, virtual_tools
 from twinmatch.emulation.virtual_rig_camera import VirtualCamera, VirtualCameraError
@@ -28,12 +28,12 @@ from twinmatch.emulation.virtual_rig_clock import (
     Stillness,
     parse_address,
 )
-from twinmatch.emulation.virtual_rig_control import ControlError, ControlServer, tell
+from twinmatch.emulation.virtual_rig_control import ControlServer, RigControlError, tell
 from twinmatch.emulation.virtual_rig_faults import (
     KINDS,
-    Fault,
     FaultError,
-    Schedule,
+    FaultSchedule,
+    RigFault,
     parse_fault,
     parse_faults,
     parse_now,
@@ -50,10 +50,10 @@ HOT = begin(RICH_RIG, 340.0 - KELVIN, starts={"sink": 300.0})
 
 def test_faults_are_read() -> None:
     assert parse_faults("drive-lost@300,camera-gone@300+30") == (
-        Fault("drive-lost", 300.0, INFINITE),
-        Fault("camera-gone", 300.0, 30.0),
+        RigFault("drive-lost", 300.0, INFINITE),
+        RigFault("camera-gone", 300.0, 30.0),
     )
-    assert parse_now("fan-failed+2.5", 7.0) == Fault("fan-failed", 7.0, 2.5)
+    assert parse_now("fan-failed+2.5", 7.0) == RigFault("fan-failed", 7.0, 2.5)
 
 
 @pytest.mark.parametrize(
@@ -81,7 +81,7 @@ def test_faults_that_cannot_be(text: str, message: str) -> None:
     )
 )
 def test_a_fault_is_on_exactly_while_one_of_its_kind_lasts(spans: list[tuple[str, int, float]]) -> None:
-    schedule = Schedule(Fault(kind, float(start), float(length)) for kind, start, length in spans)
+    schedule = FaultSchedule(RigFault(kind, float(start), float(length)) for kind, start, length in spans)
     on: set[str] = set()
     for now in range(80):
         for change in schedule.due(float(now)):
@@ -92,7 +92,7 @@ def test_a_fault_is_on_exactly_while_one_of_its_kind_lasts(spans: list[tuple[str
 
 
 def test_ending_a_fault_ends_all_of_its_kind() -> None:
-    schedule = Schedule(parse_faults("fan-failed@0,fan-failed@1,fan-failed@9,drive-lost@0"))
+    schedule = FaultSchedule(parse_faults("fan-failed@0,fan-failed@1,fan-failed@9,drive-lost@0"))
     schedule.due(2.0)
     schedule.end("fan-failed", 3.0)
     assert [(change.kind, change.begins) for change in schedule.due(20.0)] == [("fan-failed", False)]
@@ -104,7 +104,7 @@ def test_ending_a_fault_ends_all_of_its_kind() -> None:
 def test_the_plant_is_that_of_the_plant_room() -> None:
     plant = VirtualPlant()
     for _ in range(500):
-        plant.advance(Drive(0.0, 100.0, enabled=True), 0.02)
+        plant.advance(PinDrive(0.0, 100.0, enabled=True), 0.02)
     exact = simulate_driven(
         RICH_RIG, [100.0, 0.0], states=begin(RICH_RIG, RICH_RIG["ambient"] - KELVIN), period=10.0
     ).output[1]
@@ -116,7 +116,7 @@ def test_an_open_circuit_carries_no_current(broken: bool) -> None:
     plant = VirtualPlant()
     plant.states = HOT.copy()
     plant.wire_broken = broken
-    drive = Drive(0.0, 200.0 if broken else 0.0, enabled=broken)
+    drive = PinDrive(0.0, 200.0 if broken else 0.0, enabled=broken)
     plant.advance(drive, 1.0)
     # Conduction alone, K·ΔT/C for a second; a shorted module would cool the plate by another degree and more.
     lost = RICH_RIG["conductance"] * 40.0 / RICH_RIG["heat_capacity"]
@@ -126,10 +126,10 @@ def test_an_open_circuit_carries_no_current(broken: bool) -> None:
 
 def test_feedback_shows_the_supply_side() -> None:
     plant = VirtualPlant()
-    assert plant.feedback(Drive(0.0, 255.0, enabled=True)) == pytest.approx(12 / 3.4)
-    assert plant.feedback(Drive(0.0, -127.5, enabled=True)) == pytest.approx(12 / 3.4 / 4)
+    assert plant.feedback(PinDrive(0.0, 255.0, enabled=True)) == pytest.approx(12 / 3.4)
+    assert plant.feedback(PinDrive(0.0, -127.5, enabled=True)) == pytest.approx(12 / 3.4 / 4)
     plant.states = HOT.copy()
-    assert plant.feedback(Drive(0.0, 0.0, enabled=True)) == 0  # braking does not pass the supply
+    assert plant.feedback(PinDrive(0.0, 0.0, enabled=True)) == 0  # braking does not pass the supply
 
 
 def test_faults_of_the_surroundings_change_the_rig() -> None:
@@ -388,15 +388,15 @@ def test_control_answers_each_line(tmp_path: Path) -> None:
     thread.start()
     try:
         assert tell(server.path, "hello") == "HELLO"
-        with pytest.raises(ControlError, match="it cannot be"):
+        with pytest.raises(RigControlError, match="it cannot be"):
             tell(server.path, "no")
-        with pytest.raises(ControlError, match="no answer"):
+        with pytest.raises(RigControlError, match="no answer"):
             tell(server.path, "x" * 600)
     finally:
         stop.set()
         thread.join()
         server.close()
-    with pytest.raises(ControlError, match="give the address it prints"):
+    with pytest.raises(RigControlError, match="give the address it prints"):
         tell(server.path, "hello")
 
 
@@ -490,10 +490,10 @@ def test_any_structure_of_the_rig_can_be_the_truth() -> None:
         Peltier.model(richest).parameters(drive_ripple=1.0, sensor_lag=2.0, seebeck_slope=1e-4)
     )
     for _ in range(100):
-        plant.advance(Drive(0.0, 200.0, enabled=True), 0.02)
+        plant.advance(PinDrive(0.0, 200.0, enabled=True), 0.02)
     assert plant.plate - plant.seen > 2.0  # the camera lags behind
     held = VirtualPlant(Peltier.model().parameters(ambient=290.0))
     held.fan_failed = True
-    held.advance(Drive(0.0, 200.0, enabled=True), 10.0)
+    held.advance(PinDrive(0.0, 200.0, enabled=True), 10.0)
     assert held.sink == pytest.approx(290.0 - KELVIN)
     assert held.plate > 30.0

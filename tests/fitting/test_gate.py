@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from twinmatch.fitting import FittingError, GateLimits, Status
-from twinmatch.fitting.gate import Evidence, first_excited, judge
+from twinmatch.fitting.gate import FitEvidence, first_excited, judge
 from twinmatch.fitting.problem import Unknown, unknown_parameters
 from twinmatch.plants import Peltier
 
@@ -19,7 +19,7 @@ def unknown(*names: str) -> tuple[Unknown, ...]:
     return unknown_parameters(Peltier.model(), names)
 
 
-GOOD = Evidence(
+GOOD = FitEvidence(
     free=unknown("seebeck", "conductance", "heat_capacity"),
     values=np.array([0.075, 0.6, 30.0]),
     standard_errors=np.array([0.005, 0.03, 2.0]),

@@ -9,7 +9,7 @@ import pytest
 
 from tests.support.faulty_incubator import PERIOD, Lid, run, some_incubator, watch
 from tests.support.incubator import FIRST, LID, SECOND, read_run
-from twinmatch.health import Fault, HealthSettings, Monitor, State
+from twinmatch.health import Fault, HealthSettings, HealthState, Monitor
 from twinmatch.health.changes import ChangeDetector, Kind
 from twinmatch.plants import Incubator
 from twinmatch.signals import Sample, Window
@@ -58,7 +58,7 @@ def test_a_frozen_reading_is_reported_all_the_same_once_the_plant_should_have_mo
     for k, sample in enumerate(held):
         y = held[400].output if k >= 400 else sample.output
         health = monitor.push(Sample(k, k, y, y, sample.input, sample.disturbances))
-    assert health.state is State.FAULT
+    assert health.state is HealthState.FAULT
     assert health.fault is Fault.SENSOR_FROZEN
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from tests.support import faulty_rig as rig
 from twinmatch.dynamics import Parameters
-from twinmatch.health import Fault, HealthSettings, Monitor, State
+from twinmatch.health import Fault, HealthSettings, HealthState, Monitor
 from twinmatch.plants import Peltier
 from twinmatch.sessions import samples_of
 from twinmatch.signals import Sample, Window
@@ -43,7 +43,7 @@ def test_no_alarm_and_no_suspicion_in_a_healthy_hour(
 ) -> None:
     monitor, healths = rig.watch(samples_of(recorded_hour(number)))
     assert monitor.alarms == ()
-    assert all(h.state is State.HEALTHY for h in healths)
+    assert all(h.state is HealthState.HEALTHY for h in healths)
     # Twice as far from an alarm as the rig ever gets: the drive shows 0.4 of its effect, or less.
     assert min(h.share for h in healths if not np.isnan(h.share)) > 0.65
 
@@ -72,7 +72,7 @@ def test_another_matched_twin_does_as_the_first_one(
 def test_a_camera_late_at_the_start_is_suspected_and_no_alarm(recorded_hour: Callable[[int], Window]) -> None:
     monitor, healths = rig.watch(samples_of(recorded_hour(1)))
     assert monitor.alarms == ()
-    suspects = [h for h in healths if h.state is State.SUSPECT]
+    suspects = [h for h in healths if h.state is HealthState.SUSPECT]
     assert {h.fault for h in suspects} == {None, Fault.SENSOR_LATE}
     assert max(h.index for h in suspects) < 30
     assert all(h.reason.startswith("during start-up") for h in suspects)
@@ -85,7 +85,7 @@ def test_the_real_failure_is_reported_in_time_and_by_name(recorded_hour: Callabl
     assert alarm.flagged <= 2265  # visible from about 2235
     assert alarm.last is None
     assert healths[alarm.flagged].news is alarm
-    assert healths[-1].state is State.FAULT
+    assert healths[-1].state is HealthState.FAULT
     assert monitor.fault_between(2155, 2290) is alarm
     assert monitor.fault_between(1560, 2155) is None
 
@@ -123,14 +123,14 @@ def test_a_failure_is_reported_in_time_and_by_name(
     assert broken[1] <= alarm.flagged <= broken[1] + within
     assert broken[1] - 60 <= alarm.first <= alarm.flagged
     at = healths[alarm.flagged]
-    assert (at.state, at.fault, at.since, at.reason) == (State.FAULT, fault, alarm.first, alarm.reason)
+    assert (at.state, at.fault, at.since, at.reason) == (HealthState.FAULT, fault, alarm.first, alarm.reason)
     assert "look at" in alarm.reason
 
 
 @pytest.mark.parametrize("kind", ["drive-lost", "sensor-frozen", "sensor-off"])
 def test_what_is_repaired_is_healthy_again_and_stays_in_the_record(kind: str) -> None:
     monitor, healths = rig.watch(holding(60.0, rig.Break(kind, 400, 30)))
-    assert healths[-1].state is State.HEALTHY
+    assert healths[-1].state is HealthState.HEALTHY
     alarm = monitor.alarms[0]
     assert alarm.last is not None
     assert 430 - 5 <= alarm.last <= 430 + 60
@@ -195,7 +195,7 @@ def test_an_impossible_reading_is_reported_at_once(value: float) -> None:
     assert healths[3].news is not None
     assert healths[3].fault is Fault.SENSOR_IMPLAUSIBLE
     assert "which is impossible" in healths[3].reason
-    assert healths[-1].state is State.HEALTHY
+    assert healths[-1].state is HealthState.HEALTHY
     assert len(monitor.alarms) == 1
 
 
@@ -226,7 +226,7 @@ def test_a_time_in_which_nobody_looked_is_not_evidence(counted: bool) -> None:
         seen = [dataclasses.replace(s, index=k) for k, s in enumerate(seen)]
     monitor, healths = rig.watch(seen)
     assert monitor.alarms == ()
-    assert healths[-1].state is State.HEALTHY
+    assert healths[-1].state is HealthState.HEALTHY
     if not counted:  # as if no time had passed: then the plant did what no plant can
         assert rig.watch(stamped(seen))[0].alarms != ()
 

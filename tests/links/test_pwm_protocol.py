@@ -10,6 +10,7 @@ from tests.support import pwm_mutations
 from twinmatch.links.pwm_protocol import (
     MAX_PAYLOAD,
     Banner,
+    BoardStatus,
     Code,
     Conversation,
     Damage,
@@ -18,7 +19,6 @@ from twinmatch.links.pwm_protocol import (
     Refusal,
     Reply,
     Request,
-    Status,
     Verb,
     crc16,
     is_newer,
@@ -127,7 +127,7 @@ REQUESTS = st.one_of(
 REPLIES = st.one_of(
     st.builds(Refusal, st.none() | SEQUENCE, st.sampled_from(Code)),
     st.builds(
-        Status,
+        BoardStatus,
         SEQUENCE,
         st.integers(0, 2**32 - 1),
         st.integers(-255, 255),
@@ -213,7 +213,7 @@ def test_a_lost_line_end_costs_one_frame() -> None:
 
 
 def status(sequence: int, applied: int = 0) -> bytes:
-    return seal(str(Status(sequence, 5, applied, 0, Flags.NONE)))
+    return seal(str(BoardStatus(sequence, 5, applied, 0, Flags.NONE)))
 
 
 def test_each_request_gets_the_next_number_around_the_end() -> None:
@@ -238,7 +238,7 @@ def test_the_reply_ends_the_request() -> None:
     line = status(7, 9)
     assert talk.hear(line[:5]) is None
     reply = talk.hear(line[5:])
-    assert isinstance(reply, Status)
+    assert isinstance(reply, BoardStatus)
     assert reply.applied == 9
     assert talk.outstanding is None
     assert talk.hear(line) is None

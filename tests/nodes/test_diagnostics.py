@@ -10,20 +10,20 @@ pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
 
 from tests.support.waiting import wait_for
 from twinmatch.errors import TwinmatchError
-from twinmatch.nodes.node import Health, Level, Report, Worker, status_message
+from twinmatch.nodes.node import Level, NodeHealth, Report, Worker, status_message
 from twinmatch.nodes.samples import SampleWatch
 from twinmatch.showing.page.health import NodeReport, NodeReports, PlayerState
 
 
 def test_nothing_to_warn_about() -> None:
-    health = Health()
+    health = NodeHealth()
     health.set("rate", 0.1)
     health.set("name", "plate")
     assert health.report() == Report(Level.OK, "working", {"rate": "0.1", "name": "plate"})
 
 
 def test_worst_warning_is_the_level_and_comes_first() -> None:
-    health = Health()
+    health = NodeHealth()
     health.flag("a", Level.WARN, "slow")
     health.flag("b", Level.ERROR, "wrong")
     assert health.report()[:2] == (Level.ERROR, "wrong; slow")
@@ -37,7 +37,7 @@ def test_worst_warning_is_the_level_and_comes_first() -> None:
 
 
 def test_counters() -> None:
-    health = Health()
+    health = NodeHealth()
     health.count("gaps")
     health.count("gaps")
     assert health.report().values == {"gaps": "2"}
@@ -52,7 +52,7 @@ def test_message(level: Level) -> None:
 
 
 def test_watch_of_gaps_and_silence() -> None:
-    health = Health()
+    health = NodeHealth()
     watch = SampleWatch(health, period=1.0, patience=5, remember=2)
     watch.check(1000.0)
     assert health.report()[:2] == (Level.OK, "waiting for samples")
@@ -85,7 +85,7 @@ def test_watch_of_gaps_and_silence() -> None:
 
 def test_worker_keeps_the_order() -> None:
     done: list[int] = []
-    worker = Worker(done.append, Health())
+    worker = Worker(done.append, NodeHealth())
     for number in range(1000):
         worker.put(number)
     wait_for(lambda: len(done) == 1000, "the end of the work")
@@ -94,7 +94,7 @@ def test_worker_keeps_the_order() -> None:
 
 
 def test_worker_reports_errors_of_the_outside_and_continues() -> None:
-    health = Health()
+    health = NodeHealth()
     done: list[int] = []
 
     def handle(number: int) -> None:
@@ -115,14 +115,14 @@ def test_worker_reports_errors_of_the_outside_and_continues() -> None:
 
 
 def test_worker_hands_a_defect_over() -> None:
-    worker = Worker(lambda number: 1 / number, Health())  # type: ignore[arg-type, return-value]
+    worker = Worker(lambda number: 1 / number, NodeHealth())  # type: ignore[arg-type, return-value]
     worker.put(0)
     wait_for(lambda: worker.failure, "the defect")
     assert isinstance(worker.failure, ZeroDivisionError)
 
 
 def test_worker_reports_its_backlog() -> None:
-    health = Health()
+    health = NodeHealth()
     gate = threading.Event()
     worker = Worker(lambda _: gate.wait() and None, health, backlog=3)
     for number in range(5):

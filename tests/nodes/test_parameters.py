@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.support.plant_files import plant_file
-from twinmatch.parameters.declared import Parameter, ParameterError, check, render
+from twinmatch.parameters.declared import ParameterError, Setting, check, render
 from twinmatch.parameters.twin import (
     read_settings,
     recorded_values,
@@ -27,12 +27,12 @@ from twinmatch.twin import TwinSettings
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 
 TABLE = (
-    Parameter("rate", 1.0, "How fast.", "Hz", 0.5, 10.0),
-    Parameter("depth", 5, "How deep.", low=1),
-    Parameter("name", "plate", "What.", choices=("plate", "sink")),
-    Parameter("loud", False, "Whether."),
-    Parameter("gains", [1.0, 2.0], "Of what.", "dB", high=6.0),
-    Parameter("parts", ["a"], "Which."),
+    Setting("rate", 1.0, "How fast.", "Hz", 0.5, 10.0),
+    Setting("depth", 5, "How deep.", low=1),
+    Setting("name", "plate", "What.", choices=("plate", "sink")),
+    Setting("loud", False, "Whether."),
+    Setting("gains", [1.0, 2.0], "Of what.", "dB", high=6.0),
+    Setting("parts", ["a"], "Which."),
 )
 
 
@@ -117,7 +117,7 @@ def files() -> list[tuple[str, str, Any]]:
 
 
 @pytest.mark.parametrize(("name", "section", "table"), files(), ids=lambda value: str(value)[:12])
-def test_file_agrees_with_its_table(name: str, section: str, table: tuple[Parameter, ...]) -> None:
+def test_file_agrees_with_its_table(name: str, section: str, table: tuple[Setting, ...]) -> None:
     """Every parameter is in the file with its description, unit and range, and its value is allowed."""
     text = (CONFIG / name).read_text(encoding="utf-8")
     values = yaml.safe_load(text)[section]["ros__parameters"]

@@ -20,7 +20,7 @@ from twinmatch.emulation.arduino import StandInArduino
 from twinmatch.links.pwm_link import Applied, LinkSettings, PwmLink, PwmVersionError
 from twinmatch.links.pwm_protocol import Flags
 from twinmatch.nodes.driver import DriverPace, PwmDriver
-from twinmatch.nodes.node import Health, Level
+from twinmatch.nodes.node import Level, NodeHealth
 from twinmatch.nodes.output_gate import ClockTimes, OutputGate
 from twinmatch.safety import FaultKind, GuardLimits
 
@@ -37,7 +37,7 @@ class Bench:
     def __init__(self, board: Any, link: LinkSettings = PATIENT) -> None:
         self.board = board
         self.told: list[tuple[Applied | None, int]] = []
-        self.health = Health()
+        self.health = NodeHealth()
         self.gate = OutputGate(self._clocks, GuardLimits(command_timeout=3.0, temperature_timeout=10.0))
         self.link = PwmLink(board.port, link)
         settings = DriverPace(first_pause=0.02, longest_pause=0.1)

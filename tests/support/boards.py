@@ -21,9 +21,9 @@ import pytest
 
 from tests.support.places import PROJECT
 from twinmatch.emulation.arduino import StandInArduino
-from twinmatch.emulation.arduino_pins import ArduinoError, Board, Drive
+from twinmatch.emulation.arduino_pins import ArduinoError, Board, PinDrive
 from twinmatch.emulation.arduino_virtual import VirtualArduino, VirtualTools, build_virtual_board
-from twinmatch.links.pwm_protocol import FrameReader, Reply, Status, parse_reply, seal
+from twinmatch.links.pwm_protocol import BoardStatus, FrameReader, Reply, parse_reply, seal
 
 REAL = os.environ.get("TWINMATCH_SERIAL")
 KINDS = ["stand-in", "simavr", *(["real"] if REAL else [])]
@@ -62,9 +62,9 @@ class RealBoard:
     def __init__(self, port: str) -> None:
         self.port = port
 
-    def advance(self, seconds: float) -> Drive:
+    def advance(self, seconds: float) -> PinDrive:
         time.sleep(seconds)
-        return Drive(time.monotonic(), float("nan"), enabled=False)
+        return PinDrive(time.monotonic(), float("nan"), enabled=False)
 
     def run(self, speed: float = 1.0) -> None:
         if speed != 1.0:
@@ -73,7 +73,7 @@ class RealBoard:
     def pause(self) -> None:
         """It cannot."""
 
-    def drive(self) -> Drive:
+    def drive(self) -> PinDrive:
         self._skip()
 
     def set_current(self, amperes: float) -> None:  # noqa: ARG002
@@ -141,10 +141,10 @@ class Wire:
         self.send(seal(payload))
         return self.wait(lambda reply: reply.sequence == sequence)
 
-    def status(self, payload: str) -> Status:
+    def status(self, payload: str) -> BoardStatus:
         """Ask for what is answered by a status."""
         reply = self.ask(payload)
-        assert isinstance(reply, Status), reply
+        assert isinstance(reply, BoardStatus), reply
         return reply
 
     def ready(self) -> None:

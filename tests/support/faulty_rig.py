@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from twinmatch.dynamics import Parameters, Pid, advance, begin, read
-from twinmatch.health import Fault, Health, HealthSettings, Monitor, State
+from twinmatch.health import Fault, Health, HealthSettings, HealthState, Monitor
 from twinmatch.plants import Peltier
 from twinmatch.signals import FloatArray, Sample
 
@@ -168,7 +168,7 @@ def measure(kind: str, length: int, runs: int) -> str:
             if after is not None:
                 seen.append(onset[-1] - after)
             cleared += alarms[-1].last is not None
-        elif any(h.state is State.SUSPECT and h.index > start for h in healths):
+        elif any(h.state is HealthState.SUSPECT and h.index > start for h in healths):
             names["only suspected"] += 1
         else:
             names["not seen" if after is not None else "never visible"] += 1
@@ -198,7 +198,7 @@ def names_told(kind: str, seed: int) -> tuple[str, int | None]:
     samples, _ = run(profile(seed + 1000, 1900), Break(kind, start), rig=some_rig(seed), seed=seed)
     monitor, healths = watch(samples)
     if not monitor.alarms:
-        doubted = any(h.state is State.SUSPECT and h.index > start for h in healths)
+        doubted = any(h.state is HealthState.SUSPECT and h.index > start for h in healths)
         return ("suspected" if doubted else "nothing"), None
     named = [a for a in monitor.alarms if a.fault is not Fault.DRIFT] or list(monitor.alarms)
     if monitor.alarms[0].flagged < start:
@@ -227,7 +227,7 @@ def false_alarms(hours: int) -> str:
         samples, _ = run(profile(seed + 5000, 3600), rig=some_rig(seed + 5000), seed=seed)
         monitor, healths = watch(samples)
         alarms += len(monitor.alarms)
-        suspects += sum(h.state is State.SUSPECT for h in healths)
+        suspects += sum(h.state is HealthState.SUSPECT for h in healths)
     return f"{hours} healthy hours: {alarms} alarms, {suspects} samples suspect"
 
 

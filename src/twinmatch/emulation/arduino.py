@@ -18,7 +18,7 @@ from pathlib import Path
 from types import TracebackType
 
 from twinmatch.emulation.arduino_model import FIRMWARE, ArduinoModel
-from twinmatch.emulation.arduino_pins import ArduinoError, Drive
+from twinmatch.emulation.arduino_pins import ArduinoError, PinDrive
 
 __all__ = ["StandInArduino"]
 
@@ -54,7 +54,7 @@ class StandInArduino:
         """End the board."""
         self.close()
 
-    def advance(self, seconds: float) -> Drive:
+    def advance(self, seconds: float) -> PinDrive:
         """Advance by this time, rounded to ms, and return the drive at the end.
 
         Raises:
@@ -88,10 +88,10 @@ class StandInArduino:
             self._thread.join()
             self._thread = None
 
-    def drive(self) -> Drive:
+    def drive(self) -> PinDrive:
         """The drive now."""
         with self._lock:
-            return Drive(self._elapsed_ms / 1000, float(self.model.level), self.model.enabled)
+            return PinDrive(self._elapsed_ms / 1000, float(self.model.level), self.model.enabled)
 
     def set_current(self, amperes: float) -> None:
         """Show a current on the feedback pin, A."""

@@ -10,6 +10,7 @@ from twinmatch.links.pwm_protocol import (
     PROTOCOL,
     SEQUENCES,
     Banner,
+    BoardStatus,
     Code,
     Damage,
     Flags,
@@ -17,7 +18,6 @@ from twinmatch.links.pwm_protocol import (
     Refusal,
     Reply,
     Request,
-    Status,
     Verb,
     is_newer,
     parse_request,
@@ -175,7 +175,7 @@ class ArduinoModel:
         self._level = request.pwm
         return self._status(request)
 
-    def _clear(self, request: Request) -> Status:
+    def _clear(self, request: Request) -> BoardStatus:
         if not self._is_new(request):
             return self._status(request, Flags.DUPLICATE)
         self._disable()
@@ -189,5 +189,5 @@ class ArduinoModel:
         self._last = request.sequence
         return True
 
-    def _status(self, request: Request, extra: Flags = Flags.NONE) -> Status:
-        return Status(request.sequence, self._time_ms, self._level, self.counts, self._flags | extra)
+    def _status(self, request: Request, extra: Flags = Flags.NONE) -> BoardStatus:
+        return BoardStatus(request.sequence, self._time_ms, self._level, self.counts, self._flags | extra)

@@ -6,14 +6,14 @@ from typing import NamedTuple, Protocol
 
 from twinmatch.errors import TwinmatchError
 
-__all__ = ["ArduinoError", "Board", "Drive"]
+__all__ = ["ArduinoError", "Board", "PinDrive"]
 
 
 class ArduinoError(TwinmatchError):
     """An emulated board cannot be created or does not answer."""
 
 
-class Drive(NamedTuple):
+class PinDrive(NamedTuple):
     """State of the driver's pins."""
 
     time: float
@@ -33,7 +33,7 @@ class Board(Protocol):
     port: str
     """Path of the serial port; it vanishes and returns with the cable."""
 
-    def advance(self, seconds: float) -> Drive:
+    def advance(self, seconds: float) -> PinDrive:
         """Advance by this time, rounded to ms, and return the drive at the end."""
 
     def run(self, speed: float = 1.0) -> None:
@@ -42,7 +42,7 @@ class Board(Protocol):
     def pause(self) -> None:
         """Stop running."""
 
-    def drive(self) -> Drive:
+    def drive(self) -> PinDrive:
         """The drive now."""
 
     def set_current(self, amperes: float) -> None:

@@ -16,7 +16,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import NamedTuple
 
-from twinmatch.emulation.arduino_pins import ArduinoError, Drive
+from twinmatch.emulation.arduino_pins import ArduinoError, PinDrive
 from twinmatch.links.pwm_protocol import PWM_LIMIT
 
 __all__ = ["VirtualArduino", "VirtualTools", "build_virtual_board"]
@@ -125,7 +125,7 @@ class VirtualArduino:
         """Number of restarts of the firmware."""
         return self._ask("state").restarts
 
-    def advance(self, seconds: float) -> Drive:
+    def advance(self, seconds: float) -> PinDrive:
         """Advance by this time, rounded to ms, and return the drive at the end.
 
         Raises:
@@ -151,7 +151,7 @@ class VirtualArduino:
         self._ask("pause")
         self._running = False
 
-    def drive(self) -> Drive:
+    def drive(self) -> PinDrive:
         """The drive now."""
         return self._drive(self._ask("state"))
 
@@ -216,8 +216,8 @@ class VirtualArduino:
             )
         return _State(*map(int, words[1:]))
 
-    def _drive(self, state: _State) -> Drive:
+    def _drive(self, state: _State) -> PinDrive:
         enabled = bool(state.enable)
         magnitude = PWM_LIMIT * state.high / state.top if enabled and state.top else 0.0
         cools = bool(state.direction) != self._heat_level and magnitude > 0
-        return Drive(state.time_us / 1e6, -magnitude if cools else magnitude, enabled)
+        return PinDrive(state.time_us / 1e6, -magnitude if cools else magnitude, enabled)

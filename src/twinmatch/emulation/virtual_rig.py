@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from contextlib import ExitStack
 
-from twinmatch.emulation.arduino_pins import Drive
+from twinmatch.emulation.arduino_pins import PinDrive
 from twinmatch.emulation.virtual_rig_board import SerialNoise, make_board
 from twinmatch.emulation.virtual_rig_camera import Serving, VirtualCamera
 from twinmatch.emulation.virtual_rig_clock import ClockServer
@@ -43,7 +43,7 @@ class VirtualRig(VirtualPlantTime):
         return {"camera": "{}:{}".format(*self._camera.address), "serial": self._board.port}
 
     @property
-    def drive(self) -> Drive:
+    def drive(self) -> PinDrive:
         """State of the driver's pins."""
         return self._drive
 

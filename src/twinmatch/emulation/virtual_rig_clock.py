@@ -46,7 +46,7 @@ def parse_address(text: str) -> tuple[str, int]:
 
 
 @dataclass
-class _Reader:
+class _ClockReader:
     """One connection, and what it lets the plant do."""
 
     drives: bool = False
@@ -81,7 +81,7 @@ class ClockServer:
     def __init__(self, host: str = "127.0.0.1", port: int = 0) -> None:
         self._listener = socket.create_server((host, port), backlog=8)
         self._listener.setblocking(False)
-        self._clients: dict[socket.socket, _Reader] = {}
+        self._clients: dict[socket.socket, _ClockReader] = {}
 
     @property
     def address(self) -> tuple[str, int]:
@@ -97,7 +97,7 @@ class ClockServer:
                 client.setblocking(False)
                 client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
                 client.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
-                self._clients[client] = _Reader()
+                self._clients[client] = _ClockReader()
 
     def send(self, stamp: int) -> None:
         """Send plant time, ns, to all clients."""

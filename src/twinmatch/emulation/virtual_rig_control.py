@@ -13,13 +13,13 @@ from pathlib import Path
 
 from twinmatch.errors import TwinmatchError
 
-__all__ = ["ControlError", "ControlServer", "tell"]
+__all__ = ["ControlServer", "RigControlError", "tell"]
 
 _LONGEST = 256
 _PATIENCE = 5.0
 
 
-class ControlError(TwinmatchError):
+class RigControlError(TwinmatchError):
     """A virtual rig cannot be reached, or refused a command."""
 
 
@@ -83,8 +83,8 @@ def tell(path: str | Path, line: str) -> str:
             answer = connection.makefile("r", encoding="utf-8").readline().strip()
     except OSError as error:
         msg = f"virtual rig at {path}: {error}; give the address it prints as `control:`"
-        raise ControlError(msg) from error
+        raise RigControlError(msg) from error
     verdict, _, rest = answer.partition(" ")
     if verdict != "ok":
-        raise ControlError(f"virtual rig: {rest or 'no answer'}")
+        raise RigControlError(f"virtual rig: {rest or 'no answer'}")
     return rest

@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 
 from twinmatch.errors import TwinmatchError
 
-__all__ = ["KINDS", "Change", "Fault", "FaultError", "Schedule", "parse_fault", "parse_faults"]
+__all__ = ["KINDS", "Change", "FaultError", "FaultSchedule", "RigFault", "parse_fault", "parse_faults"]
 
 KINDS: Final = {
     "drive-lost": "a wire to the plate breaks: no current at any command",
@@ -35,7 +35,7 @@ class FaultError(TwinmatchError):
     """A fault does not exist, or has an invalid time."""
 
 
-class Fault(NamedTuple):
+class RigFault(NamedTuple):
     """One fault."""
 
     kind: str
@@ -56,7 +56,7 @@ class Change(NamedTuple):
     begins: bool
 
 
-def parse_fault(text: str) -> Fault:
+def parse_fault(text: str) -> RigFault:
     """A fault from `KIND@SECONDS` or `KIND@SECONDS+SECONDS`.
 
     Raises:
@@ -67,10 +67,10 @@ def parse_fault(text: str) -> Fault:
     start, plus, duration = times.partition("+")
     if not at:
         raise FaultError(f"fault {text!r}: no time; write {kind}@SECONDS or {kind}@SECONDS+DURATION")
-    return Fault(kind, _seconds(text, start, 0.0), _seconds(text, duration, 1e-3) if plus else math.inf)
+    return RigFault(kind, _seconds(text, start, 0.0), _seconds(text, duration, 1e-3) if plus else math.inf)
 
 
-def parse_faults(text: str) -> tuple[Fault, ...]:
+def parse_faults(text: str) -> tuple[RigFault, ...]:
     """Faults from a comma-separated list.
 
     Raises:
@@ -79,7 +79,7 @@ def parse_faults(text: str) -> tuple[Fault, ...]:
     return tuple(parse_fault(part) for part in text.split(","))
 
 
-def parse_now(text: str, now: float) -> Fault:
+def parse_now(text: str, now: float) -> RigFault:
     """A fault that begins `now`, from `KIND` or `KIND+SECONDS`.
 
     Raises:
@@ -87,7 +87,7 @@ def parse_now(text: str, now: float) -> Fault:
     """
     kind, plus, duration = text.strip().partition("+")
     check_kind(kind)
-    return Fault(kind, now, _seconds(text, duration, 1e-3) if plus else math.inf)
+    return RigFault(kind, now, _seconds(text, duration, 1e-3) if plus else math.inf)
 
 
 def check_kind(kind: str) -> str:
@@ -113,10 +113,10 @@ def _seconds(text: str, number: str, least: float) -> float:
     return value
 
 
-class Schedule:
+class FaultSchedule:
     """Scheduled and active faults."""
 
-    def __init__(self, faults: Iterable[Fault] = ()) -> None:
+    def __init__(self, faults: Iterable[RigFault] = ()) -> None:
         self._changes: list[Change] = []
         self._count = 0
         self._on: dict[str, int] = {}
@@ -128,7 +128,7 @@ class Schedule:
         """Active kinds, in the order in which they started."""
         return tuple(self._on)
 
-    def add(self, fault: Fault) -> None:
+    def add(self, fault: RigFault) -> None:
         """Put a fault on the schedule."""
         self._push(fault.start, fault.kind, begins=True)
         if math.isfinite(fault.duration):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from twinmatch.dynamics import Parameters, advance, begin, quantities, read
-from twinmatch.emulation.arduino_pins import Drive
+from twinmatch.emulation.arduino_pins import PinDrive
 from twinmatch.plants import Peltier
 
 __all__ = ["RICH_RIG", "VirtualPlant"]
@@ -63,12 +63,12 @@ class VirtualPlant:
         """Temperature of the heat sink, °C."""
         return self._celsius("sink")
 
-    def advance(self, drive: Drive, seconds: float) -> None:
+    def advance(self, drive: PinDrive, seconds: float) -> None:
         """Advance under a drive. If the driver is off or the wire broken, the circuit is open."""
         found = self._under(enabled=drive.enabled and not self.wire_broken)
         self.states = advance(found, self.states, drive.pwm, seconds)
 
-    def feedback(self, drive: Drive) -> float:
+    def feedback(self, drive: PinDrive) -> float:
         """Mean current at the driver's feedback pin, A.
 
         The driver measures on its supply side, so the pin shows the current while the PWM is high and zero

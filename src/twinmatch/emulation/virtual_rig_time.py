@@ -17,7 +17,7 @@ from typing import ClassVar, TypeVar
 
 from twinmatch.emulation.virtual_rig_clock import ClockServer
 from twinmatch.emulation.virtual_rig_control import ControlServer
-from twinmatch.emulation.virtual_rig_faults import Change, Fault, FaultError, Schedule, parse_now
+from twinmatch.emulation.virtual_rig_faults import Change, FaultError, FaultSchedule, RigFault, parse_now
 from twinmatch.emulation.virtual_rig_folder import private_folder
 from twinmatch.emulation.virtual_rig_pace import RigPace
 from twinmatch.errors import TwinmatchError
@@ -54,7 +54,7 @@ class RigSettings:
     """One of `virtual_rig_board.BOARDS`; for the Peltier rig."""
     seed: int = 0
     """Seed of the sensor's noise and of the faults."""
-    faults: tuple[Fault, ...] = ()
+    faults: tuple[RigFault, ...] = ()
     duration: float = math.inf
     """Plant time after which it ends, s."""
 
@@ -90,7 +90,7 @@ class VirtualPlantTime(ABC):
         """Called when a fault starts or ends."""
         for fault in self.settings.faults:
             self._require(fault)
-        self.schedule = Schedule(self.settings.faults)
+        self.schedule = FaultSchedule(self.settings.faults)
         self._stop = False
         self.ms = 0
         """Plant time since the start, ms."""
@@ -237,7 +237,7 @@ class VirtualPlantTime(ABC):
         self._clock.send(self.stamp)
         self._told, self._clock_sent = self.stamp, now
 
-    def _require(self, fault: Fault) -> Fault:
+    def _require(self, fault: RigFault) -> RigFault:
         if self.KINDS is not None and fault.kind not in self.KINDS:
             raise FaultError(
                 f"fault {fault.kind!r}: not available for this plant; choose one of "

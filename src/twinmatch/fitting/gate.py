@@ -26,7 +26,7 @@ from twinmatch.fitting.data import FittingError
 from twinmatch.fitting.problem import Unknown
 from twinmatch.signals import FloatArray
 
-__all__ = ["Evidence", "GateLimits", "Status", "first_excited", "judge", "undetermined"]
+__all__ = ["FitEvidence", "GateLimits", "Status", "first_excited", "judge", "undetermined"]
 
 
 class Status(Enum):
@@ -76,7 +76,7 @@ class GateLimits:
 
 
 @dataclass(frozen=True, eq=False)
-class Evidence:
+class FitEvidence:
     """The figures that the gate checks after a fit."""
 
     free: tuple[Unknown, ...]
@@ -106,7 +106,7 @@ def first_excited(moved: FloatArray, least: float) -> int | None:
     return int(far[0]) + 1 if far.size else None
 
 
-def judge(evidence: Evidence, limits: GateLimits) -> tuple[Status, str]:
+def judge(evidence: FitEvidence, limits: GateLimits) -> tuple[Status, str]:
     """The status of a fit, and a sentence with the reason."""
     # Negated comparisons, so that residuals that are not numbers count as not explained.
     if not evidence.chi2 <= limits.chi2:
@@ -133,7 +133,7 @@ def judge(evidence: Evidence, limits: GateLimits) -> tuple[Status, str]:
     )
 
 
-def _bounds_sentence(evidence: Evidence) -> str:
+def _bounds_sentence(evidence: FitEvidence) -> str:
     named = {u.name: value for u, value in zip(evidence.free, evidence.values.tolist(), strict=True)}
     return ", ".join(f"{name} ended on its bound at {named[name]:.3g}" for name in evidence.bounds_hit)
 

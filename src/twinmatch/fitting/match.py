@@ -11,7 +11,7 @@ import numpy as np
 
 from twinmatch.dynamics import FROM_PLANT_FILE, LoopGains, Parameters
 from twinmatch.fitting.estimation import Uncertainty, on_bounds, solve, starts_for
-from twinmatch.fitting.gate import Evidence, GateLimits, Status, first_excited, judge, undetermined
+from twinmatch.fitting.gate import FitEvidence, GateLimits, Status, first_excited, judge, undetermined
 from twinmatch.fitting.identifiability import Identified, identify, unidentified
 from twinmatch.fitting.problem import Bounds, Noise, Problem, checked_free, checked_gains, unknown_parameters
 from twinmatch.signals import FloatArray, Window
@@ -220,7 +220,7 @@ def _with_fit(problem: Problem, split: int, rival: Parameters, limits: GateLimit
     final, known, fit = found.estimate, found.known, _fit(problem, found.estimate.residuals)
     free = [i for i, name in enumerate(problem.names) if name != found.kept]
     bounds_hit = tuple(n for n in on_bounds(problem, final.values) if n != found.kept)
-    evidence = Evidence(
+    evidence = FitEvidence(
         free=tuple(problem.unknowns[i] for i in free),
         values=final.values[free],
         standard_errors=np.sqrt(np.diag(found.others.covariance)),

@@ -13,7 +13,7 @@ neither a clock nor random numbers: the same samples give the same judgement. Em
 from __future__ import annotations
 
 from twinmatch.health.balance import Balance, Movement
-from twinmatch.health.faults import SLOW, Alarm, Fault, Health, State
+from twinmatch.health.faults import SLOW, Alarm, Fault, Health, HealthState
 from twinmatch.health.monitor import Monitor
 from twinmatch.health.settings import HealthError, HealthSettings
 
@@ -25,7 +25,7 @@ __all__ = [
     "Health",
     "HealthError",
     "HealthSettings",
+    "HealthState",
     "Monitor",
     "Movement",
-    "State",
 ]

@@ -11,7 +11,7 @@ from twinmatch.health.traces import DriveEffect, Repeats
 from twinmatch.signals import Sample
 
 
-class State(Enum):
+class HealthState(Enum):
     """How the plant is at one sample."""
 
     HEALTHY = "healthy"
@@ -71,7 +71,7 @@ class Health:
     """The judgement at one sample."""
 
     index: int
-    state: State
+    state: HealthState
     fault: Fault | None
     """The fault, or the suspected one if it can be named; None when healthy."""
     since: int | None

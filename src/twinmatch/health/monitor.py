@@ -18,7 +18,7 @@ from twinmatch.health.faults import (
     Fault,
     FaultSentences,
     Health,
-    State,
+    HealthState,
 )
 from twinmatch.health.lagged_effect import LaggedEffect, is_lagged
 from twinmatch.health.settings import HealthSettings
@@ -298,15 +298,15 @@ class Monitor:
             alarm = self._alarms[-1]
             same = evidence is not None and evidence.fault is alarm.fault
             reason = evidence.reason if evidence is not None and same else alarm.reason
-            return Health(index, State.FAULT, alarm.fault, alarm.first, reason, share, rate, news)
+            return Health(index, HealthState.FAULT, alarm.fault, alarm.first, reason, share, rate, news)
         if evidence is None:
-            return Health(index, State.HEALTHY, None, None, "", share, rate, news)
+            return Health(index, HealthState.HEALTHY, None, None, "", share, rate, news)
         # At the start a late camera looks like a dead drive, and is far more common.
         short = evidence.fault in (Fault.DRIVE_LOST, Fault.DRIVE_WEAK)
         fault = None if starting and short else evidence.fault
         reason = f"during start-up: {evidence.reason}" if starting else evidence.reason
         first = max(evidence.first, self._begin)
-        return Health(index, State.SUSPECT, fault, first, reason, share, rate, news)
+        return Health(index, HealthState.SUSPECT, fault, first, reason, share, rate, news)
 
     def _possible(self, sample: Sample) -> bool:
         """Whether the values of the sample are possible for this plant."""

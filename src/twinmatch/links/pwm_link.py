@@ -28,12 +28,12 @@ from twinmatch.links.pwm_protocol import (
     PWM_LIMIT,
     SEQUENCES,
     Banner,
+    BoardStatus,
     Code,
     Conversation,
     Flags,
     Refusal,
     Reply,
-    Status,
     Verb,
 )
 
@@ -343,11 +343,11 @@ class PwmLink:
             raise PwmVersionError(msg)
         return reply
 
-    def _status(self, verb: Verb) -> Status:
+    def _status(self, verb: Verb) -> BoardStatus:
         return self._expect_status(self._ask(verb))
 
-    def _expect_status(self, reply: Reply) -> Status:
-        if not isinstance(reply, Status):
+    def _expect_status(self, reply: Reply) -> BoardStatus:
+        if not isinstance(reply, BoardStatus):
             raise self._refused(reply)
         return reply
 
@@ -436,5 +436,5 @@ class PwmLink:
         self._wire = None
 
 
-def _applied(status: Status) -> Applied:
+def _applied(status: BoardStatus) -> Applied:
     return Applied(status.applied, status.adc * AMPERES_PER_COUNT, status.flags, status.time_ms / 1000)

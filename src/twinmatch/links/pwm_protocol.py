@@ -203,7 +203,7 @@ class Banner:
 
 
 @dataclass(frozen=True, slots=True)
-class Status:
+class BoardStatus:
     """The board's report of its output."""
 
     sequence: int
@@ -232,7 +232,7 @@ class Refusal:
         return f"E {'-' if self.sequence is None else self.sequence} {self.code.value}"
 
 
-Reply = Banner | Status | Refusal
+Reply = Banner | BoardStatus | Refusal
 
 
 def is_newer(sequence: int, last: int) -> bool:
@@ -266,7 +266,7 @@ def parse_reply(payload: bytes) -> Reply | None:
     text = payload.decode("latin-1")
     if match := _STATUS.fullmatch(text):
         sequence, time_ms, applied, adc, flags = map(int, match.groups())
-        return _checked(sequence, Status(sequence, time_ms, applied, adc, Flags(flags)))
+        return _checked(sequence, BoardStatus(sequence, time_ms, applied, adc, Flags(flags)))
     if match := _BANNER.fullmatch(text):
         sequence, protocol, reset_flags, deadline, restarts = (int(match[i]) for i in (1, 3, 4, 5, 6))
         return _checked(sequence, Banner(sequence, match[2], protocol, reset_flags, deadline, restarts))
@@ -280,7 +280,7 @@ def parse_reply(payload: bytes) -> Reply | None:
 
 def _checked(sequence: int, reply: Reply) -> Reply | None:
     plausible = sequence < SEQUENCES
-    if isinstance(reply, Status):
+    if isinstance(reply, BoardStatus):
         plausible = plausible and abs(reply.applied) <= PWM_LIMIT and reply.adc <= 1023
         plausible = plausible and reply.time_ms < 2**32 and int(reply.flags) <= 0xFF
     return reply if plausible else None
@@ -358,4 +358,4 @@ class Conversation:
 def _fits(reply: Reply, verb: Verb) -> bool:
     if isinstance(reply, Refusal):
         return True
-    return isinstance(reply, Banner if verb is Verb.HELLO else Status)
+    return isinstance(reply, Banner if verb is Verb.HELLO else BoardStatus)

@@ -27,7 +27,7 @@ from twinmatch.links.thermal_frame import DEFAULT_PORT, Exposure, ThermalFrame
 from twinmatch.nodes.node import Level, Report, TwinmatchNode
 from twinmatch.nodes.runner import program
 from twinmatch.nodes.sample_messages import time_message
-from twinmatch.parameters.declared import Parameter
+from twinmatch.parameters.declared import Setting
 from twinmatch.signals import KELVIN
 
 FASTEST = 1000.0
@@ -106,14 +106,14 @@ SAME_CLOCK = 60_000_000_000
 """Stamps of a simulated camera within this of simulated time are taken to be on that clock, ns."""
 
 
-def _region_parameters(name: str, text: str, usual: tuple[int, int, int, int]) -> tuple[Parameter, ...]:
+def _region_parameters(name: str, text: str, usual: tuple[int, int, int, int]) -> tuple[Setting, ...]:
     x, y, width, height = usual
     first_row = "First row, 0 at the top." if name == "roi" else "First row."
     return (
-        Parameter(f"{name}.x", x, text, "pixels", 0, 1023),
-        Parameter(f"{name}.y", y, first_row, "pixels", 0, 1023),
-        Parameter(f"{name}.width", width, "Columns.", "pixels", 1, 1024),
-        Parameter(f"{name}.height", height, "Rows.", "pixels", 1, 1024),
+        Setting(f"{name}.x", x, text, "pixels", 0, 1023),
+        Setting(f"{name}.y", y, first_row, "pixels", 0, 1023),
+        Setting(f"{name}.width", width, "Columns.", "pixels", 1, 1024),
+        Setting(f"{name}.height", height, "Rows.", "pixels", 1, 1024),
     )
 
 
@@ -126,18 +126,18 @@ class CameraBridge(TwinmatchNode):
 
     NAME = "camera_bridge"
     PARAMETERS: ClassVar = (
-        Parameter("host", "127.0.0.1", "Computer on which the camera server runs."),
-        Parameter("port", DEFAULT_PORT, "Its TCP port.", "", 1, 65535),
-        Parameter("stall_timeout", 2.0, _STALL, "s", 0.1, 60.0),
-        Parameter("stale_after", 3.0, "Age of the newest image that is an error.", "s", 0.1, 60.0),
+        Setting("host", "127.0.0.1", "Computer on which the camera server runs."),
+        Setting("port", DEFAULT_PORT, "Its TCP port.", "", 1, 65535),
+        Setting("stall_timeout", 2.0, _STALL, "s", 0.1, 60.0),
+        Setting("stale_after", 3.0, "Age of the newest image that is an error.", "s", 0.1, 60.0),
         *_region_parameters("roi", "Region whose mean is the temperature: first column.", (34, 24, 12, 12)),
         *_region_parameters(
             "plate", "Region of the whole plate, for its uniformity: first column.", (22, 14, 36, 32)
         ),
-        Parameter("temperature_rate", 0.0, _TEMPERATURES, "Hz", 0.0, 1000.0),
-        Parameter("image_rate", 10.0, _IMAGES, "Hz", 0.0, 1000.0),
-        Parameter("frame_id", "thermal_camera", "Frame of the images."),
-        Parameter("plate_frame_id", "plate", "Frame of the temperature."),
+        Setting("temperature_rate", 0.0, _TEMPERATURES, "Hz", 0.0, 1000.0),
+        Setting("image_rate", 10.0, _IMAGES, "Hz", 0.0, 1000.0),
+        Setting("frame_id", "thermal_camera", "Frame of the images."),
+        Setting("plate_frame_id", "plate", "Frame of the temperature."),
     )
 
     def read_parameters(self) -> None:

@@ -21,7 +21,7 @@ from twinmatch.nodes.node import READERS, Level, Report, TwinmatchNode, count_re
 from twinmatch.nodes.runner import program
 from twinmatch.nodes.sample_messages import sample_message, time_message
 from twinmatch.nodes.topics import LATCHED, RELIABLE
-from twinmatch.parameters.declared import Parameter, ParameterError, Values, group
+from twinmatch.parameters.declared import ParameterError, Setting, Values, group
 from twinmatch.parameters.loop import loop_parameters, pid_gains
 from twinmatch.plants import Peltier, find_plant, written_name
 from twinmatch_msgs.msg import LoopSample, PlantCommand, PlantReading, PwmCommand
@@ -35,7 +35,7 @@ _LEVELS = (1 / 7, 3 / 7, 5 / 7, 3 / 7)
 """Levels of the default profile, as fractions of the range of sensible set-points."""
 
 
-def controller_table(plant: type[Plant] = Peltier) -> tuple[Parameter, ...]:
+def controller_table(plant: type[Plant] = Peltier) -> tuple[Setting, ...]:
     """Name, default, meaning, unit and range of the parameters of a plant's controller.
 
     Raises:
@@ -49,23 +49,23 @@ def controller_table(plant: type[Plant] = Peltier) -> tuple[Parameter, ...]:
     first, last = y.set_points or y.span
     levels = [first + (last - first) * share for share in _LEVELS]
     sources = ("profile", "topic")
-    changing = partial(Parameter, changeable=True)
+    changing = partial(Setting, changeable=True)
     return (
-        Parameter("plant", written_name(plant), "The plant: its name, or the file that defines it."),
+        Setting("plant", written_name(plant), "The plant: its name, or the file that defines it."),
         *loop_parameters(plant),
-        Parameter("reference_source", sources[0], _SOURCE, choices=sources),
+        Setting("reference_source", sources[0], _SOURCE, choices=sources),
         changing("profile.levels", levels, "Set-points, one after the other.", y.unit, low, high),
         changing("profile.holds", [300.0] * 4, "How long each of them is held.", "s", 0.1, 1e6),
         changing("profile.repeat", True, "Repeat the profile; otherwise the last level is held."),
         changing("profile.ramp", 0.0, _RAMP, f"{y.unit}/s", 0.0, high - low),
         changing("profile.lowest", max(low, y.safe[0]), _LOWEST, y.unit, low, high),
         changing("profile.highest", min(high, y.safe[1]), _HIGHEST, y.unit, low, high),
-        Parameter("exit_at_end", False, "Exit at the end of a profile that is not repeated."),
-        Parameter("max_age", 2.0, "A reading older than this switches the output off.", "s", 0.05, 10.0),
-        Parameter("command_period", 0.25, _REPEATED, "s", 0.01, 1.0),
-        Parameter("wait_for", 0, "Readers of plant/sample to wait for before the first tick.", "", 0, 100),
+        Setting("exit_at_end", False, "Exit at the end of a profile that is not repeated."),
+        Setting("max_age", 2.0, "A reading older than this switches the output off.", "s", 0.05, 10.0),
+        Setting("command_period", 0.25, _REPEATED, "s", 0.01, 1.0),
+        Setting("wait_for", 0, "Readers of plant/sample to wait for before the first tick.", "", 0, 100),
         READERS,
-        Parameter("wait_timeout", 10.0, "Longest wait for them, by the wall clock.", "s", 0.1, 3600.0),
+        Setting("wait_timeout", 10.0, "Longest wait for them, by the wall clock.", "s", 0.1, 3600.0),
     )
 
 
@@ -149,7 +149,7 @@ class ControllerNode(TwinmatchNode):
     NAME = "controller"
 
     @classmethod
-    def table_for(cls, given: Mapping[str, Any]) -> tuple[Sequence[Parameter], Mapping[str, Any]]:
+    def table_for(cls, given: Mapping[str, Any]) -> tuple[Sequence[Setting], Mapping[str, Any]]:
         """The parameters of the plant that is named."""
         try:
             return controller_table(find_plant(str(given.get("plant", Peltier.name)))), given

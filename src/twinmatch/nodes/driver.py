@@ -24,7 +24,7 @@ from twinmatch.links.pwm_link import (
     PwmVersionError,
 )
 from twinmatch.links.pwm_protocol import Banner, Flags
-from twinmatch.nodes.node import Health, Level
+from twinmatch.nodes.node import Level, NodeHealth
 from twinmatch.nodes.output_gate import Decision, OutputGate
 from twinmatch.nodes.step import FOREVER, InStep
 from twinmatch.safety import FaultKind
@@ -68,7 +68,7 @@ class DriverThread(ABC, Generic[Link]):
     """Told which commands are applied, if the plant waits for them."""
 
     def __init__(
-        self, link: Link, gate: OutputGate, tell: Tell, health: Health, pace: DriverPace | None = None
+        self, link: Link, gate: OutputGate, tell: Tell, health: NodeHealth, pace: DriverPace | None = None
     ) -> None:
         """`tell` is called in the thread, which `start` starts."""
         self.failure: Exception | None = None

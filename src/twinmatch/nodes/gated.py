@@ -12,7 +12,7 @@ from twinmatch.nodes.node import Level, Report, TwinmatchNode
 from twinmatch.nodes.output_gate import ClockTimes, OutputGate, gate_limits
 from twinmatch.nodes.sample_messages import sample_from
 from twinmatch.nodes.topics import RELIABLE
-from twinmatch.safety import ClockLimits, Fault, FaultKind, GuardLimits
+from twinmatch.safety import ClockLimits, FaultKind, GuardFault, GuardLimits
 from twinmatch.signals import SignalError
 from twinmatch_msgs.msg import LoopSample
 
@@ -45,7 +45,7 @@ class GatedNode(TwinmatchNode):
         """
         limits, clock = gate_limits(self.LIMITS, self.values), ClockLimits(self.values["clock_timeout"])
         self.gate = OutputGate(self._read_clocks, limits, clock)
-        self._reported_fault: Fault | None = None
+        self._reported_fault: GuardFault | None = None
         self._sampled_at = 0.0
 
     def guard(self, commands: Any) -> None:
@@ -143,6 +143,6 @@ class GatedNode(TwinmatchNode):
         return response
 
 
-def fault_text(fault: Fault | None) -> str:
+def fault_text(fault: GuardFault | None) -> str:
     """A fault as text in messages; empty if there is none."""
     return "" if fault is None else f"{fault.kind.value}: {fault.message}"

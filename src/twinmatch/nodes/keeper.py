@@ -16,7 +16,7 @@ from twinmatch.nodes.node import KEEPER, Level, Report, TwinmatchNode
 from twinmatch.nodes.past import PAST
 from twinmatch.nodes.sample_messages import sample_from
 from twinmatch.nodes.topics import EVERYTHING
-from twinmatch.parameters.declared import BUILT_IN, Parameter
+from twinmatch.parameters.declared import BUILT_IN, Setting
 from twinmatch.sessions.spool import MessageSpool, SampleSpool
 from twinmatch.signals import SignalError
 from twinmatch_msgs.msg import Forecast, LoopSample, Match, ModelScore, TwinState
@@ -41,7 +41,7 @@ class Keeper(TwinmatchNode):
     COUNTED: ClassVar = {"twin/forecast": Forecast, "twin/state": TwinState}
 
     @classmethod
-    def table_for(cls, given: Mapping[str, Any]) -> tuple[Sequence[Parameter], Mapping[str, Any]]:
+    def table_for(cls, given: Mapping[str, Any]) -> tuple[Sequence[Setting], Mapping[str, Any]]:
         """No parameters: those given to its process are for the other nodes in it."""
         return (), {name: value for name, value in given.items() if name.startswith(BUILT_IN)}
 

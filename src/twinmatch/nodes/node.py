@@ -1,6 +1,6 @@
 """Base class of all nodes of this package: table of parameters, diagnostics, a worker thread, orderly end.
 
-`Health` collects what REP 107 diagnostics report and knows nothing of ROS; `Reporter` publishes it once a
+`NodeHealth` collects what REP 107 diagnostics report and knows nothing of ROS; `Reporter` publishes it once a
 second. A `Worker` does a node's heavy work, so that its callbacks never wait.
 """
 
@@ -20,7 +20,7 @@ from rclpy.node import Node
 
 from twinmatch.errors import TwinmatchError
 from twinmatch.nodes.step import InStep
-from twinmatch.parameters.declared import Parameter, ParameterError, Values, check
+from twinmatch.parameters.declared import ParameterError, Setting, Values, check
 
 PERIOD = 1.0
 """Reporting period (REP 107), s, by a clock that runs even while simulated time is stopped."""
@@ -43,7 +43,7 @@ class Report(NamedTuple):
     values: Mapping[str, str]
 
 
-class Health:
+class NodeHealth:
     """Counters, values and problems of one part of a node; thread-safe.
 
     A problem stands until it is withdrawn, so that a fault of a tenth of a second is seen by a reader that
@@ -139,7 +139,7 @@ class Worker(Generic[Item]):
     defect, ends the worker and is kept in `failure`.
     """
 
-    def __init__(self, handle: Callable[[Item], None], health: Health, backlog: int = 100) -> None:
+    def __init__(self, handle: Callable[[Item], None], health: NodeHealth, backlog: int = 100) -> None:
         """Start the thread; more than `backlog` queued items are reported as a warning."""
         self.failure: Exception | None = None
         self._handle = handle
@@ -194,7 +194,7 @@ class Worker(Generic[Item]):
 KEEPER = "keeper"
 """Name of the node that keeps the messages of a run."""
 
-READERS = Parameter(
+READERS = Setting(
     "readers", "", "Nodes that must receive every plant/sample and are waited for; names with spaces between."
 )
 
@@ -207,7 +207,7 @@ class TwinmatchNode(Node):
     """
 
     NAME: ClassVar[str]
-    PARAMETERS: ClassVar[Sequence[Parameter]] = ()
+    PARAMETERS: ClassVar[Sequence[Setting]] = ()
     FIXED: ClassVar[str] = "it is read once, when the node starts"
     """Why a parameter that is not changeable cannot be set while the node runs."""
     CLOSING: ClassVar[int] = 0
@@ -229,7 +229,7 @@ class TwinmatchNode(Node):
             raise ParameterError(msg) from error
         self.exit_code: int | None = None
         """Set by a node that has finished: the process then exits with this code."""
-        self.health = Health()
+        self.health = NodeHealth()
         self._reporter: Reporter | None = None
         try:
             self.values: Values = declare(self, self.table_for)
@@ -253,7 +253,7 @@ class TwinmatchNode(Node):
             self._reporter.publish()
 
     @classmethod
-    def table_for(cls, given: Mapping[str, Any]) -> tuple[Sequence[Parameter], Mapping[str, Any]]:
+    def table_for(cls, given: Mapping[str, Any]) -> tuple[Sequence[Setting], Mapping[str, Any]]:
         """The node's parameters, which may depend on the given values, and the given values to check.
 
         Raises:
@@ -325,7 +325,7 @@ def missing_readers(node: Node, topic: str, wanted: str) -> list[str]:
 
 
 def declare(
-    node: Node, table_for: Callable[[Mapping[str, Any]], tuple[Sequence[Parameter], Mapping[str, Any]]]
+    node: Node, table_for: Callable[[Mapping[str, Any]], tuple[Sequence[Setting], Mapping[str, Any]]]
 ) -> Values:
     """Declare a node's parameters and return their values; `table_for` gets the values given.
 
@@ -347,7 +347,7 @@ def declare(
     return values
 
 
-def _descriptor(parameter: Parameter) -> ParameterDescriptor:
+def _descriptor(parameter: Setting) -> ParameterDescriptor:
     """The description that `ros2 param describe` shows."""
     limits = parameter.limits
     text = f"{parameter.description} ({limits})" if limits else parameter.description

@@ -11,11 +11,11 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-from twinmatch.parameters.declared import Parameter, group, parameters_of
+from twinmatch.parameters.declared import Setting, group, parameters_of
 from twinmatch.safety import (
     ClockLimits,
-    Fault,
     FaultKind,
+    GuardFault,
     GuardLimits,
     OutputGuard,
     SafetyClock,
@@ -65,7 +65,7 @@ class OutputGate:
         self._news = threading.Condition(threading.RLock())
 
     @property
-    def fault(self) -> Fault | None:
+    def fault(self) -> GuardFault | None:
         """The latched fault, if any."""
         with self._news:
             return self._guard.fault
@@ -109,7 +109,7 @@ class OutputGate:
             self._guard.trip(kind, message, self._now()[0])
             self._news.notify_all()
 
-    def clear(self) -> Fault | None:
+    def clear(self) -> GuardFault | None:
         """Clear the fault and return it; the output waits for new inputs."""
         with self._news:
             fault = self._guard.fault
@@ -139,7 +139,7 @@ class OutputGate:
         return self._safety_clock.read(times.plant, times.wall), times
 
 
-def gate_table(usual: GuardLimits, note: str = "") -> tuple[Parameter, ...]:
+def gate_table(usual: GuardLimits, note: str = "") -> tuple[Setting, ...]:
     """The parameters of the limits of a plant; `note` explains the default of the temperature's timeout."""
     most = max(map(abs, usual.commands))
     names = {"y": usual.unit, "u": usual.drive_unit, "note": note}
@@ -149,7 +149,7 @@ def gate_table(usual: GuardLimits, note: str = "") -> tuple[Parameter, ...]:
     return (
         silence,
         others[0],
-        Parameter("clock_timeout", ClockLimits().patience, clock, "s", 0.1, 60.0),
+        Setting("clock_timeout", ClockLimits().patience, clock, "s", 0.1, 60.0),
         *others[1:],
         *runaway,
         replace(full, low=most / 255.0, high=most),

@@ -11,7 +11,7 @@ from rosgraph_msgs.msg import Clock
 from twinmatch.emulation.virtual_rig_clock import ClockClient, Stillness, parse_address
 from twinmatch.nodes.node import Level, Report, TwinmatchNode
 from twinmatch.nodes.runner import program
-from twinmatch.parameters.declared import Parameter
+from twinmatch.parameters.declared import Setting
 
 CLOCK = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 """The QoS with which ROS 2 subscribes to /clock: only the newest message counts."""
@@ -22,8 +22,8 @@ class PlantClock(TwinmatchNode):
 
     NAME = "plant_clock"
     PARAMETERS: ClassVar = (
-        Parameter("address", "", "HOST:PORT of the clock, as the virtual rig prints it; required."),
-        Parameter("patience", 1.0, "Wall time after which a stopped clock is an error.", "s", 0.1, 60.0),
+        Setting("address", "", "HOST:PORT of the clock, as the virtual rig prints it; required."),
+        Setting("patience", 1.0, "Wall time after which a stopped clock is an error.", "s", 0.1, 60.0),
     )
 
     def read_parameters(self) -> None:

@@ -21,7 +21,7 @@ from twinmatch.nodes.keeper import Keeper
 from twinmatch.nodes.node import READERS, Level, Report, TwinmatchNode, count_readers, missing_readers
 from twinmatch.nodes.runner import program
 from twinmatch.nodes.topics import DEPTH, MessageTypeError, message_class, profile_of
-from twinmatch.parameters.declared import Parameter, Values
+from twinmatch.parameters.declared import Setting, Values
 from twinmatch.sessions import Message, Qos, Topic, read_session
 
 
@@ -108,15 +108,15 @@ class Player(TwinmatchNode):
 
     NAME = "player"
     PARAMETERS: ClassVar = (
-        Parameter("session", "", "Folder or .mcap file of the session; required."),
-        Parameter("topic", "", "Topic of the samples, if the session has several rigs."),
-        Parameter("topics", ["plant/", "thermal/"], "Prefixes of the topics to play."),
-        Parameter("rate", 1.0, _RATE, "", 0.0, 1000.0, changeable=True),
-        Parameter("paused", False, "Start paused; the service ~/pause continues."),
-        Parameter("clock", True, "Publish /clock."),
-        Parameter("wait_for", 1, "Readers of plant/sample to wait for before the first message.", "", 0, 100),
+        Setting("session", "", "Folder or .mcap file of the session; required."),
+        Setting("topic", "", "Topic of the samples, if the session has several rigs."),
+        Setting("topics", ["plant/", "thermal/"], "Prefixes of the topics to play."),
+        Setting("rate", 1.0, _RATE, "", 0.0, 1000.0, changeable=True),
+        Setting("paused", False, "Start paused; the service ~/pause continues."),
+        Setting("clock", True, "Publish /clock."),
+        Setting("wait_for", 1, "Readers of plant/sample to wait for before the first message.", "", 0, 100),
         READERS,
-        Parameter("wait_timeout", 10.0, _TIMEOUT, "s", 0.1, 3600.0),
+        Setting("wait_timeout", 10.0, _TIMEOUT, "s", 0.1, 3600.0),
     )
 
     def __init__(self) -> None:

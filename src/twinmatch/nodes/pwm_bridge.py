@@ -15,7 +15,7 @@ from twinmatch.nodes.output_gate import gate_table
 from twinmatch.nodes.runner import program
 from twinmatch.nodes.sample_messages import nanoseconds
 from twinmatch.nodes.topics import RELIABLE
-from twinmatch.parameters.declared import Parameter
+from twinmatch.parameters.declared import Setting
 from twinmatch.parameters.loop import unit_of
 from twinmatch.plants import Peltier
 from twinmatch.safety import GuardLimits
@@ -31,11 +31,11 @@ class PwmBridge(GatedNode):
     BOARD = "PWM board"
     LIMITS: ClassVar = GuardLimits(unit=Peltier.output.unit, drive_unit=unit_of(Peltier.drive))
     PARAMETERS: ClassVar = (
-        Parameter("port", "/dev/ttyACM0", "Serial port of the PWM board."),
-        Parameter("timeout", LinkSettings().timeout, _TIMEOUT, "s", 0.01, 2.0),
-        Parameter("retries", LinkSettings().retries, "Retries of an unanswered request.", "", 0, 10),
-        Parameter("repeat", 0.1, "Interval at which the command is repeated.", "s", 0.02, 0.2),
-        Parameter("frame_id", "driver", "Frame of plant/pwm_applied."),
+        Setting("port", "/dev/ttyACM0", "Serial port of the PWM board."),
+        Setting("timeout", LinkSettings().timeout, _TIMEOUT, "s", 0.01, 2.0),
+        Setting("retries", LinkSettings().retries, "Retries of an unanswered request.", "", 0, 10),
+        Setting("repeat", 0.1, "Interval at which the command is repeated.", "s", 0.02, 0.2),
+        Setting("frame_id", "driver", "Frame of plant/pwm_applied."),
         *gate_table(LIMITS, "; a flat-field correction takes 1 s"),
     )
     CLOSING: ClassVar = 3

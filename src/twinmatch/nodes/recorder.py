@@ -23,7 +23,7 @@ from twinmatch.nodes.node import Level, Report, TwinmatchNode, Worker
 from twinmatch.nodes.recorder_past import RecorderPast
 from twinmatch.nodes.runner import program
 from twinmatch.nodes.topics import message_class, offered, profile_of, wanted
-from twinmatch.parameters.declared import Parameter
+from twinmatch.parameters.declared import Setting
 from twinmatch.sessions import Recording, RecordingLimits, SessionError, Topic
 from twinmatch.sessions.definitions import schema_of
 from twinmatch.sessions.documents import DocumentError, read_text
@@ -184,13 +184,13 @@ class RecorderNode(TwinmatchNode):
 
     NAME = "recorder"
     PARAMETERS: ClassVar = (
-        Parameter("folder", "sessions", "Folder for the sessions; created if missing."),
-        Parameter("name", "", "Name of the session; empty: rig_ and the date and time of the start."),
-        Parameter("also", ["/diagnostics"], "Topics to record outside the namespace, such as /rosout."),
-        Parameter("leave_out", ["parameter_events"], "Prefixes of relative topic names not to record."),
-        Parameter("min_free_mb", 200.0, "Free disk space below which recording stops.", "MB", 0.0, 1e9),
-        Parameter("split_mb", 0.0, "Size at which a new file is started; 0: never.", "MB", 0.0, 1e6),
-        Parameter("split_s", 0.0, "Time after which a new file is started; 0: never.", "s", 0.0, 1e7),
+        Setting("folder", "sessions", "Folder for the sessions; created if missing."),
+        Setting("name", "", "Name of the session; empty: rig_ and the date and time of the start."),
+        Setting("also", ["/diagnostics"], "Topics to record outside the namespace, such as /rosout."),
+        Setting("leave_out", ["parameter_events"], "Prefixes of relative topic names not to record."),
+        Setting("min_free_mb", 200.0, "Free disk space below which recording stops.", "MB", 0.0, 1e9),
+        Setting("split_mb", 0.0, "Size at which a new file is started; 0: never.", "MB", 0.0, 1e6),
+        Setting("split_s", 0.0, "Time after which a new file is started; 0: never.", "s", 0.0, 1e7),
     )
 
     worker: Worker[Job] | None = None

@@ -20,7 +20,7 @@ from twinmatch.nodes.node import READERS, Level, Report, TwinmatchNode, missing_
 from twinmatch.nodes.runner import program
 from twinmatch.nodes.sample_messages import nanoseconds, sample_message
 from twinmatch.nodes.topics import RELIABLE, ForeignTopics
-from twinmatch.parameters.declared import Parameter, ParameterError
+from twinmatch.parameters.declared import ParameterError, Setting
 from twinmatch.plants import Peltier, find_plant, written_name
 from twinmatch.plants.records import description_of
 from twinmatch.sessions.column_map import parse_source
@@ -52,7 +52,7 @@ def signals_of(plant: type[Plant]) -> dict[str, Quantity]:
     return loop | dict(zip(plant.disturbances, found.disturbances, strict=True))
 
 
-def sampler_table(plant: type[Plant] = Peltier, period: float | None = None) -> tuple[Parameter, ...]:
+def sampler_table(plant: type[Plant] = Peltier, period: float | None = None) -> tuple[Setting, ...]:
     """The parameters for a plant and a sampling period, s."""
     usual = plant.loop.period if plant.loop else 1.0
     signals, step = signals_of(plant), period or usual
@@ -65,25 +65,25 @@ def sampler_table(plant: type[Plant] = Peltier, period: float | None = None) -> 
         unit = f", in {known.unit}" if known.unit else ""
         optional = "; empty: none" if name not in (OUTPUT, INPUT) else ""
         text = f"Topic and field of the {name} ({known.text or known.name}){unit}{optional}."
-        maps.append(Parameter(f"map.{name}", "", text))
+        maps.append(Setting(f"map.{name}", "", text))
         age = round(ages.get(name, _SLOWLY) * step, 9)
         text = f"Age from which a value of the {name} is stale; 0: never."
-        limits.append(Parameter(f"max_age.{name}", age, text, "s", 0.0, 1e6))
+        limits.append(Setting(f"max_age.{name}", age, text, "s", 0.0, 1e6))
     return (
-        Parameter("plant", written_name(plant), "Plant of the rig: its name, or the file that defines it."),
-        Parameter("period", usual, "Sampling period of the running loop.", "s", 0.01, 60.0),
-        Parameter("paced_by", INPUT, pacer, choices=(*signals, TIMER)),
-        Parameter("settle", 0.1, "Wait after such a message for those sent with it.", "periods", 0.0, 0.45),
+        Setting("plant", written_name(plant), "Plant of the rig: its name, or the file that defines it."),
+        Setting("period", usual, "Sampling period of the running loop.", "s", 0.01, 60.0),
+        Setting("paced_by", INPUT, pacer, choices=(*signals, TIMER)),
+        Setting("settle", 0.1, "Wait after such a message for those sent with it.", "periods", 0.0, 0.45),
         *maps,
         *limits,
-        Parameter("types", "", types),
-        Parameter("wait_timeout", 10.0, wait, "s", 0.0, 1e6),
+        Setting("types", "", types),
+        Setting("wait_timeout", 10.0, wait, "s", 0.0, 1e6),
         READERS,
-        Parameter("readers_timeout", 30.0, "Longest wait for those nodes.", "s", 0.1, 3600.0),
+        Setting("readers_timeout", 30.0, "Longest wait for those nodes.", "s", 0.1, 3600.0),
     )
 
 
-def understood(place: str, given: Mapping[str, Any]) -> tuple[Parameter, ...]:
+def understood(place: str, given: Mapping[str, Any]) -> tuple[Setting, ...]:
     """The table for the plant selected by the given values.
 
     Raises:
@@ -168,7 +168,7 @@ class SamplerNode(TwinmatchNode):
     _failure: TwinmatchError | None = None
 
     @classmethod
-    def table_for(cls, given: Mapping[str, Any]) -> tuple[Sequence[Parameter], Mapping[str, Any]]:
+    def table_for(cls, given: Mapping[str, Any]) -> tuple[Sequence[Setting], Mapping[str, Any]]:
         """The parameters for the selected plant."""
         return understood(cls.NAME, given), given
 

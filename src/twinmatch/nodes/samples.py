@@ -9,12 +9,12 @@ from typing import Any
 
 from rclpy.publisher import Publisher
 
-from twinmatch.nodes.node import Health, Level, Report, TwinmatchNode, Worker
+from twinmatch.nodes.node import Level, NodeHealth, Report, TwinmatchNode, Worker
 from twinmatch.nodes.past import CatchingUp, Stream
 from twinmatch.nodes.sample_messages import sample_from
 from twinmatch.nodes.standstill import Standstill
 from twinmatch.nodes.topics import EVERYTHING
-from twinmatch.parameters.declared import Parameter
+from twinmatch.parameters.declared import Setting
 from twinmatch.parameters.twin import settings_from, understood
 from twinmatch.signals import Sample, SignalError
 from twinmatch.twin import TwinSettings
@@ -28,7 +28,7 @@ AHEAD = 5
 class SampleWatch:
     """Checks the samples' indices and arrival, and reports gaps and silence."""
 
-    def __init__(self, health: Health, period: float, patience: int = 5, remember: int = 60) -> None:
+    def __init__(self, health: NodeHealth, period: float, patience: int = 5, remember: int = 60) -> None:
         """Report silence after `patience` periods (s each), and a gap for `remember` samples."""
         self._health = health
         self._silence = patience * period
@@ -69,7 +69,7 @@ class TwinNode(TwinmatchNode):
     worker: Worker[Any] | None = None
 
     @classmethod
-    def table_for(cls, given: Mapping[str, Any]) -> tuple[Sequence[Parameter], Mapping[str, Any]]:
+    def table_for(cls, given: Mapping[str, Any]) -> tuple[Sequence[Setting], Mapping[str, Any]]:
         """The parameters of the selected plant and structure."""
         return understood(cls.NAME, given)
 

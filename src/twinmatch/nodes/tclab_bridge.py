@@ -13,7 +13,7 @@ from twinmatch.nodes.output_gate import gate_table
 from twinmatch.nodes.runner import program
 from twinmatch.nodes.sample_messages import nanoseconds
 from twinmatch.nodes.topics import RELIABLE
-from twinmatch.parameters.declared import Parameter
+from twinmatch.parameters.declared import Setting
 from twinmatch.parameters.loop import unit_of
 from twinmatch.plants import TCLab
 from twinmatch.safety import GuardLimits, RunawayLimits
@@ -43,11 +43,11 @@ class TCLabBridge(GatedNode):
         runaway=RunawayLimits(gain=1.5, gain_time=30.0, full_drive=95.0),
     )
     PARAMETERS: ClassVar = (
-        Parameter("port", "", _PORT),
-        Parameter("second", 0.0, "Power of heater 2 while heater 1 is driven.", "%", 0.0, 100.0),
-        Parameter("repeat", 0.25, "Interval between two exchanges with the kit.", "s", 0.05, 0.5),
-        Parameter("deadline", 1.0, _DEADLINE, "s", 0.6, 60.0),
-        Parameter("frame_id", "kit", "Frame of plant/reading and plant/applied."),
+        Setting("port", "", _PORT),
+        Setting("second", 0.0, "Power of heater 2 while heater 1 is driven.", "%", 0.0, 100.0),
+        Setting("repeat", 0.25, "Interval between two exchanges with the kit.", "s", 0.05, 0.5),
+        Setting("deadline", 1.0, _DEADLINE, "s", 0.6, 60.0),
+        Setting("frame_id", "kit", "Frame of plant/reading and plant/applied."),
         *gate_table(LIMITS),
     )
     CLOSING: ClassVar = 6

@@ -19,8 +19,8 @@ from twinmatch.sessions.documents import shown
 
 __all__ = [
     "BUILT_IN",
-    "Parameter",
     "ParameterError",
+    "Setting",
     "Value",
     "Values",
     "check",
@@ -44,7 +44,7 @@ class ParameterError(TwinmatchError):
 
 
 @dataclass(frozen=True)
-class Parameter:
+class Setting:
     """One parameter of a node."""
 
     name: str
@@ -106,7 +106,7 @@ class Parameter:
         return bool(self.low <= item <= self.high)
 
 
-def parameters_of(record: Any, prefix: str = "", **names: str) -> tuple[Parameter, ...]:
+def parameters_of(record: Any, prefix: str = "", **names: str) -> tuple[Setting, ...]:
     """The parameters for the settings that a dataclass declares, with an object's values as defaults.
 
     Args:
@@ -116,7 +116,7 @@ def parameters_of(record: Any, prefix: str = "", **names: str) -> tuple[Paramete
     """
     names = {"y": "", "u": "", "note": "", **names}
     return tuple(
-        Parameter(
+        Setting(
             prefix + it.name,
             getattr(record, it.name),
             it.metadata["text"].format_map(names),
@@ -134,7 +134,7 @@ def group(values: Mapping[str, Any], prefix: str) -> Values:
     return {name.removeprefix(prefix): it for name, it in values.items() if name.startswith(prefix)}
 
 
-def check(node: str, table: Sequence[Parameter], given: Mapping[str, Any]) -> Values:
+def check(node: str, table: Sequence[Setting], given: Mapping[str, Any]) -> Values:
     """All parameters of a node: those given, checked, and the defaults of the others.
 
     Raises:
@@ -172,7 +172,7 @@ def flattened(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     return flat
 
 
-def render(node: str, table: Sequence[Parameter], values: Mapping[str, Any] | None = None) -> str:
+def render(node: str, table: Sequence[Setting], values: Mapping[str, Any] | None = None) -> str:
     """A section of a ROS parameter file: every parameter with its description, unit and range."""
     lines = [f"{node}:", "  ros__parameters:"]
     for parameter in table:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from twinmatch.dynamics import FROM_PLANT_FILE, Drive, FromPlantFile, LoopGains, PidGains, Plant, gains_for
-from twinmatch.parameters.declared import Parameter, group
+from twinmatch.parameters.declared import Setting, group
 
 __all__ = ["UNKNOWN", "closing_of", "loop_parameters", "pid_gains", "unit_of"]
 
@@ -27,11 +27,11 @@ def closing_of(values: Mapping[str, Any]) -> LoopGains:
     return None if values.get("loop", FromPlantFile.LOOP.value) == UNKNOWN else FROM_PLANT_FILE
 
 
-def loop_parameters(plant: type[Plant], closing: LoopGains = FROM_PLANT_FILE) -> tuple[Parameter, ...]:
+def loop_parameters(plant: type[Plant], closing: LoopGains = FROM_PLANT_FILE) -> tuple[Setting, ...]:
     """The sampling period, and the gains of the plant's controller if it is known."""
     usual = plant.loop.period if plant.loop else 1.0
     has = gains_for(plant, usual, closing)
-    period = Parameter("period", usual, "Sampling period of the loop.", "s", 0.01, 60.0)
+    period = Setting("period", usual, "Sampling period of the loop.", "s", 0.01, 60.0)
     if has is None:
         return (period,)
     u, y = unit_of(plant.drive), plant.output.unit
@@ -44,13 +44,13 @@ def loop_parameters(plant: type[Plant], closing: LoopGains = FROM_PLANT_FILE) ->
     return (
         period,
         *(
-            Parameter(f"pid.{name}", getattr(has, name), text, unit, *_span(getattr(has, name)))
+            Setting(f"pid.{name}", getattr(has, name), text, unit, *_span(getattr(has, name)))
             for name, text, unit in gains
         ),
-        Parameter("pid.back_calculation", has.back_calculation, "Anti-windup gain.", "1/s", 0.0, 1e3),
-        Parameter("pid.low", has.low, "Lower output limit.", u, low, high),
-        Parameter("pid.high", has.high, "Upper output limit.", u, low, high),
-        Parameter(
+        Setting("pid.back_calculation", has.back_calculation, "Anti-windup gain.", "1/s", 0.0, 1e3),
+        Setting("pid.low", has.low, "Lower output limit.", u, low, high),
+        Setting("pid.high", has.high, "Upper output limit.", u, low, high),
+        Setting(
             "pid.on_measurement",
             has.on_measurement,
             "Derivative of the measurement instead of the error: no kick at set-point steps.",

@@ -16,7 +16,7 @@ from twinmatch.dynamics import FROM_PLANT_FILE, FromPlantFile, LoopGains, Model,
 from twinmatch.errors import TwinmatchError
 from twinmatch.fitting import Noise
 from twinmatch.fmu import adopt_fmus
-from twinmatch.parameters.declared import Parameter, ParameterError, Values, check, flattened
+from twinmatch.parameters.declared import ParameterError, Setting, Values, check, flattened
 from twinmatch.parameters.loop import UNKNOWN, closing_of, loop_parameters, pid_gains, unit_of
 from twinmatch.plants import Peltier, find_plant, plant_named, written_name
 from twinmatch.plants.records import structure_of
@@ -58,7 +58,7 @@ _START: Final = "start."
 
 def twin_table(
     plant: type[Plant] = Peltier, structure: str | None = None, closing: LoopGains = FROM_PLANT_FILE
-) -> tuple[Parameter, ...]:
+) -> tuple[Setting, ...]:
     """Name, default, meaning, unit and range of everything in `TwinSettings`, and of what single nodes need.
 
     Raises:
@@ -67,7 +67,7 @@ def twin_table(
     has = TwinSettings.of(plant, structure, gains=closing)
     return (
         *_plant(has.start.model),
-        Parameter(
+        Setting(
             "loop",
             FromPlantFile.LOOP.value if closing is FROM_PLANT_FILE else UNKNOWN,
             "Whether the twin runs in the loop of the plant file; unknown: the recorded input drives it.",
@@ -78,11 +78,11 @@ def twin_table(
         *_sensor(has),
         *_family(has),
         *_trust(has),
-        Parameter(
+        Setting(
             "recent", 60, "Samples over which the live twin's residuals are averaged.", "samples", 1, 100000
         ),
-        Parameter("candidates", "", "File of initial candidates, for the discriminator; empty: none."),
-        Parameter(
+        Setting("candidates", "", "File of initial candidates, for the discriminator; empty: none."),
+        Setting(
             "allow_fmu",
             "",
             "File that adds FMUs as structures of the plant and permits running them; empty: none.",
@@ -90,7 +90,7 @@ def twin_table(
     )
 
 
-def understood(place: str, given: Mapping[str, Any]) -> tuple[tuple[Parameter, ...], dict[str, Any]]:
+def understood(place: str, given: Mapping[str, Any]) -> tuple[tuple[Setting, ...], dict[str, Any]]:
     """The table for the plant and structure selected by the given values, and the values to check against it.
 
     Raises:
@@ -259,11 +259,11 @@ def at_period(settings: TwinSettings, period: float, config: Path | None) -> Twi
     )
 
 
-def _plant(model: Model) -> tuple[Parameter, ...]:
+def _plant(model: Model) -> tuple[Setting, ...]:
     """The plant, its structure, its free parameters and their start values."""
     plant, structure = model.plant, model.structure
     starts = tuple(
-        Parameter(
+        Setting(
             f"start.{name}",
             model.defaults[name],
             f"Start value: {declared.text} ({declared.symbol or name}).",
@@ -275,28 +275,28 @@ def _plant(model: Model) -> tuple[Parameter, ...]:
     )
     y, u = plant.output, plant.drive
     return (
-        Parameter("plant", written_name(plant), "The plant: its name, or the file that defines it."),
-        Parameter(
+        Setting("plant", written_name(plant), "The plant: its name, or the file that defines it."),
+        Setting(
             "structure",
             model.structure_name,
             "Structure of the model: the parts it has, and with them its start values.",
             choices=tuple(plant.structures),
         ),
-        Parameter(
+        Setting(
             "free", list(structure.free), "Parameters that a match may change.", choices=tuple(model.names)
         ),
         *starts,
-        Parameter("noise.output", y.noise, "Noise of a reading (1 σ).", y.unit, 1e-6, 1e6),
-        Parameter("noise.input", u.noise, "Noise of the control (1 σ).", unit_of(u), 1e-6, 1e6),
+        Setting("noise.output", y.noise, "Noise of a reading (1 σ).", y.unit, 1e-6, 1e6),
+        Setting("noise.input", u.noise, "Noise of the control (1 σ).", unit_of(u), 1e-6, 1e6),
     )
 
 
-def _schedule(has: TwinSettings) -> tuple[Parameter, ...]:
+def _schedule(has: TwinSettings) -> tuple[Setting, ...]:
     step = ("min_step", "Smallest set-point change that starts a regime.", has.plant.output.unit)
     if has.gains is None:
         step = ("min_input_step", "Smallest input change that starts a regime.", unit_of(has.plant.drive))
     return tuple(
-        Parameter(f"schedule.{name}", getattr(has.schedule, name), text, unit, low, high)
+        Setting(f"schedule.{name}", getattr(has.schedule, name), text, unit, low, high)
         for name, text, unit, low, high in (
             ("stride", "Samples between two checks while nothing changes.", "samples", 4, 10000),
             (*step, 1e-6, 1e6),
@@ -308,10 +308,10 @@ def _schedule(has: TwinSettings) -> tuple[Parameter, ...]:
     )
 
 
-def _sensor(has: TwinSettings) -> tuple[Parameter, ...]:
+def _sensor(has: TwinSettings) -> tuple[Setting, ...]:
     unit = has.plant.output.unit
     return tuple(
-        Parameter(f"sensor.{name}", getattr(has.sensor, name) or 0.0, text, unit, 0.0, 1e6)
+        Setting(f"sensor.{name}", getattr(has.sensor, name) or 0.0, text, unit, 0.0, 1e6)
         for name, text, unit in (
             ("noise", "Noise of the simulated sensor of the twin (1 σ).", unit),
             ("resolution", "Resolution of its readings; 0: continuous.", unit),
@@ -325,9 +325,9 @@ def _sensor(has: TwinSettings) -> tuple[Parameter, ...]:
     )
 
 
-def _family(has: TwinSettings) -> tuple[Parameter, ...]:
+def _family(has: TwinSettings) -> tuple[Setting, ...]:
     return tuple(
-        Parameter(name, getattr(has, name), text, unit, low, high)
+        Setting(name, getattr(has, name), text, unit, low, high)
         for name, text, unit, low, high in (
             ("seed", "Seed of that sensor's noise.", "", 0, 2**31),
             ("decimals", "Decimal places of the information gain's tables.", "", 0, 9),
@@ -343,7 +343,7 @@ def _family(has: TwinSettings) -> tuple[Parameter, ...]:
     )
 
 
-def _trust(has: TwinSettings) -> tuple[Parameter, ...]:
+def _trust(has: TwinSettings) -> tuple[Setting, ...]:
     """Limits of the trust level and of the plant's health."""
     y = has.plant.output.unit
     doubt = "RMS forecast error, in half widths of the band, from which the twin is doubtful."
@@ -357,9 +357,9 @@ def _trust(has: TwinSettings) -> tuple[Parameter, ...]:
         ("start", "Time after the first sample without alarms.", "s", 0.1, 1e4),
     )
     return (
-        Parameter("limits.doubtful", has.limits.doubtful, doubt, "", 1e-6, 1e6),
+        Setting("limits.doubtful", has.limits.doubtful, doubt, "", 1e-6, 1e6),
         *(
-            Parameter(f"health.{n}", getattr(has.health, n), text, unit, low, high)
+            Setting(f"health.{n}", getattr(has.health, n), text, unit, low, high)
             for n, text, unit, low, high in health
         ),
     )

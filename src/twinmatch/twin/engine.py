@@ -20,7 +20,7 @@ from twinmatch.comparing import (
 from twinmatch.dynamics import Parameters
 from twinmatch.errors import TwinmatchError
 from twinmatch.fitting import Status
-from twinmatch.health import SLOW, Alarm, Health, Monitor, State
+from twinmatch.health import SLOW, Alarm, Health, HealthState, Monitor
 from twinmatch.signals import Sample, Window
 from twinmatch.twin.candidates import UNSCORED, CandidatePool
 from twinmatch.twin.forecaster import Forecaster
@@ -276,7 +276,7 @@ class Discriminator:
         if doubtful and level is TrustLevel.TRUSTED:
             level = TrustLevel.DOUBTFUL
         health = self._health
-        if health is not None and health.state is State.FAULT and health.fault is not None:
+        if health is not None and health.state is HealthState.FAULT and health.fault is not None:
             fault, since = health.fault.value, health.since
             # A plant that has changed still obeys its drive: its next matches adapt the twin.
             level = TrustLevel.DOUBTFUL if health.fault in SLOW else TrustLevel.FAULT
@@ -319,7 +319,7 @@ class Discriminator:
         """Reservations on forecasts at this sample, and structures that no longer take part."""
         lost = tuple(f"{model.structure_name}: {model.lost}" for model in self._external if model.lost)
         health, since = self._health, self._bands.since
-        if health is not None and health.state is State.FAULT and health.fault is not None:
+        if health is not None and health.state is HealthState.FAULT and health.fault is not None:
             fault = f"the plant has shown {health.fault.value} since sample {health.since}"
             return (f"{fault}: this forecast is for a healthy plant", *lost)
         if since is not None:

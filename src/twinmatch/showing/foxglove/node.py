@@ -16,7 +16,7 @@ from twinmatch.nodes.messages import description_from
 from twinmatch.nodes.node import Level, Report, TwinmatchNode
 from twinmatch.nodes.plant_clock import CLOCK
 from twinmatch.nodes.topics import LATCHED, offered, profile_of, wanted
-from twinmatch.parameters.declared import Parameter
+from twinmatch.parameters.declared import Setting
 from twinmatch.sessions import Qos, SessionError
 from twinmatch.sessions.definitions import schema_of
 from twinmatch.showing.foxglove import FoxgloveError
@@ -42,11 +42,9 @@ class Foxglove(TwinmatchNode):
 
     NAME = "foxglove"
     PARAMETERS: ClassVar = (
-        Parameter(
-            "address", "127.0.0.1", "Address to serve on; any but a loopback address is open to others."
-        ),
-        Parameter("port", 8765, "TCP port; 0: any free port.", "", 0, 65535),
-        Parameter("layout", "", "File for the layout of the graph's plant; empty: none is written."),
+        Setting("address", "127.0.0.1", "Address to serve on; any but a loopback address is open to others."),
+        Setting("port", 8765, "TCP port; 0: any free port.", "", 0, 65535),
+        Setting("layout", "", "File for the layout of the graph's plant; empty: none is written."),
     )
 
     _serving = False

@@ -21,7 +21,7 @@ from twinmatch.nodes.messages import description_from, forecast_from, verdict_fr
 from twinmatch.nodes.node import Level, Report, TwinmatchNode
 from twinmatch.nodes.sample_messages import one_of, sample_from
 from twinmatch.nodes.topics import LATCHED
-from twinmatch.parameters.declared import Parameter
+from twinmatch.parameters.declared import Setting
 from twinmatch.parameters.twin import read_settings
 from twinmatch.plants import plant_named
 from twinmatch.plants.records import description_of
@@ -56,12 +56,10 @@ class Dashboard(TwinmatchNode):
 
     NAME = "dashboard"
     PARAMETERS = (
-        Parameter(
-            "address", "127.0.0.1", "Address to serve on; any but a loopback address is open to others."
-        ),
-        Parameter("port", 5006, "TCP port; 0: any free port.", "", 0, 65535),
-        Parameter("config", "", "Parameter file of the twin's nodes; empty: their defaults."),
-        Parameter("control", False, "Whether the page may set the set-point, clear faults and stop."),
+        Setting("address", "127.0.0.1", "Address to serve on; any but a loopback address is open to others."),
+        Setting("port", 5006, "TCP port; 0: any free port.", "", 0, 65535),
+        Setting("config", "", "Parameter file of the twin's nodes; empty: their defaults."),
+        Setting("control", False, "Whether the page may set the set-point, clear faults and stop."),
     )
     CLOSING = 4
 

@@ -15,7 +15,7 @@ from twinmatch.errors import TwinmatchError
 from twinmatch.parameters.twin import twin_table, values_of
 from twinmatch.twin import TwinSettings
 
-__all__ = ["FileHash", "Provenance", "Setting", "provenance", "settings_of"]
+__all__ = ["FileHash", "Provenance", "RecordedSetting", "provenance", "settings_of"]
 
 _LIBRARIES = ("numpy", "scipy", "numba", "control", "mcap", "matplotlib", "Jinja2")
 _CHUNK = 1 << 20
@@ -30,7 +30,7 @@ class FileHash(NamedTuple):
     sha256: str
 
 
-class Setting(NamedTuple):
+class RecordedSetting(NamedTuple):
     """One parameter."""
 
     name: str
@@ -51,7 +51,7 @@ class Provenance:
     """The command line, or a description of the call."""
     versions: tuple[tuple[str, str], ...]
     files: tuple[FileHash, ...]
-    settings: tuple[Setting, ...]
+    settings: tuple[RecordedSetting, ...]
 
 
 def provenance(path: Path, settings: TwinSettings, command: str, made: datetime) -> Provenance:
@@ -75,11 +75,11 @@ def provenance(path: Path, settings: TwinSettings, command: str, made: datetime)
     )
 
 
-def settings_of(settings: TwinSettings) -> tuple[Setting, ...]:
+def settings_of(settings: TwinSettings) -> tuple[RecordedSetting, ...]:
     """Every parameter with unit and meaning, under its name in a parameter file."""
     values, model = values_of(settings), settings.start.model
     return tuple(
-        Setting(p.name, _text(values[p.name]), p.unit, p.description, values[p.name] != p.default)
+        RecordedSetting(p.name, _text(values[p.name]), p.unit, p.description, values[p.name] != p.default)
         for p in twin_table(model.plant, model.structure_name)
         if p.name in values
     )
