@@ -9,13 +9,14 @@ import re
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Mapping
-from contextlib import redirect_stderr, redirect_stdout, suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
 from pathlib import Path
 from typing import Any, TypeVar
 
 from tests.support.waiting import PATIENCE, wait_for
 from twinmatch.cli import main
+from twinmatch.plants import files
 
 T = TypeVar("T")
 
@@ -194,14 +195,34 @@ class Processes:
             process.kill()
 
 
+@contextmanager
+def no_plant_files() -> Iterator[None]:
+    """Forget the plant files that this process has loaded, and know them again afterwards."""
+    tables: list[dict[Any, Any]] = [files._BY_FILE, files._BY_NAME, files._WRITTEN]
+    kept = [dict(table) for table in tables]
+    modules = {name: module for name, module in sys.modules.items() if name.startswith(files._MODULES)}
+    for table in tables:
+        table.clear()
+    try:
+        yield
+    finally:
+        for table, known in zip(tables, kept, strict=True):
+            table.clear()
+            table.update(known)
+        sys.modules.update(modules)
+
+
 def run_twinmatch(*arguments: object, folder: Path | None = None) -> subprocess.CompletedProcess[str]:
-    """Run a command to its end in this process, in a folder: what it prints, and its exit code."""
+    """Run a command to its end in this process, in a folder: what it prints, and its exit code.
+
+    Like a new process, it knows no plant file that another command has loaded.
+    """
     words = [str(word) for word in arguments]
     out, err = io.StringIO(), io.StringIO()
     before = Path.cwd()
     os.chdir(folder or before)
     try:
-        with redirect_stdout(out), redirect_stderr(err):
+        with no_plant_files(), redirect_stdout(out), redirect_stderr(err):
             code = main(words)
     except SystemExit as ended:  # argparse
         code = ended.code if isinstance(ended.code, int) else 1
