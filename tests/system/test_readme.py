@@ -48,7 +48,7 @@ IMPORT = (
 
 
 class Runs(NamedTuple):
-    """A command that is run, in this process if it is of twinmatch alone, starts no node and ends by itself."""
+    """A command that is run, in this process if it is of twinmatch, starts no node and ends by itself."""
 
     says: str
     """Pattern of a line it has to print."""
