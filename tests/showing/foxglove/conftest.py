@@ -137,7 +137,7 @@ def serve(ros: None, tmp_path: Path) -> Iterator[Callable[..., Server]]:  # noqa
     """Start a server: `serve("--namespace", "/rig_a")`; it ends with the test, and cleanly."""
     processes = Processes(tmp_path / "servers")
     yield lambda *options: Server(
-        processes.python("-m", "twinmatch.showing.foxglove", "--port", "0", *options)
+        processes.python("-m", "twinmatch.cli", "foxglove", "--port", "0", *options)
     )
     ended = processes.end(signal.SIGINT)
     assert all(code == 0 and "Traceback" not in text for code, text in ended), ended
