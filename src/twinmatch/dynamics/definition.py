@@ -157,7 +157,7 @@ def _require_names(plant: type[PlantDefinition], base: type[PlantDefinition]) ->
     if not isinstance(plant.name, str) or not re.fullmatch(r"\w[\w-]*", plant.name):
         msg = f'plant {plant.name!r}: is not a valid name; use letters, digits and _, such as name="tank"'
         raise PlantError(msg)
-    own = {**vars(base), **base.__annotations__}
+    own = {name for kind in base.__mro__ for name in (*vars(kind), *vars(kind).get("__annotations__", ()))}
     for name, declared in vars(plant).items():
         if isinstance(declared, Declaration) and name in own and declared not in (plant.output, plant.drive):
             msg = f"plant {plant.name}: {name!r} is an attribute of every plant; rename this quantity"
