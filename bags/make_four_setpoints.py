@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from twinmatch.dynamics import begin, simulate_closed_loop
-from twinmatch.emulation.virtual_rig_plant import RICH_RIG
+from twinmatch.emulation.virtual_rig import RICH_RIG
 from twinmatch.errors import TwinmatchError
 from twinmatch.plants import Peltier
 from twinmatch.sessions import samples_of, write_session

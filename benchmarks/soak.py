@@ -36,7 +36,7 @@ from rich.table import Table
 from tornado.httpclient import HTTPClientError, HTTPRequest
 from tornado.websocket import WebSocketError, websocket_connect
 
-from twinmatch.emulation.virtual_rig_control import RigControlError, tell
+from twinmatch.emulation.faults import RigControlError, tell
 from twinmatch.errors import TwinmatchError
 from twinmatch.shipped import shipped
 

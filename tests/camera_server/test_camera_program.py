@@ -14,8 +14,7 @@ import pytest
 from tests.support.camera import CameraProgram
 from tests.support.places import CAMERA_PATHS
 from tests.support.waiting import wait_for
-from twinmatch.emulation.lepton import PLATE
-from twinmatch.emulation.lepton_feed import PlateFeed
+from twinmatch.emulation.lepton import PLATE, PlateFeed
 from twinmatch.links.thermal_client import ClientSettings, Received, ThermalClient, region
 
 SETTINGS = ClientSettings(first_wait=0.05, longest_wait=0.2)

@@ -18,8 +18,7 @@ from twinmatch_camera.sources.base import EndOfRecording
 from twinmatch_camera.sources.emulated import EmulatedSource
 from twinmatch_camera.sources.recorded import RecordedSource
 
-from twinmatch.emulation.lepton import LeptonSettings
-from twinmatch.emulation.lepton_feed import PlateFeed
+from twinmatch.emulation.lepton import LeptonSettings, PlateFeed
 from twinmatch.links.thermal_frame import Exposure, FrameFlags, decode_frame, encode_frame
 
 PATIENCE = 10.0

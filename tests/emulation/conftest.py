@@ -17,9 +17,9 @@ from tests.support.processes import Process, Processes
 from tests.support.waiting import PATIENCE, wait_for
 from twinmatch.dynamics import Pid
 from twinmatch.dynamics.store import cache_folder
+from twinmatch.emulation.clock import ClockClient, parse_address
+from twinmatch.emulation.faults import tell
 from twinmatch.emulation.lepton import PLATE
-from twinmatch.emulation.virtual_rig_clock import ClockClient, parse_address
-from twinmatch.emulation.virtual_rig_control import tell
 from twinmatch.links.pwm_link import PwmLatchedError, PwmLink, PwmLinkError
 from twinmatch.links.thermal_client import ThermalClient, region
 from twinmatch.plants import Peltier

@@ -11,7 +11,7 @@ import pytest
 
 from tests.support import boards, pwm_mutations
 from tests.support.boards import Wire
-from twinmatch.emulation.arduino_pins import Board
+from twinmatch.emulation.arduino import Board
 from twinmatch.links.pwm_link import AMPERES_PER_COUNT
 from twinmatch.links.pwm_protocol import PROTOCOL, Banner, BoardStatus, Code, Flags, Refusal, seal
 

@@ -14,8 +14,7 @@ import pytest
 from tests.support import boards
 from tests.support.places import PROJECT
 from twinmatch.emulation import arduino_virtual
-from twinmatch.emulation.arduino import StandInArduino
-from twinmatch.emulation.arduino_pins import ArduinoError, Board
+from twinmatch.emulation.arduino import ArduinoError, Board, StandInArduino
 from twinmatch.emulation.arduino_virtual import VirtualArduino, VirtualTools, build_virtual_board
 
 

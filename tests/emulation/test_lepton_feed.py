@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from twinmatch.emulation.lepton import LeptonError
-from twinmatch.emulation.lepton_feed import PlateFeed, PlateReceiver
+from twinmatch.emulation.lepton import LeptonError, PlateFeed, PlateReceiver
 
 
 @pytest.fixture

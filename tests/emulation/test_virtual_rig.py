@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from tests.support.waiting import wait_for
-from twinmatch.emulation.virtual_rig_clock import parse_address
+from twinmatch.emulation.clock import parse_address
 from twinmatch.links.pwm_link import PwmLatchedError, PwmPortLostError, PwmPortMissingError, PwmResetError
 from twinmatch.links.thermal_client import LinkState
 

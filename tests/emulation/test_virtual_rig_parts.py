@@ -16,31 +16,30 @@ from hypothesis import strategies as st
 from tests.support.waiting import PATIENCE, wait_for
 from twinmatch import shipped
 from twinmatch.dynamics import begin, simulate_driven
-from twinmatch.emulation import virtual_rig_board, virtual_rig_camera
-from twinmatch.emulation.arduino_pins import ArduinoError, PinDrive
-from twinmatch.emulation.virtual_rig import RigSettings, VirtualRig
-from twinmatch.emulation.virtual_rig_board import SerialNoise, make_board, virtual_tools
-from twinmatch.emulation.virtual_rig_camera import VirtualCamera, VirtualCameraError
-from twinmatch.emulation.virtual_rig_clock import (
+from twinmatch.emulation import arduino_virtual, virtual_camera
+from twinmatch.emulation.arduino import ArduinoError, PinDrive
+from twinmatch.emulation.arduino_virtual import make_board, virtual_tools
+from twinmatch.emulation.clock import (
     ClockClient,
     ClockError,
     ClockServer,
     Stillness,
     parse_address,
 )
-from twinmatch.emulation.virtual_rig_control import ControlServer, RigControlError, tell
-from twinmatch.emulation.virtual_rig_faults import (
+from twinmatch.emulation.faults import (
     KINDS,
+    ControlServer,
     FaultError,
     FaultSchedule,
+    RigControlError,
     RigFault,
-    parse_fault,
     parse_faults,
     parse_now,
+    tell,
 )
-from twinmatch.emulation.virtual_rig_pace import RigPace
-from twinmatch.emulation.virtual_rig_plant import RICH_RIG, VirtualPlant
-from twinmatch.emulation.virtual_rig_time import VirtualPlantTime
+from twinmatch.emulation.plant_time import RigPace, RigSettings, VirtualPlantTime
+from twinmatch.emulation.virtual_camera import VirtualCamera, VirtualCameraError
+from twinmatch.emulation.virtual_rig import RICH_RIG, SerialNoise, VirtualPlant, VirtualRig
 from twinmatch.plants import Peltier
 
 INFINITE = float("inf")
@@ -71,7 +70,7 @@ def test_faults_are_read() -> None:
 )
 def test_faults_that_cannot_be(text: str, message: str) -> None:
     with pytest.raises(FaultError, match=message):
-        parse_fault(text)
+        parse_faults(text)
 
 
 @given(
@@ -144,7 +143,7 @@ def test_faults_of_the_surroundings_change_the_rig() -> None:
 class Wall:
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.now = 100.0
-        monkeypatch.setattr("twinmatch.emulation.virtual_rig_pace.time.monotonic", lambda: self.now)
+        monkeypatch.setattr("twinmatch.emulation.plant_time.time.monotonic", lambda: self.now)
 
 
 def test_plant_time_keeps_pace(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -245,7 +244,7 @@ def test_a_defect_of_a_reader_is_kept() -> None:
 
 def test_a_clock_that_stands_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
     now = 10.0
-    monkeypatch.setattr("twinmatch.emulation.virtual_rig_clock.time.monotonic", lambda: now)
+    monkeypatch.setattr("twinmatch.emulation.clock.time.monotonic", lambda: now)
     stillness = Stillness(1.0)
     stillness.tell(5)
     now = 10.9
@@ -300,7 +299,7 @@ def test_a_reader_that_gives_no_sign_of_life_is_given_up_until_it_does(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     now = 10.0
-    monkeypatch.setattr("twinmatch.emulation.virtual_rig_clock.time.monotonic", lambda: now)
+    monkeypatch.setattr("twinmatch.emulation.clock.time.monotonic", lambda: now)
     server = ClockServer()
     rig = Reader(server)
     rig.say(server, "drive 100")
@@ -428,7 +427,7 @@ def test_a_board_that_does_not_exist(tmp_path: Path) -> None:
 
 
 def test_without_a_simulator_the_stand_in_says_so(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(virtual_rig_board, "_PROJECT", tmp_path)
+    monkeypatch.setattr(arduino_virtual, "_PROJECT", tmp_path)
     with pytest.raises(ArduinoError, match="its sources are not installed"):
         make_board("simavr", tmp_path / "tty")
     made = make_board("auto", tmp_path / "tty")
@@ -473,13 +472,13 @@ def test_a_camera_program_that_cannot_listen_says_why(monkeypatch: pytest.Monkey
 
 
 def test_a_camera_program_that_says_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(virtual_rig_camera, "_PATIENCE", 0.05)
+    monkeypatch.setattr(virtual_camera, "_PATIENCE", 0.05)
     real = subprocess.Popen
 
     def slow(_: list[str], **settings: object) -> object:
         return real(["sleep", "60"], **settings)  # type: ignore[call-overload]
 
-    monkeypatch.setattr("twinmatch.emulation.virtual_rig_camera.subprocess.Popen", slow)
+    monkeypatch.setattr("twinmatch.emulation.virtual_camera.subprocess.Popen", slow)
     with pytest.raises(VirtualCameraError, match=r"was not ready after 0.05 s"):
         VirtualCamera(ambient=22.0)
 

@@ -46,7 +46,7 @@ def config(name: str) -> int:
 
 
 def test_host_and_firmware_agree_on_what_both_spell_out() -> None:
-    from twinmatch.emulation.arduino_model import DEADLINE_MS
+    from twinmatch.emulation.arduino import DEADLINE_MS
     from twinmatch.links.pwm_protocol import PROTOCOL, PWM_LIMIT
 
     assert config("kProtocol") == PROTOCOL

@@ -17,7 +17,7 @@ import pytest
 
 from tests.support import boards
 from tests.support.waiting import wait_for
-from twinmatch.emulation.arduino_pins import Board
+from twinmatch.emulation.arduino import Board
 from twinmatch.links import pwm_link
 from twinmatch.links.pwm_link import (
     AMPERES_PER_COUNT,

@@ -13,7 +13,7 @@ from rosgraph_msgs.msg import Clock
 
 from tests.support.processes import Start
 from tests.support.ros import Listener
-from twinmatch.emulation.virtual_rig_clock import ClockServer
+from twinmatch.emulation.clock import ClockServer
 
 pytestmark = pytest.mark.ros
 

@@ -396,7 +396,7 @@ def test_wrong_parameters_end_it(start: Start, arguments: list[str], line: str) 
 def test_another_protocol_ends_it_in_one_line(
     start: Start, board: StandInArduino, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("twinmatch.emulation.arduino_model.PROTOCOL", 9)
+    monkeypatch.setattr("twinmatch.emulation.arduino.PROTOCOL", 9)
     bridge = start("pwm_bridge", "-p", f"port:={board.port}")
     assert bridge.wait() == 2
     assert "which is not protocol version 1" in bridge.text

@@ -20,8 +20,7 @@ from typing import NoReturn, TypeVar
 import pytest
 
 from tests.support.places import PROJECT
-from twinmatch.emulation.arduino import StandInArduino
-from twinmatch.emulation.arduino_pins import ArduinoError, Board, PinDrive
+from twinmatch.emulation.arduino import ArduinoError, Board, PinDrive, StandInArduino
 from twinmatch.emulation.arduino_virtual import VirtualArduino, VirtualTools, build_virtual_board
 from twinmatch.links.pwm_protocol import BoardStatus, FrameReader, Reply, parse_reply, seal
 
@@ -56,11 +55,11 @@ def make(kind: str) -> Board:
     return board
 
 
-class RealBoard:
+class RealBoard(Board):
     """A board on the desk: its time is ours, its pins are out of sight."""
 
     def __init__(self, port: str) -> None:
-        self.port = port
+        super().__init__(port)
 
     def advance(self, seconds: float) -> PinDrive:
         time.sleep(seconds)
@@ -90,9 +89,6 @@ class RealBoard:
 
     def hang(self) -> None:
         self._skip()
-
-    def close(self) -> None:
-        """Nothing to end: the process is not ours."""
 
     def _skip(self) -> NoReturn:
         pytest.skip("needs an emulated board")

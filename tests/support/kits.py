@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from pathlib import Path
 
-from twinmatch.emulation.kit_board import KitBoard
+from twinmatch.emulation.kit import KitBoard
 
 __all__ = ["BenchKit"]
 

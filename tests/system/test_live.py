@@ -23,7 +23,7 @@ from rclpy.serialization import deserialize_message
 from tests.support.places import PROJECT
 from tests.support.processes import Process, run_twinmatch
 from tests.support.waiting import PATIENCE
-from twinmatch.emulation.virtual_rig_control import tell
+from twinmatch.emulation.faults import tell
 from twinmatch.offline.verification import verify_session
 from twinmatch.sessions import Session, read_session
 from twinmatch.sessions.repair import repair_session

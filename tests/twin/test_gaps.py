@@ -7,7 +7,7 @@ import pytest
 
 from bags.make_four_setpoints import SET_POINTS
 from twinmatch.comparing import Candidate, LoopConditions, Verdict, plant_gaps, spans_of
-from twinmatch.emulation.virtual_rig_plant import RICH_RIG
+from twinmatch.emulation.virtual_rig import RICH_RIG
 from twinmatch.plants import Peltier
 from twinmatch.signals import Sample
 from twinmatch.twin import Outcome, Twin, TwinSettings

@@ -1,4 +1,4 @@
-"""The command line of `twinmatch`: one module per command, unless another package provides the command.
+"""The command line of `twinmatch`: one module per command.
 
 Each module declares its options with `add_arguments` and does its work in `run`. Slow imports belong in
 `run`: the parser calls `add_arguments` of every command, whichever command is called.
@@ -30,8 +30,8 @@ from twinmatch.cli import (
     replay,
     report,
     verify,
+    virtual_rig,
 )
-from twinmatch.emulation import virtual_rig_program as virtual_rig
 from twinmatch.errors import EXIT_USER_ERROR, TwinmatchError
 
 __all__ = ["main"]

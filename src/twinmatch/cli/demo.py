@@ -7,7 +7,7 @@ import math
 import time
 from pathlib import Path
 
-from twinmatch.emulation.virtual_rig_program import speed
+from twinmatch.cli.virtual_rig import speed
 from twinmatch.launching.page import add_page_options, page_of
 from twinmatch.shipped import shipped
 

@@ -1,7 +1,8 @@
-"""A stand-in for the Arduino: the firmware's behaviour in Python behind a pseudo-terminal.
+"""The PWM board as the rest of an emulated rig sees it, and a stand-in for it in Python.
 
-It needs only Python, and identifies itself: its banner names the firmware `standin-…`. Where the AVR
-simulator is installed, `arduino_virtual` runs the real firmware image instead.
+The stand-in follows `firmware/twinmatch_leonardo` rule by rule, behind a pseudo-terminal; the same test
+scenarios run against both. It needs only Python, and identifies itself: its banner names the firmware
+`standin-…`. Where the AVR simulator is installed, `arduino_virtual` runs the real firmware image instead.
 """
 
 from __future__ import annotations
@@ -10,56 +11,379 @@ import contextlib
 import logging
 import os
 import pty
+import select
 import tempfile
 import threading
 import time
 import tty
+from abc import ABC, abstractmethod
 from pathlib import Path
-from types import TracebackType
+from typing import NamedTuple, TypeVar
 
-from twinmatch.emulation.arduino_model import FIRMWARE, ArduinoModel
-from twinmatch.emulation.arduino_pins import ArduinoError, PinDrive
+from twinmatch.errors import TwinmatchError
+from twinmatch.links.pwm_link import AMPERES_PER_COUNT
+from twinmatch.links.pwm_protocol import (
+    PROTOCOL,
+    SEQUENCES,
+    Banner,
+    BoardStatus,
+    Code,
+    Damage,
+    Flags,
+    FrameReader,
+    Refusal,
+    Reply,
+    Request,
+    Verb,
+    is_newer,
+    parse_request,
+    seal,
+)
 
-__all__ = ["StandInArduino"]
+__all__ = [
+    "DEADLINE_MS",
+    "FIRMWARE",
+    "ArduinoError",
+    "ArduinoModel",
+    "Board",
+    "PinDrive",
+    "SerialPort",
+    "StandInArduino",
+]
 
 _log = logging.getLogger(__name__)
+_Own = TypeVar("_Own", bound="Board")
 
+FIRMWARE = "standin-1.0.0"
+"""Firmware name in the banner, which cannot be mistaken for the real firmware."""
+
+DEADLINE_MS = 1000
+_WATCHDOG_MS = 500
+_REVERSAL_MS = 2
+_SETTLE_MS = 10
+_DEBOUNCE_MS = 5
+_WATCHDOG_RESET = 0x08  # WDRF of MCUSR
+_POWER_ON = 0x01  # PORF of MCUSR
 _AWAY_MS = 20  # time that a restarting board is off the bus
 _LATE = 0.020  # s of board time caught up at most after the machine was busy; the rest is lost
 
 
-class StandInArduino:
-    """A `Board` in Python. Its port appears at `port`, by default a temporary path."""
+class ArduinoError(TwinmatchError):
+    """An emulated board cannot be created or does not answer."""
+
+
+class PinDrive(NamedTuple):
+    """State of the driver's pins."""
+
+    time: float
+    """Board time since construction, s; restarts of the firmware do not reset it."""
+    pwm: float
+    """Averaged drive, −255 to 255; positive heats. Zero while the driver is off."""
+    enabled: bool
+    """Whether the driver is on. On with zero PWM it shorts the plate; off it leaves the circuit open."""
+
+
+class Board(ABC):
+    """An emulated Arduino at the end of a pseudo-terminal; a context manager.
+
+    Its port appears at `port`, by default a temporary path, and vanishes and returns with the cable. Its time
+    stands still until `advance` (lockstep) or `run` is called.
+    """
 
     def __init__(self, port: str | Path | None = None) -> None:
         self._folder = None if port else tempfile.TemporaryDirectory(prefix="twinmatch-arduino-")
         self.port = str(port or Path(self._folder.name if self._folder else "") / "ttyACM0")
+
+    def __enter__(self: _Own) -> _Own:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    @abstractmethod
+    def advance(self, seconds: float) -> PinDrive:
+        """Advance by this time, rounded to ms, and return the drive at the end.
+
+        Raises:
+            ArduinoError: it is running, or has ended.
+        """
+
+    @abstractmethod
+    def run(self, speed: float = 1.0) -> None:
+        """Run `speed` times as fast as the wall clock, without jumps.
+
+        Raises:
+            ArduinoError: the speed is not positive, or the board has ended.
+        """
+
+    @abstractmethod
+    def pause(self) -> None:
+        """Stop running."""
+
+    @abstractmethod
+    def drive(self) -> PinDrive:
+        """The drive now."""
+
+    @abstractmethod
+    def set_current(self, amperes: float) -> None:
+        """Set the current on the driver's feedback pin, A, averaged over the PWM."""
+
+    @abstractmethod
+    def set_fault(self, fault: bool) -> None:
+        """Set or release the driver's fault flag."""
+
+    @abstractmethod
+    def unplug(self) -> None:
+        """Unplug the USB cable; the board keeps its power."""
+
+    @abstractmethod
+    def plug(self) -> None:
+        """Plug the USB cable in again."""
+
+    @abstractmethod
+    def hang(self) -> None:
+        """Let the firmware hang with interrupts off; only the watchdog ends that."""
+
+    def close(self) -> None:
+        """End the board; its port disappears."""
+        if self._folder is not None:
+            self._folder.cleanup()
+
+
+class SerialPort:
+    """The device's end of a serial line: a pseudo-terminal that appears at a path when it is plugged in."""
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        self._master: int | None = None
+
+    @property
+    def plugged(self) -> bool:
+        """Whether the port exists."""
+        return self._master is not None
+
+    def plug(self) -> None:
+        """Create the port.
+
+        Raises:
+            ArduinoError: the path cannot be created.
+        """
+        if self._master is not None:
+            return
+        master, slave = pty.openpty()
+        tty.setraw(slave)
+        os.set_blocking(master, False)
+        try:
+            self.path.symlink_to(os.ttyname(slave))
+        except OSError as error:
+            os.close(master)
+            msg = f"emulated board: the port cannot be created at {self.path} ({error}); choose another path"
+            raise ArduinoError(msg) from error
+        finally:
+            os.close(slave)
+        self._master = master
+
+    def unplug(self) -> None:
+        """Remove the port."""
+        if self._master is not None:
+            self.path.unlink(missing_ok=True)
+            os.close(self._master)
+        self._master = None
+
+    def read(self, most: int) -> bytes:
+        """What the host has sent; empty if there is nothing, or no host."""
+        if self._master is None:
+            return b""
+        try:
+            return os.read(self._master, most)
+        except OSError:
+            return b""
+
+    def write(self, data: bytes) -> None:
+        """Put bytes on the line; a host that does not read loses them."""
+        if self._master is not None:
+            with contextlib.suppress(OSError):
+                os.write(self._master, data)
+
+    def wait(self, seconds: float) -> None:
+        """Wait at most this time for the host to send something."""
+        if self._master is not None:
+            line = select.poll()
+            line.register(self._master, select.POLLIN)
+            ready = line.poll(1000.0 * seconds)
+            if not ready or ready[0][1] & select.POLLIN:
+                return
+        time.sleep(seconds)  # without a host the line is hung up, which ends every poll at once
+
+
+class ArduinoModel:
+    """The board between its serial line and the driver's pins."""
+
+    def __init__(self) -> None:
+        self.counts = 0
+        """Reading of the current feedback, 0 to 1023."""
+        self.fault = False
+        """Whether the driver pulls its fault flag."""
+        self.restarts = 0
+        """Starts since power-up."""
+        self._time_ms = 0
+        self._reader = FrameReader()
+        self._boot(_POWER_ON)
+
+    @property
+    def level(self) -> int:
+        """PWM on the pins, −255 to 255."""
+        return self._level
+
+    @property
+    def enabled(self) -> bool:
+        """Whether the driver is on."""
+        return bool(self._flags & Flags.ENABLED)
+
+    def hang(self) -> None:
+        """Stop everything except the watchdog."""
+        self._hung_ms = 1
+
+    def tick(self, data: bytes = b"") -> bytes:
+        """Advance by one millisecond: takes received bytes, returns the bytes to send."""
+        if self._hung_ms:
+            return self._tick_hung()
+        self._time_ms = (self._time_ms + 1) % 2**32
+        self._watch_host()
+        self._watch_driver()
+        self._input += self._reader.feed(data)
+        out = self._finish_turn() if self._turn else []
+        while self._input and not self._turn:
+            out += self._answer(self._input.pop(0))
+        return b"".join(seal(str(reply)) for reply in out)
+
+    def _boot(self, cause: int) -> None:
+        self._cause = cause
+        self._flags = Flags.TRIPPED | Flags.RESET
+        self._level = self._time_ms = self._remaining = self._settle = self._low = self._hung_ms = 0
+        self._heat = True
+        self._last: int | None = None
+        self._reader = FrameReader()
+        self._input: list[bytes | Damage] = []
+        self._turn: tuple[int, Request] | None = None
+
+    def _tick_hung(self) -> bytes:
+        self._hung_ms += 1
+        if self._hung_ms > _WATCHDOG_MS:
+            self.restarts = (self.restarts + 1) % SEQUENCES
+            self._boot(_WATCHDOG_RESET)
+        return b""
+
+    def _watch_host(self) -> None:
+        if self._remaining:
+            self._remaining -= 1
+            if not self._remaining:
+                self._latch(Flags.DEADLINE)
+
+    def _watch_driver(self) -> None:
+        if not self.enabled:
+            return
+        if self._settle:
+            self._settle -= 1
+        else:
+            self._low = self._low + 1 if self.fault else 0
+            if self._low >= _DEBOUNCE_MS:
+                self._latch(Flags.DRIVER)
+
+    def _latch(self, reason: Flags) -> None:
+        self._disable()
+        self._flags |= Flags.TRIPPED | reason
+
+    def _disable(self) -> None:
+        self._level = 0
+        self._flags &= ~Flags.ENABLED
+
+    def _answer(self, event: bytes | Damage) -> list[Reply]:
+        if isinstance(event, Damage):
+            return [Refusal(None, Code(event.value))]
+        request = parse_request(event)
+        if isinstance(request, Refusal):
+            return [request]
+        if request.verb is Verb.HELLO:
+            return [self._greet(request)]
+        if request.verb is Verb.SET:
+            return self._set(request)
+        if request.verb is Verb.QUERY:
+            return [self._status(request)]
+        return [self._clear(request)]
+
+    def _greet(self, request: Request) -> Banner:
+        self._disable()
+        self._remaining = 0
+        self._last = request.sequence
+        return Banner(request.sequence, FIRMWARE, PROTOCOL, self._cause, DEADLINE_MS, self.restarts)
+
+    def _set(self, request: Request) -> list[Reply]:
+        if self._flags & Flags.TRIPPED:
+            return [Refusal(request.sequence, Code.LATCHED)]
+        if not self._is_new(request):
+            return [self._status(request, Flags.DUPLICATE)]
+        if request.pwm and (request.pwm > 0) != self._heat:
+            self._level = 0
+            self._turn = _REVERSAL_MS, request
+            return []
+        return [self._apply(request)]
+
+    def _finish_turn(self) -> list[Reply]:
+        assert self._turn is not None  # noqa: S101  (asked by the only caller)
+        left, request = self._turn
+        if left > 1:
+            self._turn = left - 1, request
+            return []
+        self._turn = None
+        self._heat = request.pwm > 0
+        return [self._apply(request)]
+
+    def _apply(self, request: Request) -> Reply:
+        if self._flags & Flags.TRIPPED:  # during the turn
+            return Refusal(request.sequence, Code.LATCHED)
+        self._remaining = DEADLINE_MS
+        if not self.enabled:
+            self._settle, self._low = _SETTLE_MS, 0
+            self._flags |= Flags.ENABLED
+        self._level = request.pwm
+        return self._status(request)
+
+    def _clear(self, request: Request) -> BoardStatus:
+        if not self._is_new(request):
+            return self._status(request, Flags.DUPLICATE)
+        self._disable()
+        self._remaining = 0
+        self._flags = Flags.NONE
+        return self._status(request)
+
+    def _is_new(self, request: Request) -> bool:
+        if self._last is not None and not is_newer(request.sequence, self._last):
+            return False
+        self._last = request.sequence
+        return True
+
+    def _status(self, request: Request, extra: Flags = Flags.NONE) -> BoardStatus:
+        return BoardStatus(request.sequence, self._time_ms, self._level, self.counts, self._flags | extra)
+
+
+class StandInArduino(Board):
+    """A `Board` in Python."""
+
+    def __init__(self, port: str | Path | None = None) -> None:
+        super().__init__(port)
         self.model = ArduinoModel()
+        self._line = SerialPort(self.port)
         self._elapsed_ms = 0
         self._away_ms = 0
         self._lock = threading.RLock()
         self._running = threading.Event()
         self._thread: threading.Thread | None = None
-        self._master: int | None = None
         self.plug()
         _log.info("%s is a stand-in for the Arduino (%s); no firmware runs behind it", self.port, FIRMWARE)
 
-    def __enter__(self) -> StandInArduino:
-        """Nothing to do: the board exists since construction."""
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """End the board."""
-        self.close()
-
     def advance(self, seconds: float) -> PinDrive:
-        """Advance by this time, rounded to ms, and return the drive at the end.
-
-        Raises:
-            ArduinoError: it is running, or is closed.
-        """
+        """Advance by this time."""
         if self._thread is not None:
             raise ArduinoError(f"stand-in at {self.port}: it is running; pause() it before advance()")
         for _ in range(round(seconds * 1000)):
@@ -67,11 +391,7 @@ class StandInArduino:
         return self.drive()
 
     def run(self, speed: float = 1.0) -> None:
-        """Run `speed` times as fast as the wall clock.
-
-        Raises:
-            ArduinoError: the speed is not positive.
-        """
+        """Run in a thread."""
         if not speed > 0:
             raise ArduinoError(f"stand-in at {self.port}: speed is {speed}; it must be positive")
         self.pause()
@@ -95,16 +415,14 @@ class StandInArduino:
 
     def set_current(self, amperes: float) -> None:
         """Show a current on the feedback pin, A."""
-        with self._lock:
-            self.model.set_current(amperes)
+        self.model.counts = min(1023, max(0, round(amperes / AMPERES_PER_COUNT)))
 
     def set_fault(self, fault: bool) -> None:
         """Set or release the driver's fault flag."""
-        with self._lock:
-            self.model.fault = fault
+        self.model.fault = fault
 
     def hang(self) -> None:
-        """Let the firmware hang; the watchdog will restart it."""
+        """Let the firmware hang."""
         with self._lock:
             self.model.hang()
 
@@ -112,62 +430,32 @@ class StandInArduino:
         """Remove the port."""
         with self._lock:
             self._away_ms = 0
-            if self._master is not None:
-                Path(self.port).unlink(missing_ok=True)
-                os.close(self._master)
-            self._master = None
+            self._line.unplug()
 
     def plug(self) -> None:
-        """Create the port, or restore it.
-
-        Raises:
-            ArduinoError: the path cannot be created.
-        """
+        """Create the port, or restore it."""
         with self._lock:
-            if self._master is not None:
-                return
-            master, slave = pty.openpty()
-            tty.setraw(slave)
-            os.set_blocking(master, False)
-            try:
-                Path(self.port).symlink_to(os.ttyname(slave))
-            except OSError as error:
-                os.close(master)
-                msg = f"stand-in: the port cannot be created at {self.port} ({error}); choose another path"
-                raise ArduinoError(msg) from error
-            finally:
-                os.close(slave)
-            self._master = master
+            self._line.plug()
 
     def close(self) -> None:
-        """End the board; its port disappears."""
+        """End the board."""
         self.pause()
         self.unplug()
-        if self._folder is not None:
-            self._folder.cleanup()
+        super().close()
 
     def _millisecond(self) -> None:
         with self._lock:
             restarts = self.model.restarts
-            reply = self.model.tick(self._read())
+            reply = self.model.tick(self._line.read(256))
             self._elapsed_ms += 1
             self._away_ms = max(0, self._away_ms - 1)
-            if self.model.restarts != restarts and self._master is not None:
+            if self.model.restarts != restarts and self._line.plugged:
                 self.unplug()
                 self._away_ms = _AWAY_MS
             elif self._away_ms == 1:
                 self.plug()
-            elif reply and self._master is not None:
-                with contextlib.suppress(OSError):  # a host that does not read loses its replies
-                    os.write(self._master, reply)
-
-    def _read(self) -> bytes:
-        if self._master is None:
-            return b""
-        try:
-            return os.read(self._master, 256)
-        except OSError:  # nothing there, or no host
-            return b""
+            elif reply:
+                self._line.write(reply)
 
     def _pace(self, speed: float) -> None:
         due = time.monotonic()

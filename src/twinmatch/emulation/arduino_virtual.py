@@ -7,19 +7,29 @@ text on its standard input and output. Every byte on the serial port comes from 
 from __future__ import annotations
 
 import contextlib
+import fcntl
+import hashlib
 import logging
+import os
 import shutil
 import subprocess
 import tempfile
 import threading
 from pathlib import Path
-from types import TracebackType
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
-from twinmatch.emulation.arduino_pins import ArduinoError, PinDrive
+from twinmatch.emulation.arduino import ArduinoError, Board, PinDrive, StandInArduino
 from twinmatch.links.pwm_protocol import PWM_LIMIT
 
-__all__ = ["VirtualArduino", "VirtualTools", "build_virtual_board"]
+__all__ = [
+    "BOARDS",
+    "VirtualArduino",
+    "VirtualBoard",
+    "VirtualTools",
+    "build_virtual_board",
+    "make_board",
+    "virtual_tools",
+]
 
 _log = logging.getLogger(__name__)
 
@@ -29,6 +39,9 @@ TOOLS = {"make": "make", "avr-g++": "gcc-avr, avr-libc and arduino-core-avr"}
 
 _MILLIVOLTS_PER_AMPERE = 525.0
 _ENDING = 5.0  # s until a process that does not end is killed
+_BOOT = 0.5  # s of board time until it is on the bus
+_PROJECT = Path(__file__).resolve().parents[3]
+BOARDS: Final = ("auto", "simavr", "python")
 
 
 class VirtualTools(NamedTuple):
@@ -71,8 +84,8 @@ class _State(NamedTuple):
     port_is_there: int
 
 
-class VirtualArduino:
-    """A `Board` that runs the firmware. Its port appears at `port`, by default a temporary path.
+class VirtualArduino(Board):
+    """A `Board` that runs the firmware.
 
     `heat_level` is the level of the direction pin for heating, as in the firmware's `config.h`.
 
@@ -83,8 +96,7 @@ class VirtualArduino:
     def __init__(
         self, tools: VirtualTools, port: str | Path | None = None, *, heat_level: bool = False
     ) -> None:
-        self._folder = None if port else tempfile.TemporaryDirectory(prefix="twinmatch-arduino-")
-        self.port = str(port or Path(self._folder.name if self._folder else "") / "ttyACM0")
+        super().__init__(port)
         self._heat_level = heat_level
         self._lock = threading.Lock()
         self._remarks = tempfile.TemporaryFile()  # noqa: SIM115 (lives as long as the process)
@@ -99,7 +111,7 @@ class VirtualArduino:
             )
         except OSError as error:
             self._remarks.close()
-            self._forget_folder()
+            super().close()
             msg = f"virtual board: {tools.program} does not start ({error}); build it first"
             raise ArduinoError(msg) from error
         self._running = False
@@ -110,37 +122,19 @@ class VirtualArduino:
             raise
         _log.info("%s is a simulated board that runs %s", self.port, tools.image.name)
 
-    def __enter__(self) -> VirtualArduino:
-        """Nothing to do: the board exists since construction."""
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """End the board."""
-        self.close()
-
     @property
     def restarts(self) -> int:
         """Number of restarts of the firmware."""
         return self._ask("state").restarts
 
     def advance(self, seconds: float) -> PinDrive:
-        """Advance by this time, rounded to ms, and return the drive at the end.
-
-        Raises:
-            ArduinoError: it is running, or its process has ended.
-        """
+        """Advance by this time."""
         if self._running:
             raise ArduinoError(f"virtual board at {self.port}: it is running; pause() it before advance()")
         return self._drive(self._ask(f"step {round(seconds * 1000) * 1000}"))
 
     def run(self, speed: float = 1.0) -> None:
-        """Run `speed` times as fast as the wall clock.
-
-        Raises:
-            ArduinoError: the speed is not positive, or the process has ended.
-        """
+        """Run by itself."""
         if not speed > 0:
             raise ArduinoError(f"virtual board at {self.port}: speed is {speed}; it must be positive")
         self._ask(f"run {speed:.6f}")
@@ -187,11 +181,7 @@ class VirtualArduino:
             self._process.kill()
             self._process.wait()
         self._remarks.close()
-        self._forget_folder()
-
-    def _forget_folder(self) -> None:
-        if self._folder is not None:
-            self._folder.cleanup()
+        super().close()
 
     def _ask(self, line: str) -> _State:
         with self._lock:
@@ -221,3 +211,64 @@ class VirtualArduino:
         magnitude = PWM_LIMIT * state.high / state.top if enabled and state.top else 0.0
         cools = bool(state.direction) != self._heat_level and magnitude > 0
         return PinDrive(state.time_us / 1e6, -magnitude if cools else magnitude, enabled)
+
+
+class VirtualBoard(NamedTuple):
+    """A board and its description."""
+
+    board: Board
+    kind: str
+    """`simavr` or `python`."""
+    remark: str
+
+
+def make_board(wanted: str, port: Path) -> VirtualBoard:
+    """A board on the bus, with its serial port at `port`.
+
+    `simavr` runs the firmware image on a simulated processor, `python` is a stand-in, `auto` is simavr if
+    available.
+
+    Raises:
+        ArduinoError: there is no such kind, or it cannot be created.
+    """
+    if wanted not in BOARDS:
+        raise ArduinoError(f"virtual rig: board {wanted!r} does not exist; choose one of {', '.join(BOARDS)}")
+    why = "as requested"
+    if wanted != "python":
+        try:
+            board = VirtualArduino(virtual_tools(), port)
+        except ArduinoError as error:
+            if wanted == "simavr":
+                raise
+            why = str(error).splitlines()[0]
+        else:
+            return VirtualBoard(_on_the_bus(board), "simavr", "the firmware image on a simulated ATmega32U4")
+    return VirtualBoard(_on_the_bus(StandInArduino(port)), "python", f"a stand-in, no firmware runs: {why}")
+
+
+def virtual_tools() -> VirtualTools:
+    """Simulator and firmware, compiled from the sources into the user's cache if necessary.
+
+    Raises:
+        ArduinoError: there are no sources, a tool is missing, or something does not compile.
+    """
+    if not (_PROJECT / "virtual_board" / "Makefile").exists():
+        raise ArduinoError("virtual board: its sources are not installed; use a checkout of the project")
+    home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    checkout = hashlib.sha256(str(_PROJECT).encode()).hexdigest()[:12]
+    build = home / "twinmatch" / f"virtual_board-{checkout}"
+    try:
+        build.mkdir(parents=True, exist_ok=True)
+        with (build / "lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)  # two rigs may start at once
+            return build_virtual_board(_PROJECT, build)
+    except OSError as error:
+        raise ArduinoError(f"virtual board: it cannot be built in {build} ({error})") from error
+
+
+def _on_the_bus(board: Board) -> Board:
+    board.advance(_BOOT)
+    if not Path(board.port).exists():
+        board.close()
+        raise ArduinoError(f"virtual board at {board.port}: not on the bus after {_BOOT} s")
+    return board

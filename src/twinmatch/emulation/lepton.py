@@ -6,12 +6,19 @@ corrections, and the corrections, during which the image is frozen and marked as
 emissivity, and corrections triggered by a change of the sensor's temperature.
 
 An image depends only on the settings, the seed, the plate's temperature and the time since power-on.
+
+Plate temperatures come from a simulated rig as datagrams on a local socket, which the camera server binds:
+the temperature in °C as text, `31.25`. The sender never blocks, and never fails if there is no receiver: the
+camera may be started, stopped and killed at any time, as a real one may.
 """
 
 from __future__ import annotations
 
 import math
+import socket
+import stat
 from dataclasses import dataclass, fields
+from pathlib import Path
 
 import numpy as np
 
@@ -20,13 +27,17 @@ from twinmatch.links.thermal_client import Region
 from twinmatch.links.thermal_frame import LEPTON_SHAPE, CountArray, Exposure, FlatField, FrameFlags
 from twinmatch.signals import KELVIN, FloatArray
 
-__all__ = ["PLATE", "EmulatedLepton", "LeptonError", "LeptonSettings"]
+__all__ = ["PLATE", "EmulatedLepton", "LeptonError", "LeptonSettings", "PlateFeed", "PlateReceiver"]
 
 PLATE = Region(row=14, column=22, rows=32, columns=36)
 """Where the plate lies in the emulated image."""
 
 _SENSOR_WARMING = 8.0
 _SENSOR_TIME = 300.0
+_LONGEST = 64
+"""Longest datagram, bytes."""
+_RANGE = (-100.0, 400.0)
+"""Temperatures that a plate can have, °C."""
 
 
 class LeptonError(TwinmatchError):
@@ -115,7 +126,7 @@ class EmulatedLepton:
             raise LeptonError(msg)
         state, since = self._flat_field(tick / self.settings.rate)
         if tick > self._tick and state is not FlatField.RUNNING:
-            self._image = self._look(plate, tick, since)
+            self._image = self._take(plate, tick, since)
             self._counter += 1
         self._tick = tick
         return Exposure(
@@ -139,7 +150,7 @@ class EmulatedLepton:
             return FlatField.IMMINENT, since
         return FlatField.COMPLETE, since
 
-    def _look(self, plate: float, tick: int, since: float) -> CountArray:
+    def _take(self, plate: float, tick: int, since: float) -> CountArray:
         settings = self.settings
         rng = np.random.default_rng((self._seed, tick))
         scene = settings.ambient + (plate - settings.ambient) * self._shape_of_plate
@@ -164,3 +175,91 @@ def _shape_of_plate(gradient: float) -> FloatArray:
         1.0 - gradient * (rows[:, None] ** 2 + columns**2) / 2
     )
     return shape
+
+
+class PlateFeed:
+    """The sending end, in the simulated rig."""
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = str(path)
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self._socket.setblocking(False)
+
+    def send(self, plate: float) -> bool:
+        """Send the plate's temperature, °C; returns False if there is no receiver.
+
+        Raises:
+            LeptonError: the temperature is not finite, or out of range.
+        """
+        _check(plate)
+        try:
+            self._socket.sendto(f"{plate!r}".encode(), self.path)
+        except OSError:
+            return False
+        return True
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._socket.close()
+
+    def __enter__(self) -> PlateFeed:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+class PlateReceiver:
+    """The receiving end, in the emulated camera.
+
+    Raises:
+        LeptonError: the socket cannot be created at the path.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self._socket.setblocking(False)
+        try:
+            if self.path.exists() and stat.S_ISSOCK(self.path.stat().st_mode):
+                self.path.unlink()  # left behind by a camera that was killed
+            self._socket.bind(str(self.path))
+        except OSError as error:
+            self._socket.close()
+            msg = f"plate feed at {self.path}: {error}; give a path in a folder that can be written"
+            raise LeptonError(msg) from error
+
+    def newest(self) -> float | None:
+        """The newest temperature since the last call, °C; None if there is none. Never blocks.
+
+        Raises:
+            LeptonError: the datagram is not a temperature.
+        """
+        newest = None
+        while True:
+            try:
+                newest = self._socket.recv(_LONGEST)
+            except BlockingIOError:
+                return None if newest is None else _parse(newest)
+
+    def close(self) -> None:
+        """Close the socket and remove its path."""
+        self._socket.close()
+        self.path.unlink(missing_ok=True)
+
+
+def _parse(text: bytes) -> float:
+    try:
+        plate = float(text)
+    except ValueError:
+        msg = f"plate feed: {text!r} is not a temperature; send °C as text, such as 31.25"
+        raise LeptonError(msg) from None
+    _check(plate)
+    return plate
+
+
+def _check(plate: float) -> None:
+    low, high = _RANGE
+    if not (math.isfinite(plate) and low <= plate <= high):
+        msg = f"plate feed: the temperature is {plate} °C; it must be between {low} and {high} °C"
+        raise LeptonError(msg)

@@ -8,19 +8,145 @@ on a real rig; only time may pass faster.
 
 from __future__ import annotations
 
+import math
+import os
 from contextlib import ExitStack
+from typing import ClassVar
 
-from twinmatch.emulation.arduino_pins import PinDrive
-from twinmatch.emulation.virtual_rig_board import SerialNoise, make_board
-from twinmatch.emulation.virtual_rig_camera import Serving, VirtualCamera
-from twinmatch.emulation.virtual_rig_clock import ClockServer
-from twinmatch.emulation.virtual_rig_plant import VirtualPlant
-from twinmatch.emulation.virtual_rig_time import RigSettings, VirtualPlantTime, VirtualRigError
+import numpy as np
 
-__all__ = ["RigSettings", "VirtualRig", "VirtualRigError"]
+from twinmatch.dynamics import Parameters, advance, begin, quantities, read
+from twinmatch.emulation.arduino import PinDrive
+from twinmatch.emulation.arduino_virtual import make_board
+from twinmatch.emulation.clock import ClockServer
+from twinmatch.emulation.plant_time import VirtualPlantTime
+from twinmatch.emulation.virtual_camera import Serving, VirtualCamera
+from twinmatch.plants import Peltier
+
+__all__ = ["RICH_RIG", "SerialNoise", "VirtualPlant", "VirtualRig"]
+
+RICH_RIG = Peltier.model("sink with mass").parameters(
+    seebeck=0.06,
+    resistance=3.3,
+    conductance=0.5,
+    heat_capacity=27.0,
+    ambient=295.0,
+    sink_heat_capacity=250.0,
+    sink_convection=6.0,
+)
+"""The true parameters of the virtual rig, deliberately richer than the twin's start: its heat sink has a
+mass, and a fan cools it."""
 
 _FEEDBACK_EVERY = 100
 """Interval at which the board's current feedback is updated, ms of plant time."""
+_STILL_AIR = 0.1
+"""Fraction of the convection that remains without the fan."""
+_AMBIENT_STEP = 10.0
+"""K"""
+_OPEN = 1e-9
+"""Current limit of an open circuit, A: no current flows, not even from the Seebeck voltage."""
+_WRITING = 0.05
+"""Probability per burst that the other program writes to the serial line."""
+_TAKEN = 20
+"""Most bytes it takes from the line; a reply has about 25."""
+
+
+class VirtualPlant:
+    """The plant between the driver's pins and the camera, in any structure of the Peltier rig."""
+
+    FAULTS: ClassVar = {
+        "drive-lost": "wire_broken",
+        "fan-failed": "fan_failed",
+        "ambient-step": "warm_room",
+    }
+    """Faults that change the plant itself, and the attribute of each."""
+
+    def __init__(self, parameters: Parameters = RICH_RIG) -> None:
+        self.states = begin(parameters, parameters["ambient"] - Peltier.output.absolute)
+        self.wire_broken = False
+        self.fan_failed = False
+        self.warm_room = False
+        self._parameters = parameters
+        self._made: dict[tuple[bool, ...], Parameters] = {}
+        # The first tick loads the plant's compiled code, which must not delay board time later.
+        advance(self._under(enabled=False), self.states, 0.0, 1e-3)
+        quantities(parameters, self.states, 0.0)
+
+    @property
+    def parameters(self) -> Parameters:
+        """The rig's current parameters, including faults of the surroundings."""
+        return self._under(enabled=True)
+
+    @property
+    def plate(self) -> float:
+        """Temperature of the plate, °C."""
+        return self._celsius("plate")
+
+    @property
+    def seen(self) -> float:
+        """Temperature that the camera sees, °C: the plate's, with the sensor's lag if it has one."""
+        return read(self.parameters, self.states)
+
+    @property
+    def sink(self) -> float:
+        """Temperature of the heat sink, °C."""
+        return self._celsius("sink")
+
+    def advance(self, drive: PinDrive, seconds: float) -> None:
+        """Advance under a drive. If the driver is off or the wire broken, the circuit is open."""
+        found = self._under(enabled=drive.enabled and not self.wire_broken)
+        self.states = advance(found, self.states, drive.pwm, seconds)
+
+    def feedback(self, drive: PinDrive) -> float:
+        """Mean current at the driver's feedback pin, A.
+
+        The driver measures on its supply side, so the pin shows the current while the PWM is high and zero
+        while it is low.
+        """
+        if self.wire_broken or not drive.enabled:
+            return 0.0
+        current = quantities(self.parameters, self.states, drive.pwm)["current"]
+        return math.fabs(current * drive.pwm) / Peltier.drive.limits[1]
+
+    def _celsius(self, name: str) -> float:
+        """A state, °C; a sink without mass is at room temperature."""
+        known = dict(zip(self._parameters.model.states, self.states.tolist(), strict=True))
+        return float(known.get(name, self.parameters["ambient"])) - Peltier.output.absolute
+
+    def _under(self, *, enabled: bool) -> Parameters:
+        """Parameters under the active faults, with a closed or an open circuit; cached."""
+        case = (self.fan_failed, self.warm_room, enabled)
+        if case not in self._made:
+            found = self._parameters
+            if self.fan_failed and "sink_convection" in found:
+                found = found.replace(sink_convection=_STILL_AIR * found["sink_convection"])
+            if self.warm_room:
+                found = found.replace(ambient=found["ambient"] + _AMBIENT_STEP)
+            self._made[case] = found if enabled else found.replace(current_limit=_OPEN)
+        return self._made[case]
+
+
+class SerialNoise:
+    """Another program on the port that ignores the lock: it writes damaged frames and takes replies away."""
+
+    def __init__(self, port: str, seed: int = 0) -> None:
+        self._port = port
+        self._random = np.random.default_rng(seed)
+
+    def burst(self) -> None:
+        """Interfere once."""
+        try:
+            line = os.open(self._port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        except OSError:
+            return  # the cable is pulled
+        try:
+            if self._random.random() < _WRITING:
+                os.write(line, b":" + self._random.bytes(12) + b"\n")
+            os.read(line, int(self._random.integers(1, _TAKEN)))
+        except OSError:
+            return  # nothing to take
+        finally:
+            os.close(line)
 
 
 class VirtualRig(VirtualPlantTime):
@@ -88,12 +214,8 @@ class VirtualRig(VirtualPlantTime):
 
     def turn(self, kind: str, *, on: bool) -> None:
         """Start or end a fault."""
-        if kind == "drive-lost":
-            self.plant.wire_broken = on
-        elif kind == "fan-failed":
-            self.plant.fan_failed = on
-        elif kind == "ambient-step":
-            self.plant.warm_room = on
+        if kind in VirtualPlant.FAULTS:
+            setattr(self.plant, VirtualPlant.FAULTS[kind], on)
         elif kind == "sensor-frozen":
             self._camera.frozen = on
         elif kind == "driver-fault":

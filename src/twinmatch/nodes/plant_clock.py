@@ -8,7 +8,7 @@ from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.time import Time
 from rosgraph_msgs.msg import Clock
 
-from twinmatch.emulation.virtual_rig_clock import ClockClient, Stillness, parse_address
+from twinmatch.emulation.clock import ClockClient, Stillness, parse_address
 from twinmatch.nodes.node import Level, Report, TwinmatchNode
 from twinmatch.nodes.runner import program
 from twinmatch.parameters.declared import Setting

@@ -18,7 +18,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 
-from twinmatch.emulation.virtual_rig_clock import ClockClient, parse_address
+from twinmatch.emulation.clock import ClockClient, parse_address
 
 __all__ = ["PATIENCE", "VARIABLE", "InStep", "step_of"]
 

@@ -7,8 +7,7 @@ import math
 import time
 from pathlib import Path
 
-from twinmatch.emulation.lepton import EmulatedLepton, LeptonError, LeptonSettings
-from twinmatch.emulation.lepton_feed import PlateReceiver
+from twinmatch.emulation.lepton import EmulatedLepton, LeptonError, LeptonSettings, PlateReceiver
 from twinmatch.links.thermal_frame import Exposure
 from twinmatch_camera.errors import SourceError
 

@@ -1,5 +1,9 @@
 """An emulated Temperature Control Lab: the model of the package `tclab` behind a real serial line.
 
+The board behaves like the public firmware (github.com/jckantor/TCLab-sketch, 1.4): a command is a word and a
+number and ends with a carriage return or a newline; an unknown command switches both heaters off and is
+echoed; numbers have two decimals. There is no deadline: a host that falls silent leaves the heaters on.
+
 The model's equations differ from those of our plant file: they are linear, with a sensor lag of 140 s, a
 heater lag of 20 s, and readings truncated to steps of 0.3223 °C. It runs on plant time; the host opens the
 port as if it were a real one.
@@ -11,18 +15,97 @@ import contextlib
 import importlib.util
 import io
 import random
+from collections.abc import Callable
 from contextlib import ExitStack
+from pathlib import Path
 from typing import Any, ClassVar
 
-from twinmatch.emulation.kit_board import KitBoard
-from twinmatch.emulation.virtual_rig_time import VirtualPlantTime, VirtualRigError
+from twinmatch.emulation.arduino import SerialPort
+from twinmatch.emulation.plant_time import VirtualPlantTime, VirtualRigError
 
-__all__ = ["VirtualKit"]
+__all__ = ["KitBoard", "VirtualKit"]
 
+_LONGEST = 64
+"""Longest command that the firmware accepts, characters."""
 _WARMER = 10.0
 """Temperature step of `ambient-step`, °C."""
 _NOISE = b"\x00\xff12.3\r\n\xfe"
 """Bytes of another program on the line."""
+
+
+class KitBoard:
+    """Answers on a serial port. `heaters` are the set powers, %; `read` returns a sensor's temperature."""
+
+    VERSION = "TCLab Firmware 1.4.0 Arduino Uno"
+
+    def __init__(self, port: Path, read: Callable[[int], float]) -> None:
+        self.port = str(port)
+        self.heaters = [0.0, 0.0]
+        self.hung = False
+        """Whether it ignores commands; the heaters stay as they are."""
+        self._read_sensor = read
+        self._received = b""
+        self._line = SerialPort(port)
+        self._line.plug()
+
+    def plug(self) -> None:
+        """Create the port. The board is powered by USB, so its heaters are off."""
+        self._received = b""
+        self._line.plug()
+
+    def unplug(self) -> None:
+        """Remove the port, and with it the power."""
+        self.heaters = [0.0, 0.0]
+        self._line.unplug()
+
+    def wait(self, seconds: float) -> None:
+        """Wait at most this time for a command, and answer it."""
+        self._line.wait(seconds)
+        self.attend()
+
+    def attend(self) -> None:
+        """Answer the commands received."""
+        heard = self._line.read(4096)
+        if self.hung:
+            return
+        for byte in heard:
+            if byte in b"\r\n" or len(self._received) >= _LONGEST:
+                command, self._received = self._received, b""
+                if command.strip():
+                    self.say(self._obey(command.decode(errors="replace")).encode() + b"\r\n")
+            else:
+                self._received += bytes([byte])
+
+    def say(self, data: bytes) -> None:
+        """Put bytes on the line; a host that does not read loses them."""
+        self._line.write(data)
+
+    def _obey(self, line: str) -> str:
+        word, _, data = line.strip().partition(" ")
+        word = word.upper()
+        if word in ("Q1", "Q2"):
+            number = int(word[1]) - 1
+            self.heaters[number] = max(0.0, min(100.0, _number(data)))
+            return f"{self.heaters[number]:.2f}"
+        if word in ("R1", "R2"):
+            return f"{self.heaters[int(word[1]) - 1]:.2f}"
+        if word in ("T1", "T2"):
+            return f"{self._read_sensor(int(word[1])):.2f}"
+        if word == "VER":
+            return self.VERSION
+        if word in ("LED", "P1", "P2"):
+            return f"{_number(data):.2f}"
+        self.heaters = [0.0, 0.0]
+        return "Start" if word == "A" else word
+
+
+def _number(text: str) -> float:
+    """Parse like the firmware's `toFloat`: 0 if it is not a number."""
+    try:
+        value = float(text)
+    except ValueError:
+        return 0.0
+    return value if abs(value) < 1e9 else 0.0
 
 
 class VirtualKit(VirtualPlantTime):

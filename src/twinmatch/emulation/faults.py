@@ -1,20 +1,38 @@
-"""The faults of the virtual rig, and their schedule.
+"""The faults of a virtual plant, their schedule, and the socket on which they are commanded.
 
 A fault is written `KIND@SECONDS`, which lasts to the end, or `KIND@SECONDS+DURATION`. Times are in seconds of
-plant time from the start of the rig.
+plant time from the start of the rig. Commands are lines on a socket in the rig's private folder, with one
+answer each:
+
+    KIND[+SECONDS]   start a fault now             end KIND   end it
+    state            report the rig's state        stop       end the rig
 """
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 import heapq
 import math
-from collections.abc import Iterable
+import socket
+from collections.abc import Callable, Iterable
+from pathlib import Path
 from typing import Final, NamedTuple
 
 from twinmatch.errors import TwinmatchError
 
-__all__ = ["KINDS", "Change", "FaultError", "FaultSchedule", "RigFault", "parse_fault", "parse_faults"]
+__all__ = [
+    "KINDS",
+    "Change",
+    "ControlServer",
+    "FaultError",
+    "FaultSchedule",
+    "RigControlError",
+    "RigFault",
+    "parse_faults",
+    "parse_now",
+    "tell",
+]
 
 KINDS: Final = {
     "drive-lost": "a wire to the plate breaks: no current at any command",
@@ -29,6 +47,10 @@ KINDS: Final = {
     "ambient-step": "the surroundings become 10 °C warmer",
 }
 """Every fault and its effect."""
+_LONGEST = 256
+"""Longest command, bytes."""
+_PATIENCE = 5.0
+"""Longest wait for the answer to a command, s."""
 
 
 class FaultError(TwinmatchError):
@@ -56,27 +78,13 @@ class Change(NamedTuple):
     begins: bool
 
 
-def parse_fault(text: str) -> RigFault:
-    """A fault from `KIND@SECONDS` or `KIND@SECONDS+SECONDS`.
+def parse_faults(text: str) -> tuple[RigFault, ...]:
+    """Faults from a comma-separated list of `KIND@SECONDS` and `KIND@SECONDS+SECONDS`.
 
     Raises:
         FaultError: there is no such kind, or a time is invalid.
     """
-    kind, at, times = text.strip().partition("@")
-    check_kind(kind)
-    start, plus, duration = times.partition("+")
-    if not at:
-        raise FaultError(f"fault {text!r}: no time; write {kind}@SECONDS or {kind}@SECONDS+DURATION")
-    return RigFault(kind, _seconds(text, start, 0.0), _seconds(text, duration, 1e-3) if plus else math.inf)
-
-
-def parse_faults(text: str) -> tuple[RigFault, ...]:
-    """Faults from a comma-separated list.
-
-    Raises:
-        FaultError: as for `parse_fault`.
-    """
-    return tuple(parse_fault(part) for part in text.split(","))
+    return tuple(map(_parse_fault, text.split(",")))
 
 
 def parse_now(text: str, now: float) -> RigFault:
@@ -86,21 +94,28 @@ def parse_now(text: str, now: float) -> RigFault:
         FaultError: there is no such kind, or the duration is invalid.
     """
     kind, plus, duration = text.strip().partition("+")
-    check_kind(kind)
-    return RigFault(kind, now, _seconds(text, duration, 1e-3) if plus else math.inf)
+    _check_kind(kind)
+    return RigFault(kind, now, _duration(text, plus, duration))
 
 
-def check_kind(kind: str) -> str:
-    """The kind, checked.
+def _parse_fault(text: str) -> RigFault:
+    kind, at, times = text.strip().partition("@")
+    _check_kind(kind)
+    start, plus, duration = times.partition("+")
+    if not at:
+        raise FaultError(f"fault {text!r}: no time; write {kind}@SECONDS or {kind}@SECONDS+DURATION")
+    return RigFault(kind, _seconds(text, start, 0.0), _duration(text, plus, duration))
 
-    Raises:
-        FaultError: there is no such fault.
-    """
+
+def _check_kind(kind: str) -> None:
     if kind not in KINDS:
         near = difflib.get_close_matches(kind, KINDS, n=1)
         hint = f"did you mean {near[0]}?" if near else f"choose one of {', '.join(KINDS)}"
         raise FaultError(f"fault {kind!r} does not exist; {hint}")
-    return kind
+
+
+def _duration(text: str, plus: str, number: str) -> float:
+    return _seconds(text, number, 1e-3) if plus else math.inf
 
 
 def _seconds(text: str, number: str, least: float) -> float:
@@ -140,7 +155,7 @@ class FaultSchedule:
         Raises:
             FaultError: there is no such kind.
         """
-        check_kind(kind)
+        _check_kind(kind)
         self._changes = [change for change in self._changes if change.kind != kind]
         heapq.heapify(self._changes)
         if kind in self._on:
@@ -163,3 +178,74 @@ class FaultSchedule:
     def _push(self, time: float, kind: str, *, begins: bool) -> None:
         self._count += 1
         heapq.heappush(self._changes, Change(time, self._count, kind, begins))
+
+
+class RigControlError(TwinmatchError):
+    """A virtual rig cannot be reached, or refused a command."""
+
+
+class ControlServer:
+    """The rig's side, without a thread: the rig's loop calls `attend`."""
+
+    def __init__(self, path: Path, obey: Callable[[str], str]) -> None:
+        self.path = path
+        self._obey = obey
+        self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        self._listener.bind(str(path))
+        self._listener.listen(8)
+        self._listener.setblocking(False)
+        self._clients: dict[socket.socket, bytes] = {}
+
+    def attend(self) -> None:
+        """Answer pending commands."""
+        with contextlib.suppress(BlockingIOError):
+            client, _ = self._listener.accept()
+            client.setblocking(False)
+            self._clients[client] = b""
+        for client in list(self._clients):
+            try:
+                piece = client.recv(_LONGEST)
+                if not piece or len(self._clients[client]) > _LONGEST:
+                    raise ConnectionError
+                self._answer(client, self._clients[client] + piece)
+            except BlockingIOError:
+                continue
+            except OSError:
+                del self._clients[client]
+                client.close()
+
+    def _answer(self, client: socket.socket, said: bytes) -> None:
+        *lines, self._clients[client] = said.split(b"\n")
+        for line in lines:
+            try:
+                answer = f"ok {self._obey(line.decode(errors='replace').strip())}"
+            except TwinmatchError as error:
+                answer = f"error {error}"
+            client.send(answer.strip().encode() + b"\n")
+
+    def close(self) -> None:
+        """Close everything and remove the socket."""
+        for ours in (*self._clients, self._listener):
+            ours.close()
+        self.path.unlink(missing_ok=True)
+
+
+def tell(path: str | Path, line: str) -> str:
+    """Send a line to the rig with its control socket at `path`; returns its answer without `ok`.
+
+    Raises:
+        RigControlError: there is no such rig, or it refused the command.
+    """
+    try:
+        with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as connection:
+            connection.settimeout(_PATIENCE)
+            connection.connect(str(path))
+            connection.sendall(line.encode() + b"\n")
+            answer = connection.makefile("r", encoding="utf-8").readline().strip()
+    except OSError as error:
+        msg = f"virtual rig at {path}: {error}; give the address it prints as `control:`"
+        raise RigControlError(msg) from error
+    verdict, _, rest = answer.partition(" ")
+    if verdict != "ok":
+        raise RigControlError(f"virtual rig: {rest or 'no answer'}")
+    return rest

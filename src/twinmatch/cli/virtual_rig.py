@@ -1,4 +1,4 @@
-"""The virtual rig as a program: its options, its output, its end.
+"""`twinmatch virtual-rig`: a virtual rig until its duration is over or a signal ends it.
 
 Each line of output is `key: value`; a line `ready` follows once everything can be used.
 """
@@ -12,12 +12,11 @@ import signal
 import sys
 from typing import TYPE_CHECKING, Any
 
-from twinmatch.emulation.virtual_rig_control import tell
-from twinmatch.emulation.virtual_rig_faults import KINDS, Change, parse_faults
+from twinmatch.emulation.faults import KINDS, Change, parse_faults, tell
 from twinmatch.errors import TwinmatchError
 
 if TYPE_CHECKING:
-    from twinmatch.emulation.virtual_rig_time import VirtualPlantTime
+    from twinmatch.emulation.plant_time import VirtualPlantTime
 
 __all__ = ["EXIT_LOST", "add_arguments", "run", "speed"]
 
@@ -87,8 +86,9 @@ def run(options: argparse.Namespace) -> int:
     if options.tell is not None:
         print(tell(*options.tell))
         return 0
-    from twinmatch.emulation.virtual_kit import VirtualKit  # noqa: PLC0415 — keeps --help fast
-    from twinmatch.emulation.virtual_rig import RigSettings, VirtualRig  # noqa: PLC0415
+    from twinmatch.emulation.kit import VirtualKit  # noqa: PLC0415 — keeps --help fast
+    from twinmatch.emulation.plant_time import RigSettings  # noqa: PLC0415
+    from twinmatch.emulation.virtual_rig import VirtualRig  # noqa: PLC0415
 
     faults = tuple(fault for text in options.fault for fault in parse_faults(text))
     settings = RigSettings(
@@ -130,9 +130,9 @@ def _run(rig: VirtualPlantTime) -> int:
 
 def _reader_gone() -> bool:
     """Whether the reader of our output is gone: the process that started us was killed."""
-    look = select.poll()
-    look.register(sys.stdout, 0)  # errors are reported without registration
-    return any(event & select.POLLERR for _, event in look.poll(0))
+    output = select.poll()
+    output.register(sys.stdout, 0)  # errors are reported without registration
+    return any(event & select.POLLERR for _, event in output.poll(0))
 
 
 def _described(change: Change) -> str:

@@ -6,23 +6,33 @@ time goes in step with the readers of its clock that answer: it stands still unt
 
 from __future__ import annotations
 
+import contextlib
+import fcntl
 import json
 import math
+import shutil
+import tempfile
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
+from pathlib import Path
 from typing import ClassVar, TypeVar
 
-from twinmatch.emulation.virtual_rig_clock import ClockServer
-from twinmatch.emulation.virtual_rig_control import ControlServer
-from twinmatch.emulation.virtual_rig_faults import Change, FaultError, FaultSchedule, RigFault, parse_now
-from twinmatch.emulation.virtual_rig_folder import private_folder
-from twinmatch.emulation.virtual_rig_pace import RigPace
+from twinmatch.emulation.clock import ClockServer
+from twinmatch.emulation.faults import (
+    Change,
+    ControlServer,
+    FaultError,
+    FaultSchedule,
+    RigFault,
+    parse_now,
+)
 from twinmatch.errors import TwinmatchError
 
-__all__ = ["RigSettings", "VirtualPlantTime", "VirtualRigError"]
+__all__ = ["RigPace", "RigSettings", "VirtualPlantTime", "VirtualRigError"]
 
 _Own = TypeVar("_Own", bound="VirtualPlantTime")
 
@@ -32,6 +42,16 @@ _REPEAT = 0.05
 """Interval at which a plant that waits repeats its time or the newest image, wall s: either may get lost."""
 _SLICE = 20
 """Longest slice, ms of plant time."""
+_MOST_LATE = 0.2
+"""Most plant time caught up after a delay, s, when it runs faster than the wall clock. Longer delays of a
+busy machine are lost: catching up in one jump would look like a silent host to the board, with its deadline
+of one second. At real time nothing is lost, because a real plant does not wait either."""
+_LEAST = 0.005
+"""Wall time always caught up, s: the latency of waking up."""
+_RECENT = 2.0
+"""Wall time over which the achieved speed is averaged, s."""
+_FOLDERS = "twinmatch-rig-"
+"""Beginning of the names of private folders."""
 
 
 class VirtualRigError(TwinmatchError):
@@ -51,7 +71,7 @@ class RigSettings:
     in_step: bool = False
     """Whether plant time is faster than real time only while a process that commands the plant keeps step."""
     board: str = "auto"
-    """One of `virtual_rig_board.BOARDS`; for the Peltier rig."""
+    """One of `arduino_virtual.BOARDS`; for the Peltier rig."""
     seed: int = 0
     """Seed of the sensor's noise and of the faults."""
     faults: tuple[RigFault, ...] = ()
@@ -102,7 +122,7 @@ class VirtualPlantTime(ABC):
         self._told = 0
         self._shown_at = 0.0
         with ExitStack() as stack:
-            self.folder = stack.enter_context(private_folder())
+            self.folder = stack.enter_context(_private_folder())
             self._own = self.make(stack)
             self._clock = ClockServer()
             stack.callback(self._clock.close)
@@ -264,3 +284,66 @@ class VirtualPlantTime(ABC):
             raise FaultError("empty command; send KIND[+SECONDS], end KIND, state or stop")
         self.schedule.add(self._require(parse_now(line, self.elapsed)))
         return ""
+
+
+class RigPace:
+    """Computes how long to wait before plant time may advance."""
+
+    def __init__(self, speed: float) -> None:
+        self.speed = speed
+        self._real = speed <= 1
+        self._start = self._wall = time.monotonic()
+        self._plant = 0.0
+        self._marks: deque[tuple[float, float]] = deque([(self._start, 0.0)])
+
+    def wait(self, plant: float) -> float:
+        """Wall time, s, until plant time `plant` (s since the start) is due; 0 if it already is."""
+        now = time.monotonic()
+        self._mark(now, plant)
+        due = self._wall + (plant - self._plant) / self.speed
+        late = math.inf if self._real else max(_LEAST, _MOST_LATE / self.speed)
+        if now - due > late:
+            self._wall, self._plant = now - late, plant
+        return max(0.0, due - now)
+
+    def limit(self, speed: float, plant: float) -> None:
+        """Continue at another speed from plant time `plant`, s."""
+        if speed != self.speed:
+            self.speed, self._wall, self._plant = speed, time.monotonic(), plant
+
+    def achieved(self) -> float:
+        """Recent plant time per wall time."""
+        (first_wall, first), (last_wall, last) = self._marks[0], self._marks[-1]
+        return (last - first) / (last_wall - first_wall) if last_wall > first_wall else 0.0
+
+    def overall(self, plant: float) -> tuple[float, float]:
+        """Wall time since the start, s, and plant time per wall time over all of it."""
+        wall = time.monotonic() - self._start
+        return wall, plant / wall
+
+    def _mark(self, now: float, plant: float) -> None:
+        if now - self._marks[-1][0] > _RECENT / 20:
+            self._marks.append((now, plant))
+            while now - self._marks[0][0] > _RECENT:
+                self._marks.popleft()
+
+
+@contextlib.contextmanager
+def _private_folder() -> Iterator[Path]:
+    """A new private folder; folders left by killed rigs are removed first."""
+    for left in Path(tempfile.gettempdir()).glob(f"{_FOLDERS}*"):
+        _remove_if_left(left)
+    folder = Path(tempfile.mkdtemp(prefix=_FOLDERS))
+    with (folder / "lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        try:
+            yield folder
+        finally:
+            shutil.rmtree(folder, ignore_errors=True)
+
+
+def _remove_if_left(folder: Path) -> None:
+    """Remove a folder unless its rig is alive: then it is locked, or while starting has no lock file yet."""
+    with contextlib.suppress(OSError), (folder / "lock").open("r+") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        shutil.rmtree(folder, ignore_errors=True)
