@@ -16,8 +16,6 @@ from twinmatch.adding.trial import inseparable, modes, run_trial, time_constants
 from twinmatch.dynamics import Equations, Model, Parameters, Plant, PlantError, advance, begin
 from twinmatch.dynamics.equations import written_equations
 
-__all__ = ["check_plant"]
-
 
 def check_plant(plant: type[Plant], period: float | None = None) -> CheckedPlant:
     """Check a plant.

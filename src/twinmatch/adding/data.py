@@ -29,8 +29,6 @@ from twinmatch.showing.series import root_mean_square
 from twinmatch.signals import FloatArray, Sample, Window, unbroken
 from twinmatch.twin import MatchReport, StructureScore, TwinSettings, choose_structure
 
-__all__ = ["check_data", "compare_structures", "data_for", "loop_findings"]
-
 _SMALL: Final = 3.0
 """Noise declared smaller than measured by more than this factor is a finding: no fit would explain it."""
 _LARGE: Final = 100.0

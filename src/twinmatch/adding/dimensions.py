@@ -17,8 +17,6 @@ from twinmatch.dynamics import Plant
 from twinmatch.dynamics.equations import written_equations
 from twinmatch.units import Measure, measure
 
-__all__ = ["Dimensions"]
-
 _SAME = 1e-6
 """Relative difference of two factors that count as one."""
 

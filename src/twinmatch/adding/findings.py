@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
-__all__ = ["CheckedPlant", "Finding"]
-
 
 class Finding(NamedTuple):
     """A fault, and what to do about it."""

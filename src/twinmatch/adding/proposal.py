@@ -25,8 +25,6 @@ from twinmatch.sessions.times import read_times, row_times
 from twinmatch.signals import FloatArray
 from twinmatch.units import measure
 
-__all__ = ["Proposal", "Signal", "example", "noise_of", "propose"]
-
 _KNOWN: Final = ("time", "output", "input", "reference")
 _RANGES: Final = ((0.0, 1.0), (0.0, 100.0), (-1.0, 1.0), (-100.0, 100.0), (0.0, 255.0), (-255.0, 255.0))
 """Usual ranges of a drive's command."""

@@ -20,8 +20,6 @@ from twinmatch.dynamics import Experiment, Model, Parameters, PlantError, Respon
 from twinmatch.dynamics.declarations import Parameter
 from twinmatch.signals import FloatArray, Window
 
-__all__ = ["inseparable", "modes", "run_trial", "time_constants", "trial_for"]
-
 SAMPLES: Final = 400
 _PER_LAG: Final = 20.0
 """Samples per slowest time constant: 400 samples span twenty of them."""

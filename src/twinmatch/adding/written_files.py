@@ -18,8 +18,6 @@ from twinmatch.plants import PLANTS
 from twinmatch.plants.files import installed_names
 from twinmatch.sessions.column_map import Source
 
-__all__ = ["AddingError", "files_of"]
-
 _WIDE: Final = 20.0
 """Bounds of gain and lag are this factor below and above; a first guess is rarely further off."""
 _LONGEST: Final = 60

@@ -10,8 +10,6 @@ from pathlib import Path
 
 from twinmatch.launching.page import add_page_options, page_of
 
-__all__ = ["add_arguments", "run"]
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""

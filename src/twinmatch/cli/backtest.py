@@ -15,8 +15,6 @@ from twinmatch.offline.command_line import Progress, add_terms, check_writable
 if TYPE_CHECKING:
     from twinmatch.offline.backtest.result import Backtest
 
-__all__ = ["EXIT_PARTLY", "add_arguments", "run"]
-
 EXIT_PARTLY = 3
 """Exit code: some sessions were tested and some skipped."""
 PEERS: Final = ("persistence", "arx", "statsmodels")

@@ -11,8 +11,6 @@ from twinmatch.cli.virtual_rig import speed
 from twinmatch.launching.page import add_page_options, page_of
 from twinmatch.shipped import shipped
 
-__all__ = ["add_arguments", "run"]
-
 LONGEST = 60.0
 """Longest time that playing a recorded session takes, s."""
 

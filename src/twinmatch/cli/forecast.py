@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from twinmatch.showing.series import Fan
     from twinmatch.twin import TwinSettings
 
-__all__ = ["add_arguments", "run"]
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""

@@ -8,8 +8,6 @@ from pathlib import Path
 from twinmatch.showing.foxglove import FoxgloveError
 from twinmatch.showing.serving import add_serving_arguments, check_serving, namespace_words
 
-__all__ = ["add_arguments", "run"]
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""

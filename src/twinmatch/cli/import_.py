@@ -13,8 +13,6 @@ from twinmatch.errors import TwinmatchError
 if TYPE_CHECKING:
     from twinmatch.sessions.column_map import ColumnMap, Source
 
-__all__ = ["add_arguments", "run"]
-
 
 class ImportOptionError(TwinmatchError):
     """Options of an import are missing or contradict each other."""

@@ -10,8 +10,6 @@ from twinmatch.cli.virtual_rig import speed
 from twinmatch.launching.page import add_page_options, page_of
 from twinmatch.shipped import shipped
 
-__all__ = ["add_arguments", "run"]
-
 CONFIGS = {"peltier": ("rig.yaml", None), "tclab": ("tclab.yaml", "tclab_twin.yaml")}
 """Files in config/ for the nodes of a plant and for those of its twin; None: defaults."""
 

@@ -13,8 +13,6 @@ from twinmatch.errors import TwinmatchError
 if TYPE_CHECKING:
     from twinmatch.adding import Proposal
 
-__all__ = ["add_arguments", "run"]
-
 
 class NewPlantError(TwinmatchError):
     """The files cannot be written, or the options do not allow it."""

@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from twinmatch.showing.terminal import Screen
     from twinmatch.twin import Outcome
 
-__all__ = ["EXIT_PARTLY", "add_arguments", "run"]
-
 EXIT_PARTLY = 3
 """Some sessions were judged and some skipped."""
 

@@ -13,8 +13,6 @@ from twinmatch.offline.command_line import Progress, add_terms, check_writable, 
 if TYPE_CHECKING:
     from twinmatch.showing.report.report import SessionReport
 
-__all__ = ["add_arguments", "run"]
-
 FORMATS = ("png", "pdf")
 
 

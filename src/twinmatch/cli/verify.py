@@ -7,8 +7,6 @@ from pathlib import Path
 
 from twinmatch.offline.command_line import Progress, add_fmus, add_plant
 
-__all__ = ["add_arguments", "run"]
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""

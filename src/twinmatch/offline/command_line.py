@@ -17,8 +17,6 @@ from twinmatch.errors import TwinmatchError
 if TYPE_CHECKING:
     from rich import progress
 
-__all__ = ["Progress", "add_fmus", "add_plant", "add_terms", "check_writable", "held_interrupts"]
-
 
 def add_terms(parser: argparse.ArgumentParser) -> None:
     """Add the options for candidates, plant, FMUs and parameters."""

@@ -23,20 +23,6 @@ from twinmatch.sessions.metadata import CANDIDATES, parameters_of
 from twinmatch.signals import Sample, Window
 from twinmatch.twin import MatchReport, Outcome, Twin, TwinSettings
 
-__all__ = [
-    "Judgement",
-    "Terms",
-    "TermsError",
-    "Watch",
-    "judge",
-    "judge_samples",
-    "judge_session",
-    "prefix_of",
-    "recorded_terms",
-    "rehearse",
-    "terms_from_files",
-]
-
 SAMPLE = "plant/sample"
 
 

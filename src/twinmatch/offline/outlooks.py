@@ -21,18 +21,6 @@ from twinmatch.signals import FloatArray, Sample, unbroken
 from twinmatch.twin import Twin, TwinSettings
 from twinmatch.twin.forecaster import Forecaster
 
-__all__ = [
-    "RECORDED",
-    "Prospect",
-    "ahead_of",
-    "forecast_of",
-    "planned_rows",
-    "prospects",
-    "samples_ahead",
-    "samples_at",
-]
-
-
 LONGEST: Final = 86_400.0
 """Longest horizon, s; for samples more than 5 s or less than 0.5 s apart in proportion to the sample time. A
 longer one is a typing error: bands are learned up to a 288th of that."""

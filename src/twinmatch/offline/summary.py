@@ -13,18 +13,6 @@ from twinmatch.dynamics import Output, Parameters, PidGains
 from twinmatch.signals import Sample, Window, unbroken
 from twinmatch.twin import window_fit
 
-__all__ = [
-    "SessionSummary",
-    "ShownTwin",
-    "Tally",
-    "TrustRange",
-    "conclude",
-    "nominal_score",
-    "shown_twin",
-    "summarise",
-    "trust_range",
-]
-
 
 class ShownTwin(NamedTuple):
     """The twin that displays show."""

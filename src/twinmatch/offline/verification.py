@@ -18,16 +18,6 @@ from twinmatch.sessions.files import ProgressCallback
 from twinmatch.signals import Sample
 from twinmatch.twin import MatchReport
 
-__all__ = [
-    "ForeignError",
-    "Verification",
-    "VerifyError",
-    "check_fmus",
-    "compare",
-    "holds_verdicts",
-    "verify_session",
-]
-
 SCORES = "twin/model_score"
 MATCHES = "twin/match"
 DESCRIPTION = "plant/description"

@@ -17,19 +17,6 @@ from typing import Any
 from twinmatch.errors import TwinmatchError
 from twinmatch.sessions.documents import shown
 
-__all__ = [
-    "BUILT_IN",
-    "ParameterError",
-    "Setting",
-    "Value",
-    "Values",
-    "check",
-    "flattened",
-    "group",
-    "parameters_of",
-    "render",
-]
-
 Value = bool | int | float | str | list[float] | list[str]
 Values = dict[str, Any]
 

@@ -8,8 +8,6 @@ from typing import Any, Final
 from twinmatch.dynamics import FROM_PLANT_FILE, Drive, FromPlantFile, LoopGains, PidGains, Plant, gains_for
 from twinmatch.parameters.declared import Setting, group
 
-__all__ = ["UNKNOWN", "closing_of", "loop_parameters", "pid_gains", "unit_of"]
-
 UNKNOWN: Final = "unknown"
 """Value of `loop` for a twin that is driven by the recorded input."""
 

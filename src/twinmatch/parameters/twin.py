@@ -23,18 +23,6 @@ from twinmatch.plants.records import structure_of
 from twinmatch.sessions.documents import DocumentError, read_yaml
 from twinmatch.twin import ForecastSettings, TrustLimits, TwinError, TwinSettings
 
-__all__ = [
-    "at_period",
-    "read_settings",
-    "recorded_values",
-    "settings_from",
-    "twin_table",
-    "twin_values",
-    "understood",
-    "values_of",
-]
-
-
 _RENAMED: Final[Mapping[str, tuple[str, ...]]] = {
     "noise.temperature": ("noise.output",),
     "noise.pwm": ("noise.input",),

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from rich.table import Table
 
-__all__ = ["at_horizon", "cells", "columns", "draw_backtest", "sentences", "tables"]
-
 _OF_INPUT = (5, 7, 9)
 """Columns that are left out if inputs were given."""
 

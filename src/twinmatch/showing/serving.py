@@ -9,8 +9,6 @@ from ipaddress import ip_address
 
 from twinmatch.errors import TwinmatchError
 
-__all__ = ["add_serving_arguments", "check_serving", "is_loopback", "namespace_words"]
-
 
 def add_serving_arguments(parser: argparse.ArgumentParser, port: int) -> None:
     """Declare the options for the address, the port (default `port`) and the namespace."""

@@ -13,21 +13,6 @@ from typing import Any, Final
 
 from twinmatch.comparing import TrustLevel
 
-__all__ = [
-    "CLOSED",
-    "DRIVEN",
-    "FAMILY_MAP",
-    "GRID",
-    "LEVELS",
-    "MATRIX_MAP",
-    "MODEL",
-    "ORDERS",
-    "PLANT",
-    "SET_POINT",
-    "TEXT",
-    "rc",
-]
-
 PLANT: Final = "#0072B2"
 """Measurements of the plant."""
 CLOSED: Final = "#D55E00"

@@ -26,8 +26,6 @@ from twinmatch.showing.quantities import number, parameter_format
 from twinmatch.showing.verdicts import LEVEL_WORDS, Event, EventKind, events_since, leader_words, missed
 from twinmatch.twin import MatchReport
 
-__all__ = ["Screen", "family_table", "view_on"]
-
 LEAST_WAIT = 0.25
 """Shortest time between two drawings, s."""
 QUARTERS = 4

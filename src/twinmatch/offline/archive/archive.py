@@ -12,8 +12,6 @@ from typing import Any
 from twinmatch.offline.archive.files import Store, content_of, find_sessions, key_of
 from twinmatch.offline.archive.job import ArchiveTerms, Failure, Job, JobResult, cores, judge_in_processes
 
-__all__ = ["Archive", "judge_archive"]
-
 
 @dataclass(frozen=True)
 class Archive:

@@ -17,8 +17,6 @@ from twinmatch.offline.archive.job import Job, JobResult, judge_job
 if TYPE_CHECKING:
     from distributed import Client, Future
 
-__all__ = ["judge_on_cluster", "judge_packed"]
-
 PATIENCE = 10.0
 """Timeout for the scheduler, and then for a first worker, s."""
 

@@ -18,17 +18,6 @@ from twinmatch.errors import TwinmatchError
 from twinmatch.sessions.documents import DocumentError, parse_json
 from twinmatch.sessions.files import read_bounded
 
-__all__ = [
-    "ArchiveError",
-    "ClusterError",
-    "Store",
-    "content_of",
-    "find_sessions",
-    "is_single",
-    "key_of",
-    "software",
-]
-
 
 class ArchiveError(TwinmatchError):
     """No sessions were found, or the folder for results cannot be used."""

@@ -29,8 +29,6 @@ if TYPE_CHECKING:
     from twinmatch.offline.judging import Judgement
     from twinmatch.twin import TwinSettings
 
-__all__ = ["ArchiveTerms", "Failure", "Job", "JobResult", "cores", "judge_in_processes", "judge_job"]
-
 
 @dataclass(frozen=True)
 class ArchiveTerms:

@@ -25,8 +25,6 @@ from twinmatch.forecasting import CONFIDENCE, Band, Forecast
 from twinmatch.offline.backtest.peer import banded, enough, under_inputs, with_disturbances
 from twinmatch.signals import FloatArray, Window
 
-__all__ = ["Arx", "InputArx", "equations"]
-
 _RIDGE = 1e-4
 """Ridge weight of a coefficient, for residuals in units of the noise: it affects only what the data leave
 open, such as the coefficient of a set-point that never moved."""

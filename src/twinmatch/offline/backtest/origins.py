@@ -12,8 +12,6 @@ from twinmatch.offline.backtest.scoring import Marked, marks, samples_within
 from twinmatch.signals import FloatArray, Sample, Window, unbroken
 from twinmatch.twin.matcher import one_thread
 
-__all__ = ["Origin", "ask", "mark", "origins", "regular", "stretches"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Origin:

@@ -11,8 +11,6 @@ from twinmatch.errors import TwinmatchError
 from twinmatch.forecasting import Band, Forecast, ForecastError
 from twinmatch.signals import FloatArray, Window
 
-__all__ = ["BacktestError", "Peer", "banded", "enough", "under_inputs", "with_disturbances"]
-
 
 class BacktestError(TwinmatchError):
     """A backtest that cannot be made: samples that do not fit a forecast, or an unknown peer."""

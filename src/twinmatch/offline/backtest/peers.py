@@ -15,8 +15,6 @@ from twinmatch.offline.backtest.arx import Arx, InputArx
 from twinmatch.offline.backtest.peer import BacktestError, Peer, banded, enough, under_inputs
 from twinmatch.signals import FloatArray, Window
 
-__all__ = ["PEERS", "Absent", "OutputPersistence", "Persistence", "VectorAutoregression", "peers"]
-
 _LEAST = 20
 """Least number of differences for quantiles; longer lags, with fewer differences, are extrapolated."""
 _LAGS = 25

@@ -13,8 +13,6 @@ from twinmatch.offline.backtest.peers import Absent
 from twinmatch.offline.backtest.scoring import HINDSIGHT, Card, Marked, cards
 from twinmatch.signals import Window
 
-__all__ = ["CONSTANT", "LEADER", "NEWEST", "NOMINAL", "TWINS", "Backtest", "document", "over_all"]
-
 LEADER: Final = "leader"
 NOMINAL: Final = "nominal"
 NEWEST: Final = "newest"

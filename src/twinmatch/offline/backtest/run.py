@@ -24,8 +24,6 @@ from twinmatch.signals import FloatArray, Sample, Window
 from twinmatch.twin import Outcome, Twin, response_on
 from twinmatch.twin.matcher import one_thread
 
-__all__ = ["Choices", "Listener", "backtest", "backtest_session", "graded", "with_constant_band"]
-
 _EVERY: Final = 60.0
 """Default time between two forecasts, s."""
 

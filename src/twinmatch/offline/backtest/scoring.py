@@ -13,20 +13,6 @@ from twinmatch.forecasting import Band, Forecast
 from twinmatch.offline.backtest.peer import BacktestError
 from twinmatch.signals import FloatArray, Window
 
-__all__ = [
-    "HINDSIGHT",
-    "Card",
-    "Marked",
-    "Marks",
-    "SignalMarks",
-    "best_in_hindsight",
-    "cards",
-    "common",
-    "interval_score",
-    "marks",
-    "samples_within",
-]
-
 _ROUNDING = 1e-9
 """Relative tolerance within which a horizon counts as a whole number of samples."""
 

@@ -12,8 +12,6 @@ from twinmatch.description import Description, Quantity
 from twinmatch.showing.foxglove import FoxgloveError
 from twinmatch.showing.style import CLOSED, DRIVEN, LEVELS, PLANT, SET_POINT
 
-__all__ = ["APPLIED", "IMAGE", "OUTSIDE", "TOPICS", "layout", "write_layout"]
-
 TOPICS = {
     "plant/description": "twinmatch_msgs/msg/PlantDescription",
     "plant/sample": "twinmatch_msgs/msg/LoopSample",

@@ -25,8 +25,6 @@ from twinmatch.showing.foxglove.server import GraphServer, StreamTime
 from twinmatch.showing.serving import is_loopback
 from twinmatch_msgs.msg import PlantDescription
 
-__all__ = ["Foxglove"]
-
 POLL = 0.2
 """Seconds between checks for new topics."""
 TICK = 0.05

@@ -12,8 +12,6 @@ from foxglove.websocket import Capability, ChannelView, Client, ServerListener
 
 from twinmatch.showing.foxglove import FoxgloveError
 
-__all__ = ["GRACE", "GraphServer", "StreamTime"]
-
 BACKLOG = 1024
 """Queue length per viewer; the oldest messages are dropped for a slow viewer. A thermal image has 77 kB."""
 LARGEST_KEPT = 4_000_000

@@ -19,8 +19,6 @@ from twinmatch.showing.style import CLOSED, DRIVEN, LEVELS, MODEL, PLANT, SET_PO
 from twinmatch.showing.verdicts import Event, EventKind, LevelStretch
 from twinmatch.signals import FloatArray
 
-__all__ = ["POINTS", "ChartFeed", "TimeCharts", "bands", "seconds_ahead", "stride_for"]
-
 POINTS = 2400
 """Most points of a line, whatever time it spans."""
 BAND = 2.0

@@ -6,8 +6,6 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-__all__ = ["ERROR", "PATIENCE", "NodeReport", "NodeReports", "PlayerState"]
-
 OK, WARN, ERROR, STALE = range(4)
 """Levels of REP 107, as on /diagnostics."""
 PATIENCE = 4.0

@@ -17,8 +17,6 @@ from twinmatch.showing.page.style import FONT, panel
 from twinmatch.showing.quantities import number
 from twinmatch.showing.style import TEXT
 
-__all__ = ["GapMatrix", "ThermalImage"]
-
 SUM = "Σ"
 _LINE = 20
 """Characters per line of a name beside its row; there are two lines."""

@@ -41,8 +41,6 @@ from twinmatch_msgs.msg import (
     TwinState,
 )
 
-__all__ = ["Dashboard"]
-
 ALL = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=2000, reliability=ReliabilityPolicy.RELIABLE)
 """The queue holds two seconds of a recording played at a thousand times its speed."""
 SUM_UP = 1.0

@@ -21,8 +21,6 @@ from twinmatch.showing.forecasts import forecast_words
 from twinmatch.showing.page.state import DashboardState, WhatIfAnswer
 from twinmatch_msgs.srv import WhatIf
 
-__all__ = ["Requests"]
-
 SOURCE = ("reference_source", "profile.lowest", "profile.highest")
 """Parameters of the controller that show whether it follows a set-point from outside."""
 

@@ -21,8 +21,6 @@ from tornado.ioloop import IOLoop
 from twinmatch.showing.page import DashboardError
 from twinmatch.showing.serving import is_loopback
 
-__all__ = ["PageServer"]
-
 PATIENCE = 20.0
 """Time limit for the server to start, s."""
 LARGEST_MESSAGE = 1 << 20

@@ -22,8 +22,6 @@ from twinmatch.showing.style import LEVELS, TEXT
 if TYPE_CHECKING:
     from twinmatch.showing.page.requests import Requests
 
-__all__ = ["REFRESH", "Tab"]
-
 REFRESH = 350
 """Milliseconds between two updates of a tab."""
 _COME_BACK = """

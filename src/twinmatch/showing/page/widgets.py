@@ -12,8 +12,6 @@ from twinmatch.showing.page.style import BUTTONS
 if TYPE_CHECKING:
     from twinmatch.showing.page.requests import Requests
 
-__all__ = ["RATES", "PlayerButtons", "QuestionForm", "RigButtons", "SpanButtons"]
-
 SPANS = (("5 min", 300.0), ("20 min", 1200.0), ("1 h", 3600.0), ("all", 0.0))
 """Labels and seconds; 0: everything that is kept."""
 DEFAULT_SPAN = 1

@@ -15,8 +15,6 @@ from twinmatch.errors import TwinmatchError
 from twinmatch.parameters.twin import twin_table, values_of
 from twinmatch.twin import TwinSettings
 
-__all__ = ["FileHash", "Provenance", "RecordedSetting", "provenance", "settings_of"]
-
 _LIBRARIES = ("numpy", "scipy", "numba", "control", "mcap", "matplotlib", "Jinja2")
 _CHUNK = 1 << 20
 

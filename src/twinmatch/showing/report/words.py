@@ -14,8 +14,6 @@ from twinmatch.showing.verdicts import LevelStretch, admitted, last_verdict, lev
 from twinmatch.signals import Sample
 from twinmatch.twin import TwinSettings
 
-__all__ = ["as_sentence", "duration", "plain_words", "session_facts"]
-
 
 def duration(seconds: float) -> str:
     """A duration in h, min and s."""
