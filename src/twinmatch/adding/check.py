@@ -86,11 +86,7 @@ def _unused(plant: type[Plant]) -> list[Finding]:
 
 
 def unreached(plant: type[Plant]) -> list[Finding]:
-    """Drive and states that do not act on the output, and parts that change nothing.
-
-    Raises:
-        PlantError: the equations cannot be used.
-    """
+    """Drive and states that do not act on the output, and parts that change nothing."""
     equations = _equations(plant)
     found = []
     for name, written in equations.items():
@@ -109,11 +105,7 @@ def unreached(plant: type[Plant]) -> list[Finding]:
 
 
 def idle_disturbances(plant: type[Plant]) -> list[str]:
-    """Names of disturbances that are in no equation.
-
-    Raises:
-        PlantError: the equations cannot be used.
-    """
+    """Names of disturbances that are in no equation."""
     used: set[str] = set()
     for written in _equations(plant).values():
         used |= _names([*written.rates.values(), written.output, *written.start.values()])
@@ -203,11 +195,7 @@ def misdeclared(model: Model) -> list[Finding]:
 
 
 def ranges(model: Model) -> list[Finding]:
-    """Whether output and states stay within their spans, at the defaults.
-
-    Raises:
-        PlantError: the plant cannot be simulated there.
-    """
+    """Whether output and states stay within their spans, at the defaults."""
     parameters = model.parameters()
     trial = trial_for(parameters)
     run, _ = run_trial(parameters, trial)
@@ -239,11 +227,7 @@ def ranges(model: Model) -> list[Finding]:
 
 
 def pace(model: Model, period: float | None) -> tuple[list[Finding], list[str]]:
-    """Compare time constants and sampling period, s.
-
-    Raises:
-        PlantError: the plant cannot be simulated at its defaults.
-    """
+    """Compare time constants and sampling period, s."""
     parameters = model.parameters()
     lags = time_constants(parameters)
     place = f"structure {model.structure_name!r}"

@@ -57,9 +57,6 @@ _FAULTY: Final = (
 def data_for(path: Path, plant: type[Plant], map_file: Path | None = None) -> Session:
     """Read a recording as a session of the plant; a table needs a map unless its columns have the names of
     the signals.
-
-    Raises:
-        TwinmatchError: the recording cannot be used.
     """
     if path.suffix.lower() in {".csv", ".txt", ".tsv"} or map_file is not None:
         given = read_map(map_file) if map_file is not None else ColumnMap()
@@ -70,11 +67,7 @@ def data_for(path: Path, plant: type[Plant], map_file: Path | None = None) -> Se
 
 
 def check_data(session: Session, plant: type[Plant]) -> CheckedPlant:
-    """Check the plant against a recording: noise, duration, and results of the matches.
-
-    Raises:
-        TwinmatchError: the recording cannot be judged.
-    """
+    """Check the plant against a recording: noise, duration, and results of the matches."""
     terms = terms_from_files(session)
     judgement = judge(session, terms)
     y = np.array([sample.output for sample in session.samples])

@@ -52,11 +52,7 @@ class Dimensions:
         return sorted({self._symbols[s].unit for s, found in self._units.items() if not found.known})
 
     def check(self, parts: frozenset[str]) -> None:
-        """Check the equations with these parts.
-
-        Raises:
-            PlantError: the equations cannot be used.
-        """
+        """Check the equations with these parts."""
         import sympy  # noqa: PLC0415 (takes a second, used only here)
 
         written = written_equations(self._plant(), parts)

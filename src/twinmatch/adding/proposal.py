@@ -101,9 +101,6 @@ def propose(table: Table, given: ColumnMap) -> Proposal:
     Args:
         table: the table.
         given: columns of time, output and input; every other name is a disturbance.
-
-    Raises:
-        RecordingError: one of these is missing, or the values cannot be used.
     """
     require_columns(table, given)
     done = _on_one_clock(table, given)

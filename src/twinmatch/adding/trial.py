@@ -66,11 +66,7 @@ def modes(parameters: Parameters) -> NDArray[np.complex128]:
 
 
 def time_constants(parameters: Parameters) -> FloatArray:
-    """Time constants of the plant linearised in the middle of its range, s, ascending; without integrators.
-
-    Raises:
-        PlantError: the equations have no finite values there.
-    """
+    """Time constants of the plant linearised in the middle of its range, s, rising, without integrators."""
     rates = np.abs(modes(parameters))
     return np.sort(1.0 / rates[rates > 0])
 
@@ -143,11 +139,7 @@ class _Combination(NamedTuple):
 
 
 def inseparable(model: Model) -> list[Finding]:
-    """Combinations of the structure's free parameters that no data can determine.
-
-    Raises:
-        PlantError: the plant cannot be simulated at its defaults.
-    """
+    """Combinations of the structure's free parameters that no data can determine."""
     free = tuple(name for name in model.structure.free if name in model.declared)
     if not free:
         return []

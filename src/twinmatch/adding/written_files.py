@@ -27,11 +27,7 @@ _ABSOLUTE: Final = {"°C": 273.15}
 
 
 def files_of(name: str, held: Proposal) -> dict[str, str]:
-    """The texts of the files by file name.
-
-    Raises:
-        AddingError: the name is not valid for a plant.
-    """
+    """The texts of the files by file name."""
     _require_name(name)
     # The output is Python and YAML, which need no HTML escaping.
     pages = Environment(  # noqa: S701

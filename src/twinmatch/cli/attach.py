@@ -36,11 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run until Ctrl-C; returns the exit code: 3 if a process could not be kept running.
-
-    Raises:
-        TwinmatchError: an option or a file cannot be used, or a file is missing.
-    """
+    """Run until Ctrl-C; returns the exit code: 3 if a process could not be kept running."""
     if not (options.config or options.map or options.map_file):
         options.parser.error("map topics to signals with --config FILE, --map-file FILE or --map …")
     from twinmatch.launching.attach import attach_plan  # noqa: PLC0415 — needs ROS

@@ -25,11 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Check and print; returns the exit code.
-
-    Raises:
-        TwinmatchError: the plant or the data cannot be used.
-    """
+    """Check and print; returns the exit code."""
     from twinmatch.adding import check_plant  # noqa: PLC0415 — keeps --help fast
     from twinmatch.plants import find_plant  # noqa: PLC0415
 

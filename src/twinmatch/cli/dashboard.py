@@ -19,11 +19,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Serve until Ctrl-C; returns the exit code.
-
-    Raises:
-        DashboardError: a package it needs is not installed, or an option has an invalid value.
-    """
+    """Serve until Ctrl-C; returns the exit code."""
     check_serving("dashboard", options, "bokeh", DashboardError)
     from twinmatch.nodes.runner import run as run_nodes  # noqa: PLC0415
     from twinmatch.showing.page.node import Dashboard  # noqa: PLC0415 — needs ROS and Bokeh

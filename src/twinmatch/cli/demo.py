@@ -28,11 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the demonstration; returns the exit code.
-
-    Raises:
-        TwinmatchError: an option or the session cannot be used.
-    """
+    """Run the demonstration; returns the exit code."""
     with page_of(options, options.parser) as page:
         code = _live(options.speed) if options.session is None else _recorded(options.session)
         if code == 0:

@@ -15,11 +15,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Print the map as YAML, with the variables as comments; returns the exit code.
-
-    Raises:
-        TwinmatchError: there is no such plant, or the file is not an FMU.
-    """
+    """Print the map as YAML, with the variables as comments; returns the exit code."""
     from twinmatch.fmu.mapping import draft, overview  # noqa: PLC0415
     from twinmatch.fmu.process import FmuProcess  # noqa: PLC0415
     from twinmatch.fmu.runner import described_by  # noqa: PLC0415 — keeps --help fast

@@ -49,11 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run until Ctrl-C or the profile's end; returns the exit code: 3 if the rig's process was lost.
-
-    Raises:
-        TwinmatchError: an option or a file cannot be used.
-    """
+    """Run until Ctrl-C or the profile's end; returns the exit code: 3 if the rig's process was lost."""
     from twinmatch.launching.live import Live, refuse_existing, run_live  # noqa: PLC0415 — needs ROS
     from twinmatch.launching.plan import LivePlan, VirtualPlan  # noqa: PLC0415
 

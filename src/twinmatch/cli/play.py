@@ -23,11 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Play and show the verdicts as they come; returns the exit code: 130 if interrupted.
-
-    Raises:
-        TwinmatchError: an option, the session or a file cannot be used.
-    """
+    """Play and show the verdicts as they come; returns the exit code: 130 if interrupted."""
     from twinmatch.launching.replay import Replay, play  # noqa: PLC0415 — needs ROS
     from twinmatch.offline.command_line import Progress  # noqa: PLC0415 — keeps --help fast
     from twinmatch.sessions import open_any  # noqa: PLC0415 — as above

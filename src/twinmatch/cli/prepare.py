@@ -13,11 +13,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Derive and compile; returns the exit code.
-
-    Raises:
-        TwinmatchError: there is no such plant, or its equations cannot be used.
-    """
+    """Derive and compile; returns the exit code."""
     from twinmatch.dynamics.prepare import prepare  # noqa: PLC0415 — keeps --help fast
     from twinmatch.dynamics.store import cache_folder  # noqa: PLC0415
     from twinmatch.plants import PLANTS, find_plant  # noqa: PLC0415

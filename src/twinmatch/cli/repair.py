@@ -12,11 +12,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Repair; returns the exit code.
-
-    Raises:
-        TwinmatchError: the session cannot be repaired.
-    """
+    """Repair; returns the exit code."""
     from twinmatch.sessions.repair import repair_session  # noqa: PLC0415 — keeps --help fast
 
     found = repair_session(options.session)

@@ -61,11 +61,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Judge and show; returns the exit code.
-
-    Raises:
-        TwinmatchError: a session or a file that the options name cannot be used.
-    """
+    """Judge and show; returns the exit code."""
     from twinmatch.offline.archive import is_single  # noqa: PLC0415 — keeps --help fast
 
     check_writable(options.json, options.figure)

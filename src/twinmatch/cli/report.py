@@ -28,11 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Write the report; returns the exit code.
-
-    Raises:
-        TwinmatchError: the session cannot be used, or a file cannot be written.
-    """
+    """Write the report; returns the exit code."""
     output: Path = options.output or Path(f"{_stem(options.session)}.html")
     check_writable(output, example="report.html")
     with held_interrupts():

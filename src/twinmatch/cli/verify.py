@@ -25,11 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Judge again and compare; returns the exit code: 0 identical, 1 different.
-
-    Raises:
-        TwinmatchError: the session cannot be verified.
-    """
+    """Judge again and compare; returns the exit code: 0 identical, 1 different."""
     from twinmatch.offline.verification import verify_session  # noqa: PLC0415 — keeps --help fast
 
     with Progress() as progress:

@@ -48,11 +48,7 @@ def prefix_of(session: Session) -> str:
 
 
 def terms_from_files(session: Session, config: Path | None = None, candidates: Path | None = None) -> Terms:
-    """Parameters and candidates of files; without files the defaults and no candidates.
-
-    Raises:
-        TwinmatchError: a file cannot be used, or has another sampling period than the session.
-    """
+    """Parameters and candidates of files; without files the defaults and no candidates."""
     source = f"the file {config.name}" if config else "the defaults of this version"
     held = read_settings(config, session.plant, driven=not session.has_reference)
     settings = at_period(held, session.period, config)
@@ -60,12 +56,7 @@ def terms_from_files(session: Session, config: Path | None = None, candidates: P
 
 
 def recorded_terms(session: Session, config: Path | None = None, candidates: Path | None = None) -> Terms:
-    """Parameters and candidates recorded with the session; files override them.
-
-    Raises:
-        TermsError: they were not recorded, or are of an incompatible version.
-        TwinmatchError: a file cannot be used.
-    """
+    """Parameters and candidates recorded with the session; files override them."""
     if config is not None:
         return terms_from_files(session, config, candidates)
     prefix = prefix_of(session)
@@ -141,9 +132,6 @@ def judge_session(
         config: parameter file; without it the defaults.
         plant: name or file of the plant, if the session does not name it or it is in a file.
         watch: called with the progress.
-
-    Raises:
-        TwinmatchError: one of the files cannot be used.
     """
     session = open_any(path, plant=plant)
     return judge(session, terms_from_files(session, config, candidates), watch=watch)

@@ -129,11 +129,7 @@ def holds_verdicts(session: Session) -> int:
 
 
 def compare(session: Session, judgement: Judgement) -> Verification:
-    """Compare the recorded matches and verdicts with a judgement of the samples, bit for bit.
-
-    Raises:
-        VerifyError: a recorded message cannot be read.
-    """
+    """Compare the recorded matches and verdicts with a judgement of the samples, bit for bit."""
     prefix, stamps = prefix_of(session), {sample.index: sample.stamp for sample in session.samples}
     matches, scores = _once(_recorded(session, prefix + MATCHES)), _recorded(session, prefix + SCORES)
     computed_matches = [_computed(m, stamps[m.sample]) for m in judgement.matches]

@@ -57,11 +57,7 @@ def loop_parameters(plant: type[Plant], closing: LoopGains = FROM_PLANT_FILE) ->
 
 
 def pid_gains(values: Mapping[str, Any]) -> PidGains:
-    """The controller from checked parameter values that include the gains.
-
-    Raises:
-        PlantError: the gains cannot be used.
-    """
+    """The controller from checked parameter values that include the gains."""
     return PidGains(period=values["period"], **group(values, "pid."))
 
 

@@ -47,11 +47,7 @@ _START: Final = "start."
 def twin_table(
     plant: type[Plant] = Peltier, structure: str | None = None, closing: LoopGains = FROM_PLANT_FILE
 ) -> tuple[Setting, ...]:
-    """Name, default, meaning, unit and range of everything in `TwinSettings`, and of what single nodes need.
-
-    Raises:
-        PlantError: the plant has no such structure, or its equations cannot be used.
-    """
+    """Name, default, meaning, unit, range of everything in `TwinSettings`, and of what single nodes need."""
     has = TwinSettings.of(plant, structure, gains=closing)
     return (
         *_plant(has.start.model),
@@ -99,11 +95,7 @@ def understood(place: str, given: Mapping[str, Any]) -> tuple[tuple[Setting, ...
 
 
 def twin_values(place: str, given: Mapping[str, Any]) -> Values:
-    """All parameters: those given, checked, and the defaults of the others.
-
-    Raises:
-        ParameterError: as `understood` and `check`.
-    """
+    """All parameters: those given, checked, and the defaults of the others."""
     table, kept = understood(place, given)
     return check(place, table, kept)
 
@@ -127,11 +119,7 @@ def recorded_values(place: str, given: Mapping[str, Any]) -> Values:
 
 
 def settings_from(values: Mapping[str, Any]) -> TwinSettings:
-    """Settings from checked parameter values.
-
-    Raises:
-        TwinmatchError: values contradict each other.
-    """
+    """Settings from checked parameter values."""
 
     def group(prefix: str) -> dict[str, Any]:
         return {n.removeprefix(prefix): v for n, v in values.items() if n.startswith(prefix)}

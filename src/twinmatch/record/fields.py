@@ -65,11 +65,7 @@ class RecordField:
 
 
 def fields_of(owner: type) -> tuple[RecordField, ...]:
-    """The fields of a class in order, followed by the properties named in its `DERIVED`.
-
-    Raises:
-        RecordError: a field has a type that is not recorded.
-    """
+    """The fields of a class in order, followed by the properties named in its `DERIVED`."""
     return _fields_of(owner)
 
 

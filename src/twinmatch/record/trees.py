@@ -103,11 +103,7 @@ def parameters_tree(parameters: Parameters | None) -> dict[str, Any]:
 
 
 def parameters_of(tree: Mapping[str, Any]) -> Parameters | None:
-    """The parameters of such a tree; None if it has none.
-
-    Raises:
-        PlantError: the plant is unknown, or a value is out of range.
-    """
+    """The parameters of such a tree; None if it has none."""
     return records.parameters_of(tree["plant"], tree["structure"], tree["names"], tree["values"])
 
 

@@ -59,10 +59,6 @@ def judge_archive(
         scheduler: address of a Dask scheduler; its workers judge instead.
         watch: called with (sessions done, total) after each session.
         on_skip: called with each session that cannot be used.
-
-    Raises:
-        TwinmatchError: nothing was found; or parameters, candidates, the folder for results or the cluster
-            cannot be used. A session that cannot be used raises nothing.
     """
     paths = find_sessions(named)
     run = _Run(_terms(config, candidates, plant, document), Store(out) if out else None, on_skip)

@@ -32,10 +32,6 @@ def judge_on_cluster(jobs: Sequence[Job], address: str) -> Iterator[JobResult]:
     Args:
         jobs: the sessions.
         address: address of the scheduler, for example "tcp://10.0.0.1:8786".
-
-    Raises:
-        ClusterError: `distributed` is not installed, there is no scheduler at the address, it has no
-            workers, one has other software or cannot read the sessions, or the connection is lost.
     """
     with contextlib.closing(_connected(address)) as client:
         _check_workers(client, address, [job.path for job in jobs])

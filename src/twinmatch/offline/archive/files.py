@@ -37,9 +37,6 @@ def find_sessions(named: Iterable[Path | str]) -> list[Path]:
     A folder with an MCAP file or a `metadata.yaml` is a session. Any other folder stands for all sessions and
     recordings (`.mat`, `.csv`) in it and below, sorted by name. A pattern (`*`, `?`, `[…]`, `**`) that the
     shell has not resolved is resolved here. Whether they can be read is found out when they are judged.
-
-    Raises:
-        ArchiveError: nothing matches a pattern, or a folder has no sessions.
     """
     found: dict[Path, Path] = {}
     for name in named:
@@ -102,11 +99,7 @@ BLOCK = 1 << 20
 
 
 def content_of(path: Path) -> str:
-    """A hash of a recording, or of the MCAP files and metadata of a session folder.
-
-    Raises:
-        OSError: it does not exist or cannot be read.
-    """
+    """A hash of a recording, or of the MCAP files and metadata of a session folder."""
     if not path.is_dir():
         return _hash([path], path.parent)
     files = [*path.glob("*.mcap"), *path.glob("metadata.yaml")]

@@ -151,11 +151,7 @@ class Arx:
         self._plant, self._confidence = plant, confidence
 
     def forecast(self, past: Window, ahead: FloatArray, disturbances: FloatArray | None = None) -> Forecast:
-        """Forecast one sample for each set-point ahead; see `Peer`.
-
-        Raises:
-            ForecastError: the past has too few samples.
-        """
+        """Forecast one sample for each set-point ahead; see `Peer`."""
         enough(self.name, past, LEAST)
         noise = np.array([self._plant.output.noise, self._plant.drive.noise])
         level = np.array([past.output.mean(), past.input.mean()])
@@ -248,11 +244,7 @@ class InputArx:
         self._plant, self._confidence = plant, confidence
 
     def forecast(self, past: Window, ahead: FloatArray, disturbances: FloatArray | None = None) -> Forecast:
-        """Forecast one sample for each input ahead; see `Peer`.
-
-        Raises:
-            ForecastError: the past has too few samples.
-        """
+        """Forecast one sample for each input ahead; see `Peer`."""
         enough(self.name, past, LEAST)
         noise = self._plant.output.noise
         levels = float(past.output.mean()), float(past.input.mean())

@@ -55,11 +55,7 @@ def stretches(samples: Sequence[Sample], period: float) -> tuple[Window, ...]:
 
 
 def regular(held: Sequence[Window], every: float) -> list[int]:
-    """The samples at regular intervals, in seconds, within each stretch.
-
-    Raises:
-        BacktestError: `every` is shorter than one sample.
-    """
+    """The samples at regular intervals, in seconds, within each stretch."""
     found: list[int] = []
     for stretch in held:
         pace = samples_within(every, stretch.period)
@@ -77,9 +73,6 @@ def origins(
         samples: indices of the samples.
         horizons: horizons, s, from near to far.
         driven: whether the loop is not known.
-
-    Raises:
-        BacktestError: a horizon is shorter than one sample.
     """
     wanted = sorted(set(samples))
     found = []

@@ -36,9 +36,6 @@ class Peer(Protocol):
             ahead: future set-points, or inputs if the loop is not known, shape (N,).
             disturbances: those measured at these samples, shape (N, d), as the twin is given them; default:
                 they keep their last value.
-
-        Raises:
-            ForecastError: the past is too short.
         """
         ...
 

@@ -40,11 +40,7 @@ class Persistence:
         ahead: FloatArray,
         disturbances: FloatArray | None = None,  # noqa: ARG002 (a part of the interface that it cannot use)
     ) -> Forecast:
-        """Forecast one sample for each set-point ahead; see `Peer`.
-
-        Raises:
-            ForecastError: the past has too few samples.
-        """
+        """Forecast one sample for each set-point ahead; see `Peer`."""
         enough(self.name, past, _LEAST + 1)
         return banded(
             self.name,
@@ -77,11 +73,7 @@ class OutputPersistence:
         self._whole = Persistence(plant, confidence)
 
     def forecast(self, past: Window, ahead: FloatArray, disturbances: FloatArray | None = None) -> Forecast:
-        """Forecast one sample for each input ahead; see `Peer`.
-
-        Raises:
-            ForecastError: the past has too few samples.
-        """
+        """Forecast one sample for each input ahead; see `Peer`."""
         found = self._whole.forecast(past, ahead, disturbances)
         return under_inputs(self.name, past, ahead, found.output, found.confidence)
 

@@ -55,11 +55,7 @@ class Choices:
         return max(_EVERY, period) if self.every is None else self.every
 
     def ahead(self, period: float) -> tuple[float, ...]:
-        """The horizons from near to far, for this sample time, s.
-
-        Raises:
-            BacktestError: a requested horizon is shorter than a sample.
-        """
+        """The horizons from near to far, for this sample time, s."""
         if self.horizons is None:
             return horizons_for(period)
         for horizon in self.horizons:
@@ -119,11 +115,7 @@ class Listener:
 
     @classmethod
     def to(cls, samples: Sequence[Sample], period: float, choices: Choices) -> Listener:
-        """A listener for these samples.
-
-        Raises:
-            BacktestError: a horizon or the time between two forecasts is shorter than one sample.
-        """
+        """A listener for these samples."""
         choices.ahead(period)
         return cls(frozenset(regular(stretches(samples, period), choices.pace(period))))
 
@@ -168,9 +160,6 @@ def backtest_session(
         plant: name or file of the plant, if the session does not name it or it is in a file.
         watch: called with the progress.
         progress: called with the amount of the file read and the total.
-
-    Raises:
-        TwinmatchError: one of the files cannot be used, or a horizon is too short for the session.
     """
     session = open_any(path, progress=progress, plant=plant)
     return backtest(session, terms_from_files(session, config, candidates), choices, watch=watch)

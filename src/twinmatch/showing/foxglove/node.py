@@ -48,11 +48,7 @@ class Foxglove(TwinmatchNode):
     _serving = False
 
     def open(self) -> None:
-        """Start the server, and watch for topics.
-
-        Raises:
-            FoxgloveError: the address or port cannot be used.
-        """
+        """Start the server, and watch for topics."""
         address = self.values["address"]
         self._server = GraphServer("twinmatch", address, self.values["port"])
         self._serving = True

@@ -64,20 +64,12 @@ class Dashboard(TwinmatchNode):
     _server: PageServer | None = None
 
     def read_parameters(self) -> None:
-        """Read the parameters of the twin's nodes.
-
-        Raises:
-            ParameterError: the file cannot be used.
-        """
+        """Read the parameters of the twin's nodes."""
         path = self.values["config"]
         self._settings = read_settings(Path(path) if path else None)
 
     def open(self) -> None:
-        """Subscribe to the graph and serve the page.
-
-        Raises:
-            DashboardError: the address or port cannot be used.
-        """
+        """Subscribe to the graph and serve the page."""
         known = description_of(self._settings.plant) if self.values["config"] else UNDESCRIBED
         self.state = DashboardState(described=known)
         self._queued: SimpleQueue[Callable[[], None]] = SimpleQueue()

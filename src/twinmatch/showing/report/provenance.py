@@ -60,9 +60,6 @@ def provenance(path: Path, settings: TwinSettings, command: str, made: datetime)
         settings: the settings the session was judged with.
         command: the command line.
         made: date and time of the report, with time zone.
-
-    Raises:
-        TwinmatchError: a file of the session cannot be read.
     """
     return Provenance(
         made=made.isoformat(sep=" ", timespec="seconds"),
