@@ -23,7 +23,7 @@ from tests.support.places import PROJECT, SHIPPED
 from tests.support.processes import run_twinmatch
 from tests.support.steps import drive_lost
 from twinmatch.cli import main
-from twinmatch.offline.command_line import held_interrupts
+from twinmatch.offline.interrupts import held_interrupts
 from twinmatch.offline.judging import judge, terms_from_files
 from twinmatch.sessions import open_any, samples_of, write_session
 from twinmatch.signals import Window

@@ -7,6 +7,8 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from twinmatch.cli.shared import add_options
+
 if TYPE_CHECKING:
     from twinmatch.adding import CheckedPlant
 
@@ -17,11 +19,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "Exit code 0: no findings; 1: findings, each with what to do; 2: the plant cannot be used."
     )
     parser.add_argument("plant", metavar="NAME|FILE.py", help="the plant")
-    parser.add_argument("--period", type=float, metavar="S", help="sampling period it will be run with")
+    add_options(parser, "--period", help="sampling period it will be run with")
     parser.add_argument(
         "--data", type=Path, metavar="SESSION|CSV", help="also check a recording of it against the gate"
     )
-    parser.add_argument("--map-file", type=Path, metavar="FILE", help="map of signals to columns of the .csv")
+    add_options(parser, "--map-file", help="map of signals to columns of the .csv")
 
 
 def run(options: argparse.Namespace) -> int:

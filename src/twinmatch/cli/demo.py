@@ -7,6 +7,7 @@ import math
 import time
 from pathlib import Path
 
+from twinmatch.cli.shared import Progress, add_options
 from twinmatch.cli.virtual_rig import speed
 from twinmatch.launching.page import add_page_options, page_of
 from twinmatch.shipped import shipped
@@ -17,7 +18,7 @@ LONGEST = 60.0
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("session", type=Path, nargs="?", help="session or recording to play instead")
+    add_options(parser, "session", nargs="?", help="session or recording to play instead")
     parser.add_argument(
         "--speed",
         type=speed,
@@ -40,8 +41,7 @@ def _live(speed: float) -> int:
     """Run the virtual rig through its set-points; returns the exit code."""
     from twinmatch.launching.live import Live, run_live  # noqa: PLC0415 — needs ROS
     from twinmatch.launching.plan import LivePlan, VirtualPlan  # noqa: PLC0415
-    from twinmatch.offline.command_line import Progress  # noqa: PLC0415 — keeps --help fast
-    from twinmatch.offline.judging import rehearse  # noqa: PLC0415
+    from twinmatch.offline.judging import rehearse  # noqa: PLC0415 — keeps --help fast
     from twinmatch.plants import Peltier  # noqa: PLC0415
     from twinmatch.twin import TwinSettings  # noqa: PLC0415
 
@@ -51,9 +51,7 @@ def _live(speed: float) -> int:
     plan = LivePlan(
         config=shipped("config/demo.yaml"), session=session, virtual=VirtualPlan(speed=speed, board="python")
     )
-    run = Live(plan)
-    code = run_live(run)
-    return code or _look_back(session)
+    return run_live(Live(plan)) or _look_back(session)
 
 
 def _look_back(session: Path) -> int:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+from twinmatch.cli.shared import TERMS, Progress, add_options, check_writable, write_json
 from twinmatch.errors import TwinmatchError
-from twinmatch.offline.command_line import Progress, add_terms, check_writable, held_interrupts
+from twinmatch.offline.interrupts import held_interrupts
 
 if TYPE_CHECKING:
     from twinmatch.offline.outlooks import Prospect
@@ -23,9 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "forecasts have cost least so far) forecasts what comes next, from the samples up to that one and "
         "the set-points ahead. Without --reference and --hold, the set-point of that sample is held."
     )
-    parser.add_argument(
-        "session", type=Path, metavar="SESSION", help="session folder, .mcap file, or recording (.mat, .csv)"
-    )
+    add_options(parser, "session", metavar="SESSION")
     parser.add_argument(
         "--at",
         type=_sample,
@@ -48,9 +46,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="S",
         help="forecast horizon, s (default: 300, at least 60 and at most 600 samples)",
     )
-    parser.add_argument("--json", type=Path, metavar="OUT", help="write the forecasts to this file")
-    parser.add_argument("--figure", type=Path, metavar="OUT", help="draw them (.png, .svg or .pdf)")
-    add_terms(parser)
+    add_options(parser, "--json", help="write the forecasts to this file")
+    add_options(parser, "--figure", help="draw them (.png, .svg or .pdf)")
+    add_options(parser, *TERMS)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -63,20 +61,14 @@ def run(options: argparse.Namespace) -> int:
     check_writable(options.json, options.figure)
     with held_interrupts():
         settings, found = _forecasts(options)
+    from twinmatch.showing.forecasts import forecast_document  # noqa: PLC0415 — keeps --help fast
+
     for one in found:
         _print(one, settings)
     print(
         "The leader is the candidate to forecast with: its forecasts have saved the most characters so far."
     )
-    if options.json is not None:
-        from twinmatch.showing.forecasts import forecast_document  # noqa: PLC0415 — keeps --help fast
-
-        entries = [forecast_document(one.fan.forecast) for one in found]
-        text = json.dumps(entries, indent=1, allow_nan=False, ensure_ascii=False)
-        try:
-            options.json.write_text(text + "\n", encoding="utf-8")
-        except OSError as error:
-            raise TwinmatchError(f"{options.json}: cannot be written ({error.strerror})") from error
+    write_json(options.json, lambda: [forecast_document(one.fan.forecast) for one in found])
     if options.figure is not None:
         from twinmatch.showing.figures.drawing import save  # noqa: PLC0415 — matplotlib is slow
         from twinmatch.showing.figures.forecasts import draw_forecasts  # noqa: PLC0415
@@ -134,18 +126,8 @@ def _forecasts(options: argparse.Namespace) -> tuple[TwinSettings, list[_Request
     settings, period = terms.settings, terms.settings.period
     size = samples_ahead(options.horizon, period)
     samples = samples_at(session, options.at)
-    ahead = {
-        k: ahead_of(
-            session,
-            sample,
-            size,
-            settings=settings,
-            reference=options.reference,
-            hold=options.hold,
-            rows=rows,
-        )
-        for k, sample in samples.items()
-    }
+    given = {"settings": settings, "reference": options.reference, "hold": options.hold, "rows": rows}
+    ahead = {k: ahead_of(session, sample, size, **given) for k, sample in samples.items()}
     with Progress() as progress:
         known = prospects(session, terms, samples, candidate=options.candidate, watch=progress.advance)
     found = {

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import argparse
 import shlex
-from collections.abc import Mapping
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+from twinmatch.cli.shared import Progress, add_options, console_for
 from twinmatch.errors import TwinmatchError
 
 if TYPE_CHECKING:
-    from twinmatch.sessions.column_map import ColumnMap, Source
+    from twinmatch.sessions.column_map import ColumnMap
+    from twinmatch.signals import Sample
 
 
 class ImportOptionError(TwinmatchError):
@@ -32,19 +34,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     other.add_argument(
         "--list", action="store_true", help="show the columns and propose a map; writes nothing"
     )
-    other.add_argument("--plant", metavar="NAME|FILE.py", help="plant that was recorded")
-    other.add_argument(
+    add_options(other, "--plant", help="plant that was recorded")
+    add_options(
+        other,
         "--map",
-        nargs="+",
-        default=[],
-        metavar="SIGNAL=COLUMN",
         help="time=elapsed output='t2, t3' (their mean) 'input=duty; scale=100' 'room=T1; unit=K'; for a "
         "bag: output=/camera/temperature:temperature",
     )
-    other.add_argument(
-        "--map-file", type=Path, metavar="FILE", help="the same as YAML; --map takes precedence"
-    )
-    other.add_argument("--period", type=float, metavar="S", help="sampling period, if not that of the rows")
+    add_options(other, "--map-file")
+    add_options(other, "--period", help="sampling period, if not that of the rows")
     other.add_argument(
         "--bridge", type=float, metavar="S", help="longest gap to interpolate across (default: three rows)"
     )
@@ -61,7 +59,7 @@ def run(options: argparse.Namespace) -> int:
     """Write the session; returns the exit code.
 
     Raises:
-        TwinmatchError: the recording cannot be used, or the session cannot be written.
+        ImportOptionError: there is no session to write.
     """
     if options.list:
         return _list(options.recording)
@@ -74,15 +72,11 @@ def run(options: argparse.Namespace) -> int:
     mapped = (options.map, options.map_file, options.plant, options.period, options.bridge)
     if any(mapped) or options.gaps != "refuse" or is_bag(options.recording):
         return _import_mapped(options)
-    from twinmatch.offline.command_line import Progress  # noqa: PLC0415
-    from twinmatch.sessions import read_recording, samples_of, write_session  # noqa: PLC0415 — keeps --help fast
+    from twinmatch.sessions import read_recording, samples_of  # noqa: PLC0415
 
     with Progress("reading") as progress:
         window = read_recording(options.recording, progress.advance)
-    with Progress("writing") as progress:
-        write_session(
-            options.output, samples_of(window), overwrite=options.overwrite, progress=progress.advance
-        )
+    _write(options, samples_of(window))
     print(
         f"{options.output}: {len(window)} samples, {len(window) * window.period:.0f} s, "
         f"from {options.recording.name}"
@@ -90,34 +84,34 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
+def _write(options: argparse.Namespace, samples: Sequence[Sample], **settings: Any) -> None:
+    from twinmatch.sessions import write_session  # noqa: PLC0415 — as above
+
+    with Progress("writing") as progress:
+        write_session(
+            options.output, samples, overwrite=options.overwrite, progress=progress.advance, **settings
+        )
+
+
 def _import_mapped(options: argparse.Namespace) -> int:
-    from twinmatch.offline.command_line import Progress  # noqa: PLC0415 — as above
-    from twinmatch.plants import find_plant  # noqa: PLC0415
-    from twinmatch.sessions import plant_topics, write_session  # noqa: PLC0415
+    from twinmatch.plants import find_plant  # noqa: PLC0415 — as above
+    from twinmatch.sessions import plant_topics  # noqa: PLC0415
     from twinmatch.sessions.bags import is_bag, map_bag  # noqa: PLC0415
     from twinmatch.sessions.mapped import map_samples, with_plant_names  # noqa: PLC0415
     from twinmatch.sessions.metadata import NO_REFERENCE, PLANT  # noqa: PLC0415
     from twinmatch.sessions.tables import read_table  # noqa: PLC0415
 
-    given = _given(options)
+    given, limits = _given(options), {"longest": options.bridge, "gaps": options.gaps}
     if not given.plant:
         msg = "import: the plant is missing; give --plant NAME, --plant FILE.py, or plant: in the map file"
         raise ImportOptionError(msg)
     plant = find_plant(given.plant)
     if is_bag(options.recording):
         with Progress("reading") as progress:
-            found = map_bag(
-                options.recording,
-                given,
-                plant,
-                longest=options.bridge,
-                gaps=options.gaps,
-                progress=progress.advance,
-            )
+            found = map_bag(options.recording, given, plant, progress=progress.advance, **limits)
     else:
         table = read_table(options.recording)
-        given = with_plant_names(table, plant, given)
-        found = map_samples(table, given, plant, longest=options.bridge, gaps=options.gaps)
+        found = map_samples(table, with_plant_names(table, plant, given), plant, **limits)
     columns = "; ".join(f"{signal} = {source.text}" for signal, source in found.sources.items())
     record = {
         "plant": plant.name,
@@ -125,16 +119,13 @@ def _import_mapped(options: argparse.Namespace) -> int:
         "map": columns,
         "reference": "recorded" if found.has_reference else NO_REFERENCE,
     }
-    with Progress("writing") as progress:
-        write_session(
-            options.output,
-            found.samples,
-            overwrite=options.overwrite,
-            records={PLANT: record},
-            gaps=options.gaps == "split",
-            topics=plant_topics(plant.output.unit, has_reference=found.has_reference),
-            progress=progress.advance,
-        )
+    _write(
+        options,
+        found.samples,
+        records={PLANT: record},
+        gaps=options.gaps == "split",
+        topics=plant_topics(plant.output.unit, has_reference=found.has_reference),
+    )
     seconds = len(found.samples) * found.period
     print(
         f"{options.output}: {len(found.samples)} samples, one every {found.period:g} s, {seconds:.0f} s of "
@@ -156,57 +147,33 @@ def _given(options: argparse.Namespace) -> ColumnMap:
 
 
 def _list(path: Path) -> int:
-    from twinmatch.sessions.bags import is_bag  # noqa: PLC0415 — as above
+    """Print what a table or a bag holds, and a first map."""
+    from rich.table import Table  # noqa: PLC0415 — as above
 
-    return _list_bag(path) if is_bag(path) else _list_table(path)
-
-
-def _list_table(path: Path) -> int:
-    from rich.console import Console  # noqa: PLC0415 — as above
-    from rich.table import Table  # noqa: PLC0415
-
+    from twinmatch.sessions.bags import is_bag, open_bag  # noqa: PLC0415
     from twinmatch.sessions.column_map import columns_of, proposed  # noqa: PLC0415
     from twinmatch.sessions.tables import read_table  # noqa: PLC0415
 
-    columns = columns_of(read_table(path))
-    shown = Table("column", "unit", "from", "to", "values", "empty", "looks like")
-    for column in columns:
-        ends = ("", "") if column.kind == "text" else (f"{column.low:.10g}", f"{column.high:.10g}")
-        shown.add_row(column.title, column.unit, *ends, str(column.different), str(column.empty), column.kind)
-    console = Console(highlight=False)
-    if not console.is_terminal:
-        console.width = 140
-    console.print(shown)
-    _propose(proposed(columns))
-    return 0
-
-
-def _list_bag(path: Path) -> int:
-    from rich.console import Console  # noqa: PLC0415 — as above
-    from rich.table import Table  # noqa: PLC0415
-
-    from twinmatch.sessions.bags import open_bag  # noqa: PLC0415
-    from twinmatch.sessions.column_map import proposed  # noqa: PLC0415
-
-    with open_bag(path) as bag:
-        topics, seconds, columns = bag.topics, bag.seconds, bag.columns
-    shown = Table("topic", "type", "messages", "per s", "numbers")
-    for topic in topics:
-        rate = f"{topic.messages / seconds:.3g}" if seconds else ""
-        numbers = ", ".join(topic.numbers[:8]) + (" …" if len(topic.numbers) > 8 else "")
-        shown.add_row(topic.name, topic.kind, str(topic.messages), rate, numbers)
-    console = Console(highlight=False)
-    if not console.is_terminal:
-        console.width = 140
-    console.print(shown)
-    _propose({name: source for name, source in proposed(columns).items() if name != "time"})
-    return 0
-
-
-def _propose(found: Mapping[str, Source]) -> None:
-    """Print a first map."""
+    if is_bag(path):
+        with open_bag(path) as bag:
+            topics, seconds, columns = bag.topics, bag.seconds, bag.columns
+        shown = Table("topic", "type", "messages", "per s", "numbers")
+        for topic in topics:
+            rate = f"{topic.messages / seconds:.3g}" if seconds else ""
+            numbers = ", ".join(topic.numbers[:8]) + (" …" if len(topic.numbers) > 8 else "")
+            shown.add_row(topic.name, topic.kind, str(topic.messages), rate, numbers)
+        found = {name: source for name, source in proposed(columns).items() if name != "time"}
+    else:
+        columns = columns_of(read_table(path))
+        shown = Table("column", "unit", "from", "to", "values", "empty", "looks like")
+        for c in columns:
+            ends = ("", "") if c.kind == "text" else (f"{c.low:.10g}", f"{c.high:.10g}")
+            shown.add_row(c.title, c.unit, *ends, str(c.different), str(c.empty), c.kind)
+        found = proposed(columns)
+    console_for(140).print(shown)
     if found:
         entries = [f"{signal}={source.text}" for signal, source in found.items()]
         print(f"A guess, please check: --map {shlex.join(entries)}")
     if "room" in found:
         print("room stands for a measured disturbance of your plant; use the names in your plant's file.")
+    return 0

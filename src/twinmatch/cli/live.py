@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import argparse
-import time
-from pathlib import Path
 
+from twinmatch.cli.shared import add_options, session_to_record
 from twinmatch.cli.virtual_rig import speed
 from twinmatch.launching.page import add_page_options, page_of
 from twinmatch.shipped import shipped
@@ -20,17 +19,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--plant", default="peltier", choices=sorted(CONFIGS), help="plant to run (default: peltier)"
     )
     parser.add_argument("--port", default="", help="serial port of the plant (default: that of --config)")
-    parser.add_argument(
-        "--config", type=Path, help="parameters of the rig's nodes (default: the plant's in config/)"
-    )
-    parser.add_argument("--twin-config", type=Path, metavar="FILE", help="parameters of the twin's nodes")
-    parser.add_argument(
-        "--candidates", type=Path, metavar="FILE", help="initial family of candidates (.yaml)"
-    )
-    parser.add_argument(
-        "--session", type=Path, metavar="FOLDER", help="record here (default: sessions/<time>)"
-    )
-    parser.add_argument("--no-record", action="store_true", help="record nothing")
+    add_options(parser, "--config", help="parameters of the rig's nodes (default: the plant's in config/)")
+    add_options(parser, "--twin-config", "--candidates", "--session", "--no-record")
     parser.add_argument("--virtual", action="store_true", help="a virtual rig instead of the real one")
     parser.add_argument(
         "--speed",
@@ -50,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run until Ctrl-C or the profile's end; returns the exit code: 3 if the rig's process was lost."""
-    from twinmatch.launching.live import Live, refuse_existing, run_live  # noqa: PLC0415 — needs ROS
+    from twinmatch.launching.live import Live, run_live  # noqa: PLC0415 — needs ROS
     from twinmatch.launching.plan import LivePlan, VirtualPlan  # noqa: PLC0415
 
     usage = options.parser
@@ -61,12 +51,11 @@ def run(options: argparse.Namespace) -> int:
     rig, twin = CONFIGS[options.plant]
     if options.twin_config is None and twin is not None:
         options.twin_config = shipped(f"config/{twin}")
-    session = options.session or Path("sessions") / time.strftime("%Y-%m-%d_%H-%M-%S")
-    refuse_existing(None if options.no_record else session)
+    session = session_to_record(options)
     virtual = VirtualPlan(options.speed, tuple(options.fault), options.board, options.seed, options.plant)
     plan = LivePlan(
         config=options.config or shipped(f"config/{rig}"),
-        session=None if options.no_record else session,
+        session=session,
         twin_config=options.twin_config,
         virtual=virtual if options.virtual else None,
         candidates=options.candidates,

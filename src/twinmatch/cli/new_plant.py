@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from twinmatch.cli.shared import add_options
 from twinmatch.errors import TwinmatchError
 
 if TYPE_CHECKING:
@@ -28,16 +29,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="CSV",
         help="recording (.csv or .mat) to take ranges, noise, sampling period and a first gain and lag from",
     )
-    parser.add_argument(
+    add_options(
+        parser,
         "--map",
-        nargs="+",
-        default=[],
-        metavar="SIGNAL=COLUMN",
         help="which column is which signal, as for twinmatch import; without it a guess is made",
     )
-    parser.add_argument(
-        "--period", type=float, metavar="S", help="sampling period, if the table has no times or finer ones"
-    )
+    add_options(parser, "--period", help="sampling period, if the table has no times or finer ones")
     parser.add_argument(
         "-o",
         "--output",

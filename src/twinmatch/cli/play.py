@@ -3,29 +3,26 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
+from twinmatch.cli.shared import Progress, add_options
 from twinmatch.launching.page import add_page_options, page_of
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("session", type=Path, help="session folder, .mcap file or recording (.mat, .csv)")
+    add_options(parser, "session")
     parser.add_argument(
         "--rate", type=float, default=50.0, help="times recorded speed (default: 50); 0: as fast as possible"
     )
-    parser.add_argument(
-        "--candidates", type=Path, metavar="FILE", help="initial family of candidates (.yaml)"
-    )
-    parser.add_argument("--config", type=Path, metavar="FILE", help="parameter file of the twin's nodes")
-    parser.add_argument("--plant", metavar="NAME|FILE.py", help="the plant, if the session does not name it")
+    add_options(parser, "--candidates")
+    add_options(parser, "--config", help="parameter file of the twin's nodes")
+    add_options(parser, "--plant", help="the plant, if the session does not name it")
     add_page_options(parser)
 
 
 def run(options: argparse.Namespace) -> int:
     """Play and show the verdicts as they come; returns the exit code: 130 if interrupted."""
     from twinmatch.launching.replay import Replay, play  # noqa: PLC0415 — needs ROS
-    from twinmatch.offline.command_line import Progress  # noqa: PLC0415 — keeps --help fast
     from twinmatch.sessions import open_any  # noqa: PLC0415 — as above
 
     if not 0.0 <= options.rate <= 1000.0:

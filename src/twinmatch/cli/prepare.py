@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import argparse
 
+from twinmatch.cli.shared import add_options
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument(
-        "--plant", metavar="NAME|FILE.py", help="only this plant (default: all that come with twinmatch)"
-    )
+    add_options(parser, "--plant", help="only this plant (default: all that come with twinmatch)")
 
 
 def run(options: argparse.Namespace) -> int:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
+
+from twinmatch.cli.shared import add_options
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("session", type=Path, help="session folder")
+    add_options(parser, "session", help="session folder")
 
 
 def run(options: argparse.Namespace) -> int:

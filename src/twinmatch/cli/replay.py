@@ -4,15 +4,24 @@ from __future__ import annotations
 
 import argparse
 import gc
-import json
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from twinmatch.cli.shared import (
+    EXIT_PARTLY,
+    TERMS,
+    Progress,
+    add_options,
+    check_writable,
+    console_for,
+    positive,
+    write_json,
+)
 from twinmatch.errors import EXIT_USER_ERROR, TwinmatchError
-from twinmatch.offline.command_line import Progress, add_terms, check_writable, held_interrupts
+from twinmatch.offline.interrupts import held_interrupts
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -20,38 +29,20 @@ if TYPE_CHECKING:
     from twinmatch.offline.archive import Archive, Failure
     from twinmatch.sessions import Session
     from twinmatch.showing.lines import Lines
-    from twinmatch.showing.quantities import ParameterFormat
     from twinmatch.showing.terminal import Screen
     from twinmatch.twin import Outcome
-
-EXIT_PARTLY = 3
-"""Some sessions were judged and some skipped."""
-
-WIDTH = 180
-"""Width of the table when the output is not a terminal."""
-
-BEFORE = ("session", "at", "candidate")
-BEHIND = ("order", "gain", "Σ ν-gap", "ν-gap now", "fit y", "fit u")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument(
-        "sessions",
-        type=Path,
-        nargs="+",
-        metavar="SESSION",
-        help="session folder, .mcap file, recording (.mat, .csv), folder of any of these, or pattern",
-    )
-    parser.add_argument("--json", type=Path, metavar="OUT", help="write every verdict to this file")
-    parser.add_argument("--figure", type=Path, metavar="OUT", help="draw the verdict (.png, .svg or .pdf)")
-    add_terms(parser)
+    add_options(parser, "sessions", "--json", "--figure", *TERMS)
     group = parser.add_argument_group(
         "many sessions",
         "Several sessions, a folder of them or a pattern are judged in parallel, and one table shows all "
         "candidates. Exit code 0: all judged; 3: some skipped; 2: none judged.",
     )
-    group.add_argument("--jobs", type=_count, metavar="N", help="processes (default: one per core)")
+    count = positive(int, "a number of processes; give 1 or more")
+    group.add_argument("--jobs", type=count, metavar="N", help="processes (default: one per core)")
     group.add_argument(
         "--out", type=Path, metavar="DIR", help="write a JSON file per session; judge only new sessions"
     )
@@ -89,9 +80,7 @@ def _replay_one(path: Path, options: argparse.Namespace) -> None:
     verdicts = judgement.verdicts
     for line in closing_lines(judgement.summary, verdicts[-1] if verdicts else None):
         shown.say(line)
-    if options.json is not None:
-        entry = document(judgement.name, verdicts, judgement.summary, judgement.matches)
-        options.json.write_text(json.dumps(entry, indent=1, allow_nan=False, ensure_ascii=False) + "\n")
+    write_json(options.json, lambda: document(judgement.name, verdicts, judgement.summary, judgement.matches))
     if options.figure is not None:
         from twinmatch.showing.figures.session import draw_verdict  # noqa: PLC0415 — matplotlib is slow
 
@@ -106,7 +95,13 @@ class _Display:
 
         self._total = len(session.samples)
         self._screen = redraws(sys.stdout)
-        self._view: Screen | Lines = _screen(session) if self._screen else Lines(session.period)
+        self._view: Screen | Lines = Lines(session.period)
+        if self._screen:
+            from rich.console import Console  # noqa: PLC0415 — only a terminal needs it
+
+            from twinmatch.showing.terminal import Screen  # noqa: PLC0415
+
+            self._view = Screen(Console(highlight=False), session.name, session.period, self._total)
         self._bar = Progress()
 
     def __enter__(self) -> _Display:
@@ -130,14 +125,6 @@ class _Display:
         self._view.advance(done)
         if done % 50 == 0:
             self._bar.advance(done, self._total)
-
-
-def _screen(session: Session) -> Screen:
-    from rich.console import Console  # noqa: PLC0415 — only a terminal needs it
-
-    from twinmatch.showing.terminal import Screen  # noqa: PLC0415
-
-    return Screen(Console(highlight=False), session.name, session.period, len(session.samples))
 
 
 def _replay_many(options: argparse.Namespace) -> int:
@@ -164,9 +151,7 @@ def _replay_many(options: argparse.Namespace) -> int:
             on_skip=_report_skipped,
         )
     _print(archive)
-    if options.json is not None:
-        text = json.dumps(archive.document(), indent=1, allow_nan=False, ensure_ascii=False)
-        options.json.write_text(text + "\n", encoding="utf-8")
+    write_json(options.json, archive.document)
     if not archive.failed:
         return 0
     return EXIT_PARTLY if archive.sessions else EXIT_USER_ERROR
@@ -178,13 +163,8 @@ def _report_skipped(failure: Failure) -> None:
 
 
 def _print(archive: Archive) -> None:
-    from rich.console import Console  # noqa: PLC0415 — needed only to print
-
-    console = Console(highlight=False)
-    if not console.is_terminal:
-        console.width = WIDTH
     if archive.candidates:
-        console.print(_table(archive))
+        console_for(180).print(_table(archive))
     without = [s["session"] for s in archive.sessions if s["summary"]["nominal"] is None]
     if without:
         print(f"No nominal twin: {', '.join(without)}")
@@ -194,65 +174,41 @@ def _print(archive: Archive) -> None:
 
 
 def _table(archive: Archive) -> Table:
-    """All candidates, session by session; the nominal ones are bold."""
+    """All candidates, session by session; the nominal ones are bold.
+
+    The columns include the free parameters of the first candidate's structure.
+    """
     from rich.table import Table  # noqa: PLC0415 — needed only to print
 
-    shown = Table(title="Candidates over all sessions (* nominal)", box=None, pad_edge=False)
-    matched = _matched(archive)
-    for number, column in enumerate(_columns(matched)):
-        text = column in ("session", "candidate")
-        shown.add_column(column, justify="left" if text else "right", no_wrap=number > 0, overflow="fold")
-    before = ""
-    for row in archive.candidates:
-        first, *others = _cells(row, matched)
-        shown.add_row("" if first == before else first, *others, style="bold" if row["nominal"] else "")
-        before = first
-    return shown
-
-
-def _columns(matched: Sequence[ParameterFormat]) -> tuple[str, ...]:
-    """Names of the columns, with the free parameters of the first candidate's structure."""
-    return (*BEFORE, *(q.label for q in matched), *BEHIND)
-
-
-def _cells(row: dict[str, Any], matched: Sequence[ParameterFormat]) -> tuple[str, ...]:
-    """One row as text, a cell per column."""
-    fit = row["fit"]
-    return (
-        row["session"],
-        f"{row['operating_point']:g}",
-        f"{row['name']}{' *' if row['nominal'] else ''}",
-        *(q.text(row["parameters"].get(q.name, math.nan)) for q in matched),
-        row["chosen_order"],
-        _number(row["criteria"]["gain"], ".0f"),
-        _number(row["nu_gap_sum"], ".3f"),
-        _number(row["nu_gap_to_plant"], ".3f"),
-        _number(fit["y"], ".1%"),
-        _number(fit["u"], ".1%"),
-    )
-
-
-def _matched(archive: Archive) -> list[ParameterFormat]:
-    if not archive.candidates:
-        return []
-    from twinmatch.plants import plant_named  # noqa: PLC0415 — as `rich`
+    from twinmatch.plants import plant_named  # noqa: PLC0415
     from twinmatch.showing.quantities import parameter_format  # noqa: PLC0415
 
     first = archive.candidates[0]
     plant = plant_named(first["plant"])
-    return [parameter_format(plant, name) for name in plant.structures[first["structure"]].free]
+    matched = [parameter_format(plant, name) for name in plant.structures[first["structure"]].free]
+    columns: list[tuple[str, Callable[[dict[str, Any]], str]]] = [
+        ("session", lambda row: row["session"]),
+        ("at", lambda row: f"{row['operating_point']:g}"),
+        ("candidate", lambda row: f"{row['name']}{' *' if row['nominal'] else ''}"),
+        *((q.label, lambda row, q=q: q.text(row["parameters"].get(q.name, math.nan))) for q in matched),
+        ("order", lambda row: row["chosen_order"]),
+        ("gain", lambda row: _number(row["criteria"]["gain"], ".0f")),
+        ("Σ ν-gap", lambda row: _number(row["nu_gap_sum"], ".3f")),
+        ("ν-gap now", lambda row: _number(row["nu_gap_to_plant"], ".3f")),
+        ("fit y", lambda row: _number(row["fit"]["y"], ".1%")),
+        ("fit u", lambda row: _number(row["fit"]["u"], ".1%")),
+    ]
+    shown = Table(title="Candidates over all sessions (* nominal)", box=None, pad_edge=False)
+    for name, _ in columns:
+        side: Any = "left" if name in {"session", "candidate"} else "right"
+        shown.add_column(name, justify=side, no_wrap=name != "session", overflow="fold")
+    before = ""
+    for row in archive.candidates:
+        session, *others = (text(row) for _, text in columns)
+        shown.add_row("" if session == before else session, *others, style="bold" if row["nominal"] else "")
+        before = session
+    return shown
 
 
 def _number(value: float | None, form: str) -> str:
     return "–" if value is None or not math.isfinite(value) else format(value, form)
-
-
-def _count(text: str) -> int:
-    try:
-        count = int(text)
-    except ValueError:
-        count = 0
-    if count < 1:
-        msg = f"{text!r} is not a number of processes; give 1 or more"
-        raise argparse.ArgumentTypeError(msg)
-    return count

@@ -8,7 +8,8 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from twinmatch.offline.command_line import Progress, add_terms, check_writable, held_interrupts
+from twinmatch.cli.shared import TERMS, Progress, add_options, check_writable
+from twinmatch.offline.interrupts import held_interrupts
 
 if TYPE_CHECKING:
     from twinmatch.showing.report.report import SessionReport
@@ -17,14 +18,14 @@ FORMATS = ("png", "pdf")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of the command."""
-    parser.add_argument("session", type=Path, help="session folder, .mcap file, or a recording (.mat, .csv)")
+    """Declare the options."""
+    add_options(parser, "session")
     parser.add_argument(
         "-o", "--output", type=Path, metavar="OUT", help="the file to write (default: SESSION.html, here)"
     )
     parser.add_argument("--figures", type=Path, metavar="DIR", help="also write the figures into this folder")
     parser.add_argument("--format", choices=FORMATS, default="png", help="their format (default: png)")
-    add_terms(parser)
+    add_options(parser, *TERMS)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -3,25 +3,19 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
-from twinmatch.offline.command_line import Progress, add_fmus, add_plant
+from twinmatch.cli.shared import Progress, add_options
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("session", type=Path, help="session folder or .mcap file")
+    add_options(parser, "session", help="session folder or .mcap file")
     parser.add_argument(
         "--topic", metavar="TOPIC", help="topic of the samples, if the session has several rigs"
     )
-    add_plant(parser)
-    add_fmus(parser)
-    parser.add_argument(
-        "--config", type=Path, metavar="FILE", help="parameters (.yaml) instead of the recorded ones"
-    )
-    parser.add_argument(
-        "--candidates", type=Path, metavar="FILE", help="candidates (.yaml) instead of the recorded ones"
-    )
+    add_options(parser, "--plant", "--allow-fmu")
+    add_options(parser, "--config", help="parameters (.yaml) instead of the recorded ones")
+    add_options(parser, "--candidates", help="candidates (.yaml) instead of the recorded ones")
 
 
 def run(options: argparse.Namespace) -> int:

@@ -13,7 +13,7 @@ import numpy as np
 from twinmatch.dynamics import Drive, Output
 from twinmatch.errors import TwinmatchError
 from twinmatch.forecasting import Forecast, ForecastError, Outlook, SetPoints, horizons_for, time_scale
-from twinmatch.offline.command_line import held_interrupts
+from twinmatch.offline.interrupts import held_interrupts
 from twinmatch.offline.judging import EVERY, Terms, Watch
 from twinmatch.sessions import Session
 from twinmatch.sessions.files import read_bounded

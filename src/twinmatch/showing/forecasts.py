@@ -1,9 +1,10 @@
-"""Forecasts in words, also beside what was measured, and as dictionaries for JSON."""
+"""Forecasts and backtests in words, tables and as dictionaries for JSON."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -18,11 +19,17 @@ from twinmatch.forecasting import (
     settling_time,
     time_to_reach,
 )
-from twinmatch.showing.quantities import number, signal_names
+from twinmatch.offline.backtest.result import LEADER, TWINS, Backtest
+from twinmatch.offline.backtest.scoring import Card
+from twinmatch.showing.quantities import number, signal_names, with_unit
 from twinmatch.showing.series import Fan, root_mean_square
 from twinmatch.signals import FloatArray
 
-__all__ = ["asked", "comparison_words", "forecast_document", "forecast_words", "levels_words"]
+if TYPE_CHECKING:
+    from rich.table import Table
+
+__all__ = ["asked", "backtest_tables", "backtest_words", "card_columns", "comparison_words"]
+__all__ += ["forecast_document", "forecast_words", "levels_words"]
 
 _MOST_LEVELS: Final = 4
 """With more set-points in a row, only the last is described."""
@@ -172,3 +179,88 @@ def _range(moment: Moment) -> str:
 
 def _with(text: str, unit: str) -> str:
     return f"{text} {unit}".rstrip()
+
+
+def card_columns(plant: type[Plant], *, driven: bool = False) -> list[tuple[str, Callable[[Card], str]]]:
+    """Name and text of one forecaster's figures, those of inputs left out if they were given (`driven`).
+
+    Ends and widths are in the plant's units, the others in units of its noise.
+    """
+    w, y, u = signal_names(plant), plant.output, plant.drive
+    if w.output_unit == w.input_unit:
+        called = (f" {w.output}", f" {w.input}")
+        in_unit = tuple(with_unit(name, w.output_unit) for name in called)
+    else:
+        called = (f" {w.output_unit or w.output}", f" {w.input_unit or w.input}")
+        in_unit = tuple(f" /{unit}" for unit in called)
+    columns: list[tuple[str, Callable[[Card], str]]] = [
+        ("who", lambda c: c.who),
+        ("error", lambda c: number(c.median)),
+        ("9 in 10", lambda c: number(c.nine_in_ten)),
+        ("× best", lambda c: number(c.ratio)),
+        (f"end{in_unit[0]}", lambda c: number(c.end_output * y.noise, y.decimals + 1)),
+        (f"end{in_unit[1]}", lambda c: number(c.end_input * u.noise, u.decimals + 1)),
+        (f"held{called[0]}", lambda c: f"{number(100 * c.coverage_output, 0)} %"),
+        (f"held{called[1]}", lambda c: f"{number(100 * c.coverage_input, 0)} %"),
+        (f"width{in_unit[0]}", lambda c: number(c.width_output * y.noise, y.decimals + 1)),
+        (f"width{in_unit[1]}", lambda c: number(c.width_input * u.noise, u.decimals + 1)),
+        ("score", lambda c: number(c.score, 1)),
+    ]
+    return [column for k, column in enumerate(columns) if not (driven and k in _OF_INPUT)]
+
+
+_OF_INPUT: Final = (5, 7, 9)
+"""Columns of figures of the input."""
+
+
+def backtest_tables(backtest: Backtest) -> list[Table]:
+    """One table for each horizon with scored forecasts."""
+    from rich.table import Table  # noqa: PLC0415 — needed only for printing
+
+    found = []
+    columns = card_columns(backtest.plant, driven=backtest.driven)
+    for horizon, held in backtest.at_horizons.items():
+        title = f"{backtest.name}: {horizon:g} s ahead, {held[0].count} forecasts"
+        table = Table(title=title, title_justify="left", box=None, pad_edge=False)
+        for k, (name, _) in enumerate(columns):
+            table.add_column(name, justify="right" if k else "left", no_wrap=True)
+        for card in held:
+            style = "bold" if card.who == LEADER else "" if card.who in TWINS else "dim"
+            table.add_row(*(text(card) for _, text in columns), style=style)
+        found.append(table)
+    return found
+
+
+def backtest_words(backtest: Backtest) -> list[str]:
+    """Sentences on the leader's results, one for each horizon."""
+    w, noise = signal_names(backtest.plant), backtest.plant.output.noise
+    found = []
+    for horizon, cards in backtest.at_horizons.items():
+        held = {card.who: card for card in cards}
+        if LEADER not in held:
+            continue
+        own = held[LEADER]
+        text = (
+            f"{horizon:g} s ahead, the leader's {w.output} was off by less than "
+            f"{number(own.end_output * noise, backtest.plant.output.decimals + 1)} {w.output_unit}".rstrip()
+            + f" half of the time, and its band held {100 * own.coverage_output:.0f} % of the readings"
+            f" ({100 * backtest.confidence:.0f} % expected)"
+        )
+        peers = [card for who, card in held.items() if who not in TWINS]
+        if peers:
+            best = min(peers, key=lambda card: card.median)
+            text += f"; {best.who}, the best of the peers, {_compared(best.median, own.median)}"
+        found.append(f"{text}.")
+    return found
+
+
+def _compared(theirs: float, ours: float) -> str:
+    """Compare a peer's error with ours."""
+    if not ours or not theirs:
+        return "cannot be compared with it"
+    ratio = theirs / ours
+    if ratio >= 1.05:
+        return f"had {number(ratio, 1)} times the error"
+    if ratio <= 0.95:
+        return f"had a smaller error, {number(ratio, 2)} times as large"
+    return "had the same error"

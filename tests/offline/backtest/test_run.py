@@ -19,8 +19,9 @@ from twinmatch.offline.backtest.run import Listener, backtest, backtest_session,
 from twinmatch.offline.backtest.scoring import HINDSIGHT, Card, Marked
 from twinmatch.offline.judging import judge_samples, terms_from_files
 from twinmatch.sessions import open_any, samples_of, write_session
-from twinmatch.showing.backtests import columns, draw_backtest
 from twinmatch.showing.figures.drawing import save
+from twinmatch.showing.figures.forecasts import draw_backtest
+from twinmatch.showing.forecasts import card_columns
 from twinmatch.signals import Window
 from twinmatch.twin import TwinSettings
 
@@ -131,7 +132,7 @@ def test_another_plant_is_tested_as_the_rig_is(tmp_path: Path) -> None:
     assert 0.5 < leader.median < 2.0
     assert leader.ratio < 1.2
     assert leader.median < card(tested, "persistence", 5.0).median
-    assert "end / rad/s" in columns(tested.plant)
+    assert "end / rad/s" in dict(card_columns(tested.plant))
     save(draw_backtest(tested), tmp_path / "motor.png")
 
 

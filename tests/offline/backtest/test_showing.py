@@ -16,8 +16,9 @@ from twinmatch.offline.backtest.peers import Absent, peers
 from twinmatch.offline.backtest.result import LEADER, Backtest, document, over_all
 from twinmatch.offline.backtest.scoring import HINDSIGHT, Marked, Marks, SignalMarks
 from twinmatch.plants import Peltier
-from twinmatch.showing.backtests import cells, columns, draw_backtest, sentences, tables
 from twinmatch.showing.figures.drawing import save
+from twinmatch.showing.figures.forecasts import draw_backtest
+from twinmatch.showing.forecasts import backtest_tables, backtest_words, card_columns
 
 HORIZONS = (10.0, 60.0)
 
@@ -53,7 +54,7 @@ def one(who: str, error: float, horizon: float = 60.0) -> Marked:
 
 
 def test_the_table_has_everybody_at_every_horizon(tested: Backtest) -> None:
-    found = tables(tested)
+    found = backtest_tables(tested)
     assert [table.title for table in found] == [
         "loop: 10 s ahead, 9 forecasts",
         "loop: 60 s ahead, 9 forecasts",
@@ -64,13 +65,12 @@ def test_the_table_has_everybody_at_every_horizon(tested: Backtest) -> None:
     text = console.export_text()
     assert text.count("persistence") == text.count("ARX") == 2
     for card in tested.cards:
-        assert all(cell in text for cell in cells(card, Peltier))
-    assert all(name in text for name in columns(Peltier))
+        assert all(name in text and cell(card) in text for name, cell in card_columns(Peltier))
 
 
 def test_cells_are_in_the_units_of_the_plant() -> None:
     (card,) = Backtest("a", Peltier, 1.0, (60.0,), 0.9, (one("ARX", 2.0),)).cards
-    said = dict(zip(columns(Peltier), cells(card, Peltier), strict=True))
+    said = {name: text(card) for name, text in card_columns(Peltier)}
     assert said["error"] == "2.00"
     assert (said["end / °C"], said["end / PWM"]) == ("0.20", "14.0")
     assert (said["width / °C"], said["width / PWM"]) == ("0.40", "28.0")
@@ -80,12 +80,12 @@ def test_cells_are_in_the_units_of_the_plant() -> None:
 
 def test_the_sentence_says_how_the_leader_did() -> None:
     marked = (one(LEADER, 2.0), one("ARX", 5.0), one("persistence", 9.0))
-    assert sentences(Backtest("a", Peltier, 1.0, (10.0, 60.0), 0.9, marked)) == [
+    assert backtest_words(Backtest("a", Peltier, 1.0, (10.0, 60.0), 0.9, marked)) == [
         "60 s ahead, the leader's temperature was off by less than 0.20 °C half of the time, and its band "
         "held 93 % of the readings (90 % expected); ARX, the best of the peers, had 2.5 times the error."
     ]
     worse = Backtest("a", Peltier, 1.0, (60.0,), 0.9, (one(LEADER, 2.0), one("ARX", 1.0)))
-    assert "had a smaller error, 0.50 times as large." in sentences(worse)[0]
+    assert "had a smaller error, 0.50 times as large." in backtest_words(worse)[0]
 
 
 def test_json_holds_cards_and_every_forecast(tested: Backtest) -> None:

@@ -8,9 +8,8 @@ from typing import Any
 
 import pytest
 
-from twinmatch.showing.foxglove import FoxgloveError
 from twinmatch.showing.foxglove.server import BACKLOG, GraphServer
-from twinmatch.showing.serving import is_loopback
+from twinmatch.showing.serving import ServingError, is_loopback
 
 TEXT = "float64 data\n"
 
@@ -110,12 +109,12 @@ def test_a_port_that_is_taken_is_one_clear_line(server: GraphServer) -> None:
     line = (
         rf"^foxglove: 127\.0\.0\.1:{port} cannot be used: Address already in use; choose another with --port"
     )
-    with pytest.raises(FoxgloveError, match=line):
+    with pytest.raises(ServingError, match=line):
         GraphServer("rig", "127.0.0.1", port)
 
 
 def test_an_address_of_another_machine_is_one_clear_line() -> None:
-    with pytest.raises(FoxgloveError, match=r"203\.0\.113\.7:8765 cannot be used: Cannot assign"):
+    with pytest.raises(ServingError, match=r"203\.0\.113\.7:8765 cannot be used: Cannot assign"):
         GraphServer("rig", "203.0.113.7", 8765)
 
 

@@ -15,7 +15,7 @@ pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; r
 pytest.importorskip("bokeh", reason="bokeh is not installed; it is in the extra 'dashboard'")
 
 from twinmatch.cli.dashboard import add_arguments, run
-from twinmatch.showing.page import DashboardError
+from twinmatch.showing.serving import ServingError
 
 pytestmark = pytest.mark.ros
 
@@ -56,5 +56,5 @@ def test_what_is_not_installed_is_named_with_its_remedy(monkeypatch: pytest.Monk
     parser = argparse.ArgumentParser()
     add_arguments(parser)
     monkeypatch.setitem(sys.modules, name, None)  # as if it were not there
-    with pytest.raises(DashboardError, match=rf"{name} is not installed; pip install 'twinmatch\["):
+    with pytest.raises(ServingError, match=rf"{name} is not installed; pip install 'twinmatch\["):
         run(parser.parse_args([]))

@@ -16,9 +16,8 @@ from bokeh.models import Div
 from tornado.httpclient import HTTPClientError, HTTPRequest
 from tornado.websocket import websocket_connect
 
-from twinmatch.showing.page import DashboardError
 from twinmatch.showing.page.server import PageServer
-from twinmatch.showing.serving import is_loopback
+from twinmatch.showing.serving import ServingError, is_loopback
 
 
 def fill(document: Document) -> None:
@@ -73,14 +72,12 @@ def test_pages_of_other_sites_may_not_speak_to_it(server: PageServer, origin: st
 
 def test_a_port_that_is_taken_is_one_clear_line(server: PageServer) -> None:
     port = int(server.url.rsplit(":", 1)[1].strip("/"))
-    with pytest.raises(
-        DashboardError, match=f"127.0.0.1:{port} cannot be used: .*choose another with --port"
-    ):
+    with pytest.raises(ServingError, match=f"127.0.0.1:{port} cannot be used: .*choose another with --port"):
         PageServer("127.0.0.1", port, fill)
 
 
 def test_an_address_of_another_machine_is_one_clear_line() -> None:
-    with pytest.raises(DashboardError, match=r"203\.0\.113\.7:5006 cannot be used"):
+    with pytest.raises(ServingError, match=r"203\.0\.113\.7:5006 cannot be used"):
         PageServer("203.0.113.7", 5006, fill)
 
 

@@ -19,7 +19,7 @@ from twinmatch.offline.backtest.result import LEADER, TWINS
 from twinmatch.plants import Peltier
 from twinmatch.sessions import SessionWriter, samples_of, write_session
 from twinmatch.sessions.messages import SAMPLE, encode_sample
-from twinmatch.showing.backtests import cells, sentences
+from twinmatch.showing.forecasts import backtest_words, card_columns
 from twinmatch.showing.quantities import number
 from twinmatch.showing.report.pictures import write_pictures
 from twinmatch.showing.report.provenance import settings_of
@@ -127,11 +127,13 @@ def test_forecasts_stand_beside_the_measurements_and_the_peers(page: Element, sh
     for horizon in tested.horizons:
         held = [card for card in tested.cards if card.horizon == horizon]
         rows = grid(tables[f"{horizon:g} s ahead, {held[0].count} forecasts"])
-        assert [[cell.text for cell in row] for row in rows] == [list(cells(c, Peltier)) for c in held]
+        assert [[cell.text for cell in row] for row in rows] == [
+            [text(c) for _, text in card_columns(Peltier)] for c in held
+        ]
         best = [row[0].text for row in rows if "best" in row[1].classes]
         asked = [c for c in held if c.who == LEADER or c.who not in TWINS]
         assert best == [c.who for c in asked if c.median == min(a.median for a in asked)]
-    for line in sentences(tested):
+    for line in backtest_words(tested):
         assert line in page.text
 
 

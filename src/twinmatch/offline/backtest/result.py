@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 from typing import Any, Final
 
 from twinmatch.dynamics import Plant
@@ -47,10 +48,16 @@ class Backtest:
     notes: tuple[str, ...] = ()
     """Sentences on what was left out and why."""
 
-    @property
+    @cached_property
     def cards(self) -> list[Card]:
         """The report cards."""
         return cards(self.marked)
+
+    @property
+    def at_horizons(self) -> dict[float, list[Card]]:
+        """The cards of each horizon with scored forecasts, from near to far."""
+        found = {h: [card for card in self.cards if card.horizon == h] for h in self.horizons}
+        return {horizon: held for horizon, held in found.items() if held}
 
     @property
     def driven(self) -> bool:

@@ -16,7 +16,7 @@ from twinmatch.offline.backtest.peer import BacktestError, Peer
 from twinmatch.offline.backtest.peers import PEERS, peers
 from twinmatch.offline.backtest.result import CONSTANT, LEADER, NEWEST, NOMINAL, Backtest
 from twinmatch.offline.backtest.scoring import Marked, best_in_hindsight, common, samples_within
-from twinmatch.offline.command_line import held_interrupts
+from twinmatch.offline.interrupts import held_interrupts
 from twinmatch.offline.judging import Judgement, Terms, Watch, judge, terms_from_files
 from twinmatch.sessions import Session, open_any
 from twinmatch.sessions.files import ProgressCallback, part_of

@@ -131,11 +131,13 @@ def draw_set_point(axes: Axes, time: FloatArray, reference: FloatArray, width: f
     axes.plot(time, reference, color=SET_POINT, lw=width, ls="--", drawstyle="steps-post", label=name)
 
 
-def draw_outputs(axes: Axes, window: Window, *, closed: bool, named: bool = True, **line: Any) -> None:
-    """The measured output of the plant and, if `closed`, its set-point."""
+def draw_outputs(
+    axes: Axes, window: Window, *, closed: bool, named: bool = True, plant: str = "plant", **line: Any
+) -> None:
+    """The measured output of the plant, called so in the legend, and, if `closed`, its set-point."""
     if closed:
         draw_set_point(axes, window.time, window.reference, 1, named=named)
-    axes.plot(window.time, window.output, color=PLANT, label="plant" if named else "_", **line)
+    axes.plot(window.time, window.output, color=PLANT, label=plant if named else "_", **line)
 
 
 def draw_inputs(axes: Axes, window: Window, width: float, *, named: bool = False) -> None:

@@ -1,26 +1,36 @@
-"""Forecasts with their bands, compared with the measurements."""
+"""Forecasts with their bands, compared with the measurements, and the scores of many."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from textwrap import wrap
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from twinmatch.dynamics import Plant
-from twinmatch.forecasting import CONFIDENCE
-from twinmatch.showing.figures.drawing import draw_set_point, empty, new_figure, styled
+from twinmatch.forecasting import CONFIDENCE, Band, Forecast
+from twinmatch.offline.backtest.result import CONSTANT, LEADER, NEWEST, NOMINAL, Backtest
+from twinmatch.offline.backtest.scoring import HINDSIGHT, Card
+from twinmatch.showing.figures.drawing import (
+    draw_inputs,
+    draw_outputs,
+    draw_set_point,
+    empty,
+    new_figure,
+    styled,
+)
 from twinmatch.showing.quantities import signal_names, with_unit
 from twinmatch.showing.series import Fan
-from twinmatch.showing.style import CLOSED, PLANT, SET_POINT
+from twinmatch.showing.style import CLOSED, DRIVEN, MODEL, PLANT, SET_POINT
+from twinmatch.signals import FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["draw_forecasts"]
+__all__ = ["draw_backtest", "draw_forecasts"]
 
 _COLUMNS = 3
 """Most panels side by side."""
@@ -82,7 +92,7 @@ def _draw(output: Axes, control: Axes, fan: Fan) -> None:
         (output, forecast.output, past.output, None if measured is None else measured.output),
         (control, forecast.input, past.input, None if measured is None else measured.input),
     ):
-        axes.fill_between(forecast.time, band.low, band.high, color=CLOSED, alpha=0.25, lw=0, label=_BAND)
+        _fill(axes, forecast.time, band, label=_BAND)
         axes.plot(known, before, color=PLANT, lw=1.1, label="measured before")
         if after is not None:
             time, dotted = forecast.time[: after.size], (0, (1, 1))
@@ -94,10 +104,154 @@ def _draw(output: Axes, control: Axes, fan: Fan) -> None:
     output.set_title(f"sample {forecast.sample}:\n{name}", size=9)
 
 
+def _fill(axes: Axes, time: FloatArray, band: Band, around: float | FloatArray = 0.0, **line: Any) -> None:
+    """The band, or what it reaches to either side of some values."""
+    axes.fill_between(time, band.low - around, band.high - around, color=CLOSED, alpha=0.25, lw=0, **line)
+
+
 def _draw_error(axes: Axes, fan: Fan) -> None:
     """Measured output minus forecast, within the band."""
     band, time = fan.forecast.output, fan.forecast.time
-    axes.fill_between(time, band.low - band.mean, band.high - band.mean, color=CLOSED, alpha=0.25, lw=0)
+    _fill(axes, time, band, around=band.mean)
     axes.plot(time[: fan.judged], fan.error, color=PLANT, lw=0.9)
     axes.axhline(0, color=CLOSED, lw=1.0)
     axes.axvline(0, color=SET_POINT, lw=0.8)
+
+
+_LOOKS: Final = {
+    LEADER: (CLOSED, "o"),
+    NOMINAL: (DRIVEN, "s"),
+    NEWEST: ("#009E73", "^"),
+    CONSTANT: (DRIVEN, "d"),
+    HINDSIGHT: (MODEL, "*"),
+}
+_PEERS: Final = ((SET_POINT, "v"), ("#56B4E9", "D"), ("#E69F00", "P"))
+"""Colours and markers of the peers, in order."""
+
+
+@styled
+def draw_backtest(backtest: Backtest) -> Figure:
+    """Errors and coverage of all forecasters by horizon; forecasts of the leader with their bands."""
+    figure = new_figure(11, 9.5)
+    grid = figure.add_gridspec(4, 2, height_ratios=(2.4, 1.8, 1.2, 1.2))
+    found = backtest.cards
+    errors, held = (figure.add_subplot(grid[0, k]) for k in range(2))
+    if found:
+        looks = _looks(found)
+        _draw_errors(errors, found, backtest.horizons, looks)
+        _draw_coverage(held, backtest, found, looks)
+        figure.legend(*errors.get_legend_handles_labels(), loc="outside upper center", ncols=len(looks))
+    else:
+        empty(errors, "no forecast could be judged")
+        held.set_axis_off()
+    output = figure.add_subplot(grid[1, :])
+    left = figure.add_subplot(grid[2, :], sharex=output)
+    entry = figure.add_subplot(grid[3, :], sharex=output)
+    _draw_came(output, entry, backtest)
+    for k, forecast in enumerate(backtest.shown):
+        _draw_forecast((output, left, entry), forecast, backtest, first=k == 0)
+    _dress((output, left, entry), backtest)
+    figure.align_ylabels((output, left, entry))
+    return figure
+
+
+def _looks(found: Sequence[Card]) -> dict[str, tuple[str, str]]:
+    names = list(dict.fromkeys(card.who for card in found))
+    others = [name for name in names if name not in _LOOKS]
+    return {
+        name: _LOOKS[name] if name in _LOOKS else _PEERS[others.index(name) % len(_PEERS)] for name in names
+    }
+
+
+def _places(count: int) -> Sequence[float]:
+    """Horizontal offsets of the forecasters around a horizon."""
+    return [(k - (count - 1) / 2) * 0.8 / count for k in range(count)]
+
+
+def _draw_errors(
+    axes: Axes, found: Sequence[Card], horizons: Sequence[float], looks: dict[str, tuple[str, str]]
+) -> None:
+    """Median, and a line up to the value below which nine in ten are."""
+    from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter  # noqa: PLC0415 — slow
+
+    for (who, (colour, marker)), shift in zip(looks.items(), _places(len(looks)), strict=True):
+        own = [(horizons.index(c.horizon) + shift, c) for c in found if c.who == who]
+        places, medians = [place for place, _ in own], [c.median for _, c in own]
+        axes.vlines(places, medians, [c.nine_in_ten for _, c in own], color=colour, lw=1.2)
+        axes.plot(places, medians, marker, color=colour, ms=6, label=who)
+    axes.set_yscale("log")
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.yaxis.set_minor_locator(NullLocator())
+    axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axes.set_ylabel("error / noise")
+    axes.set_title("Error over the path: median, and line up to nine in ten")
+    _name_horizons(axes, horizons)
+
+
+def _draw_coverage(
+    axes: Axes, backtest: Backtest, found: Sequence[Card], looks: dict[str, tuple[str, str]]
+) -> None:
+    """Share of the samples in the band: output filled, input hollow."""
+    for (who, (colour, marker)), shift in zip(looks.items(), _places(len(looks)), strict=True):
+        own = [(backtest.horizons.index(c.horizon) + shift, c) for c in found if c.who == who]
+        places = [place for place, _ in own]
+        axes.plot(places, [100 * c.coverage_output for _, c in own], marker, color=colour, ms=6)
+        axes.plot(places, [100 * c.coverage_input for _, c in own], marker, color=colour, ms=6, mfc="white")
+    axes.axhline(100 * backtest.confidence, color=MODEL, lw=1, ls="--")
+    words = signal_names(backtest.plant)
+    of_both = f"Coverage of the band: {words.output} filled, {words.input} hollow"
+    axes.set_title(f"Coverage of the band: {words.output}" if backtest.driven else of_both)
+    axes.set_ylim(min(50.0, axes.get_ylim()[0]), 102.0)
+    axes.set_ylabel("samples within the band / %")
+    _name_horizons(axes, backtest.horizons)
+
+
+def _name_horizons(axes: Axes, horizons: Sequence[float]) -> None:
+    axes.set_xticks(range(len(horizons)), [f"{h:g} s ahead" for h in horizons])
+    axes.grid(visible=False, axis="x")
+
+
+def _draw_came(output: Axes, entry: Axes, backtest: Backtest) -> None:
+    """Draw the samples of the session."""
+    for k, window in enumerate(backtest.came):
+        draw_outputs(output, window, closed=not backtest.driven, named=not k, plant="measured", lw=1)
+        draw_inputs(entry, window, 0.8)
+
+
+def _draw_forecast(
+    axes: tuple[Axes, Axes, Axes], forecast: Forecast, backtest: Backtest, *, first: bool
+) -> None:
+    """Draw a forecast of the leader, mean and band, and the output's error within the band."""
+    output, left, entry = axes
+    hidden = "" if first else "_"
+    time = forecast.sample * backtest.period + forecast.time
+    shown = ((output, forecast.output), (entry, forecast.input))
+    for each, band in shown if forecast.closed else shown[:1]:
+        _fill(each, time, band, label=f"{hidden}band")
+        each.plot(time, band.mean, color=CLOSED, lw=0.9, label=f"{hidden}leader's forecast")
+    band = forecast.output
+    _fill(left, time, band, around=band.mean)
+    for window in backtest.came:
+        if window.first <= forecast.sample <= window.last - time.size:
+            came = window.part(forecast.sample + 1, forecast.sample + time.size).output
+            left.plot(time, came - band.mean, color=PLANT, lw=0.8)
+
+
+def _dress(axes: tuple[Axes, Axes, Axes], backtest: Backtest) -> None:
+    output, left, entry = axes
+    words = signal_names(backtest.plant)
+    if backtest.shown:
+        begin, last = (f.sample * backtest.period for f in (backtest.shown[0], backtest.shown[-1]))
+        reach = float(backtest.shown[-1].time[-1])
+        output.set_xlim(begin - 0.2 * reach, last + 1.1 * reach)
+    whose = backtest.pictured or backtest.name
+    output.set_title(f"{whose}: forecasts of the leader")
+    output.set_ylabel(words.output_label)
+    left.set_ylabel(with_unit("measured − forecast", words.output_unit))
+    left.axhline(0, color=SET_POINT, lw=0.6)
+    entry.set_ylabel(words.input_label)
+    entry.set_xlabel("time since the session began / s")
+    for each in (output, left):
+        each.tick_params(labelbottom=False)
+    if output.get_legend_handles_labels()[0]:
+        output.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4)

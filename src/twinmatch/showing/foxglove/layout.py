@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from twinmatch.comparing import TrustLevel
 from twinmatch.description import Description, Quantity
-from twinmatch.showing.foxglove import FoxgloveError
+from twinmatch.showing.serving import ServingError
 from twinmatch.showing.style import CLOSED, DRIVEN, LEVELS, PLANT, SET_POINT
 
 TOPICS = {
@@ -80,13 +80,13 @@ def write_layout(path: Path, made: Mapping[str, Any]) -> None:
     """Write a layout to a file.
 
     Raises:
-        FoxgloveError: the file cannot be written.
+        ServingError: the file cannot be written.
     """
     try:
         path.write_text(json.dumps(made, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
     except OSError as error:
         msg = f"foxglove: the layout cannot be written to {path}: {error.strerror}"
-        raise FoxgloveError(msg) from error
+        raise ServingError(msg) from error
 
 
 def _charts(described: Description, rig: str, *, applied: bool) -> dict[str, _Panel]:

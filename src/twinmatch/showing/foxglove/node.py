@@ -19,10 +19,9 @@ from twinmatch.nodes.topics import LATCHED, offered, profile_of, wanted
 from twinmatch.parameters.declared import Setting
 from twinmatch.sessions import Qos, SessionError
 from twinmatch.sessions.definitions import schema_of
-from twinmatch.showing.foxglove import FoxgloveError
 from twinmatch.showing.foxglove.layout import APPLIED, IMAGE, OUTSIDE, TOPICS, layout, write_layout
 from twinmatch.showing.foxglove.server import GraphServer, StreamTime
-from twinmatch.showing.serving import is_loopback
+from twinmatch.showing.serving import ServingError, place_settings, warn_if_open
 from twinmatch_msgs.msg import PlantDescription
 
 POLL = 0.2
@@ -40,8 +39,7 @@ class Foxglove(TwinmatchNode):
 
     NAME = "foxglove"
     PARAMETERS: ClassVar = (
-        Setting("address", "127.0.0.1", "Address to serve on; any but a loopback address is open to others."),
-        Setting("port", 8765, "TCP port; 0: any free port.", "", 0, 65535),
+        *place_settings(8765),
         Setting("layout", "", "File for the layout of the graph's plant; empty: none is written."),
     )
 
@@ -69,12 +67,7 @@ class Foxglove(TwinmatchNode):
         self.create_subscription(ClockMessage, "/clock", self._on_clock, CLOCK)
         self.create_timer(POLL, self._find_topics, clock=steady)
         self.create_timer(TICK, self._send_time, clock=steady)
-        if not is_loopback(address):
-            print(
-                f"FOXGLOVE OPEN: anyone who can reach {address} may read this graph; the connection is not "
-                "encrypted",
-                flush=True,
-            )
+        warn_if_open("FOXGLOVE", address, "read this graph")
         print(f"foxglove: {self._server.url}", flush=True)
         self.report_on()
 
@@ -113,7 +106,7 @@ class Foxglove(TwinmatchNode):
         path = Path(self.values["layout"])
         try:
             write_layout(path, layout(self._described, present, rig))
-        except FoxgloveError as error:
+        except ServingError as error:
             self.health.flag("layout", Level.WARN, str(error))
             return
         print(f"layout for {self._described.title}: {path}", flush=True)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 from foxglove import Channel, Context, Schema, set_log_level, start_server
 from foxglove.websocket import Capability, ChannelView, Client, ServerListener
 
-from twinmatch.showing.foxglove import FoxgloveError
+from twinmatch.showing.serving import unusable
 
 BACKLOG = 1024
 """Queue length per viewer; the oldest messages are dropped for a slow viewer. A thermal image has 77 kB."""
@@ -39,7 +39,7 @@ class GraphServer:
         """Serve on this address; port 0 takes any free port.
 
         Raises:
-            FoxgloveError: the address or port cannot be used.
+            ServingError: the address or port cannot be used.
         """
         set_log_level(logging.ERROR)  # a viewer that disconnects abruptly is not an error here
         self._context = Context()
@@ -58,11 +58,7 @@ class GraphServer:
             )
         except RuntimeError as error:
             cause = re.sub(r"^.*Failed to bind port: | \(os error \d+\)$", "", str(error))
-            msg = (
-                f"foxglove: {address}:{port} cannot be used: {cause}; "
-                "choose another with --port (0: any free port) or --address"
-            )
-            raise FoxgloveError(msg) from error
+            raise unusable("foxglove", address, port, cause) from error
         host = f"[{address}]" if ":" in address else address
         self.url = f"ws://{host}:{self._server.port}"
         """Address to open in the viewer."""

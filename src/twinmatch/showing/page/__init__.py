@@ -3,13 +3,3 @@
 One node subscribes to the graph and fills a `DashboardState`, which is bounded and depends on neither ROS nor
 Bokeh. A Bokeh server shows it in every open tab; each tab draws what is new since its last update.
 """
-
-from __future__ import annotations
-
-from twinmatch.errors import TwinmatchError
-
-__all__ = ["DashboardError"]
-
-
-class DashboardError(TwinmatchError):
-    """The page cannot be served, or a request made on it cannot be carried out."""

@@ -29,7 +29,7 @@ from twinmatch.showing.page.requests import Requests
 from twinmatch.showing.page.server import PageServer
 from twinmatch.showing.page.state import DashboardState, DriveReport, TwinRow, update_sentence
 from twinmatch.showing.page.tab import Tab
-from twinmatch.showing.serving import is_loopback
+from twinmatch.showing.serving import place_settings, warn_if_open
 from twinmatch.twin import TwinSettings
 from twinmatch_msgs.msg import (
     Forecast,
@@ -54,8 +54,7 @@ class Dashboard(TwinmatchNode):
 
     NAME = "dashboard"
     PARAMETERS = (
-        Setting("address", "127.0.0.1", "Address to serve on; any but a loopback address is open to others."),
-        Setting("port", 5006, "TCP port; 0: any free port.", "", 0, 65535),
+        *place_settings(5006),
         Setting("config", "", "Parameter file of the twin's nodes; empty: their defaults."),
         Setting("control", False, "Whether the page may set the set-point, clear faults and stop."),
     )
@@ -94,12 +93,8 @@ class Dashboard(TwinmatchNode):
         self.create_timer(POLL, self._run_requests, clock=Clock(clock_type=ClockType.STEADY_TIME))
         address = self.values["address"]
         self._server = PageServer(address, self.values["port"], self._fill)
-        if not is_loopback(address):
-            able = "read this page and command the plant" if self.values["control"] else "read this page"
-            print(
-                f"PAGE OPEN: anyone who can reach {address} may {able}; the connection is not encrypted",
-                flush=True,
-            )
+        able = "read this page and command the plant" if self.values["control"] else "read this page"
+        warn_if_open("PAGE", address, able)
         print(f"page: {self._server.url}", flush=True)
         self.report_on()
 

@@ -18,8 +18,7 @@ from bokeh.settings import settings
 from tornado.httpserver import HTTPServer
 from tornado.ioloop import IOLoop
 
-from twinmatch.showing.page import DashboardError
-from twinmatch.showing.serving import is_loopback
+from twinmatch.showing.serving import ServingError, is_loopback, unusable
 
 PATIENCE = 20.0
 """Time limit for the server to start, s."""
@@ -34,16 +33,12 @@ class PageServer:
         """Serve on this address; port 0 takes any free port. `fill` builds the document of a tab.
 
         Raises:
-            DashboardError: the address or port cannot be used, or the server does not start.
+            ServingError: the address or port cannot be used, or the server does not start.
         """
         try:
             self._socket = _bind(address, port)
         except OSError as error:
-            msg = (
-                f"dashboard: {address}:{port} cannot be used: {error.strerror or error}; "
-                "choose another with --port (0: any free port) or --address"
-            )
-            raise DashboardError(msg) from error
+            raise unusable("dashboard", address, port, error.strerror or error) from error
         self._address, self._port, self._fill = address, self._socket.getsockname()[1], fill
         self._server: BaseServer | None = None
         self._ready = threading.Event()
@@ -53,7 +48,7 @@ class PageServer:
         self._thread.start()
         if not self._ready.wait(PATIENCE):
             msg = f"dashboard: the page's server did not start within {PATIENCE:g} s; try again"
-            raise DashboardError(msg)
+            raise ServingError(msg)
 
     @property
     def url(self) -> str:

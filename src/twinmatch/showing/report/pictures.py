@@ -16,7 +16,6 @@ from twinmatch.forecasting import Forecast
 from twinmatch.offline.backtest import Backtest
 from twinmatch.offline.judging import Judgement
 from twinmatch.offline.summary import shown_twin
-from twinmatch.showing.backtests import draw_backtest, sentences
 from twinmatch.showing.family import Member
 from twinmatch.showing.figures.drawing import save, svg
 from twinmatch.showing.figures.family import (
@@ -26,9 +25,9 @@ from twinmatch.showing.figures.family import (
     draw_responses,
     draw_uncertainty,
 )
-from twinmatch.showing.figures.forecasts import draw_forecasts
+from twinmatch.showing.figures.forecasts import draw_backtest, draw_forecasts
 from twinmatch.showing.figures.session import draw_health, draw_session
-from twinmatch.showing.forecasts import asked
+from twinmatch.showing.forecasts import asked, backtest_words
 from twinmatch.showing.quantities import signal_names
 from twinmatch.showing.series import Fan, fan
 from twinmatch.showing.verdicts import admitted, last_verdict, level_stretches
@@ -177,7 +176,7 @@ def _health_alt(j: Judgement) -> str:
 def _forecasts_alt(tested: Backtest) -> str:
     return (
         "Errors and coverage of every forecaster by horizon, and the leader's forecasts with their bands, "
-        f"compared with the measurements. {' '.join(sentences(tested))}"
+        f"compared with the measurements. {' '.join(backtest_words(tested))}"
     )
 
 

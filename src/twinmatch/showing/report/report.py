@@ -15,8 +15,8 @@ from twinmatch.offline.judging import judge as judge_on
 from twinmatch.offline.verification import compare, holds_verdicts
 from twinmatch.sessions import Session, open_any
 from twinmatch.sessions.files import ProgressCallback, part_of
-from twinmatch.showing.backtests import sentences
 from twinmatch.showing.family import Member, family
+from twinmatch.showing.forecasts import backtest_words
 from twinmatch.showing.quantities import signal_names
 from twinmatch.showing.report import tables
 from twinmatch.showing.report.pictures import Picture, fans_of, pictures
@@ -166,9 +166,9 @@ class SessionReport:
             "level": level.value,
             "level_colour": LEVELS[level],
             "level_words": LEVEL_WORDS[level],
-            "words": [*plain_words(judgement), *sentences(judged.tested)[-1:]],
+            "words": [*plain_words(judgement), *backtest_words(judged.tested)[-1:]],
             "forecasts": tables.forecast_tables(judged.tested),
-            "forecast_sentences": sentences(judged.tested),
+            "forecast_sentences": backtest_words(judged.tested),
             "fans": tables.leader_forecast_table(fans_of(judged.tested, judgement), plant),
             "horizons": ", ".join(f"{h:g}" for h in judged.tested.horizons),
             "confidence": f"{100 * judged.tested.confidence:.0f}",

@@ -12,9 +12,9 @@ from twinmatch.dynamics import Plant
 from twinmatch.fitting import BoxJenkins, Match
 from twinmatch.offline.backtest import Backtest
 from twinmatch.offline.backtest.result import LEADER, TWINS
-from twinmatch.showing.backtests import at_horizon, cells, columns
+from twinmatch.offline.backtest.scoring import Card
 from twinmatch.showing.family import Member, computed, criterion_rows, interval, outputs_of, value_of
-from twinmatch.showing.forecasts import levels_words
+from twinmatch.showing.forecasts import card_columns, levels_words
 from twinmatch.showing.quantities import (
     ParameterFormat,
     in_order,
@@ -333,23 +333,20 @@ def _model(model: SimoModel, output: str) -> BoxJenkins | None:
 def forecast_tables(tested: Backtest) -> list[ReportTable]:
     """One table per horizon: errors and bands of every forecaster; the smallest error of those that can be
     used live is bold."""
-    found = []
-    names = columns(tested.plant, driven=tested.driven)
-    error = names.index("error")
-    for horizon in tested.horizons:
-        cards = at_horizon(tested.cards, horizon)
-        if not cards:
-            continue
-        live = [card.median for card in cards if card.who not in TWINS or card.who == LEADER]
-        rows = []
-        for card in cards:
-            who, *rest = cells(card, tested.plant, driven=tested.driven)
-            best = card.who not in TWINS[1:] and card.median == min(live, default=card.median)
-            texts = (Cell(text, best=best and k == error) for k, text in enumerate(rest, 1))
-            rows.append((_head(who), *texts))
-        marked = frozenset(k for k, card in enumerate(cards) if card.who == LEADER)
+    columns, found = card_columns(tested.plant, driven=tested.driven), []
+    for horizon, cards in tested.at_horizons.items():
+        least = min((c.median for c in cards if c.who not in TWINS[1:]), default=None)
+
+        def cell(card: Card, name: str, text: str, least: float | None = least) -> Cell:
+            if name == "who":
+                return _head(text)
+            live = card.who not in TWINS[1:]
+            return Cell(text, best=name == "error" and live and card.median == least)
+
         caption = f"{horizon:g} s ahead, {cards[0].count} forecasts"
-        found.append(ReportTable(caption, names, tuple(rows), marked))
+        rows = tuple(tuple(cell(card, name, text(card)) for name, text in columns) for card in cards)
+        marked = frozenset(k for k, card in enumerate(cards) if card.who == LEADER)
+        found.append(ReportTable(caption, tuple(name for name, _ in columns), rows, marked))
     return found
 
 

@@ -1,0 +1,204 @@
+"""What commands share: options, checks of them, progress, and what they write."""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import json
+import os
+import re
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from twinmatch.errors import TwinmatchError
+
+if TYPE_CHECKING:
+    from rich import progress
+    from rich.console import Console
+
+EXIT_PARTLY: Final = 3
+"""Exit code: some of several sessions were used and some skipped."""
+
+_FILE: Final = {"type": Path, "metavar": "FILE"}
+_OUT: Final = {"type": Path, "metavar": "OUT"}
+_FLAG: Final = {"action": "store_true"}
+OPTIONS: Final[dict[str, dict[str, Any]]] = {
+    "session": {"type": Path, "help": "session folder, .mcap file or recording (.mat, .csv)"},
+    "sessions": {
+        **{"type": Path, "nargs": "+", "metavar": "SESSION"},
+        "help": "session folder, .mcap file, recording (.mat, .csv), folder of any of these, or pattern",
+    },
+    "--candidates": {**_FILE, "help": "initial candidates (.yaml)"},
+    "--config": {**_FILE, "help": "parameters (.yaml), in the format of the nodes"},
+    "--twin-config": {**_FILE, "help": "parameters of the twin's nodes"},
+    "--plant": {
+        "metavar": "NAME|FILE.py",
+        "help": "the plant, if the session does not name it, or your plant file, which is executed",
+    },
+    "--allow-fmu": {
+        **_FILE,
+        "help": "use the FMUs listed in this file (.yaml) as structures of the plant; their code is executed",
+    },
+    "--json": {**_OUT, "help": "write every verdict to this file"},
+    "--figure": {**_OUT, "help": "draw the verdict (.png, .svg or .pdf)"},
+    "--map": {"nargs": "+", "default": [], "metavar": "SIGNAL=COLUMN"},
+    "--map-file": {**_FILE, "help": "the same as YAML; --map takes precedence"},
+    "--period": {"type": float, "metavar": "S"},
+    "--session": {"type": Path, "metavar": "FOLDER", "help": "record here (default: sessions/<time>)"},
+    "--no-record": {**_FLAG, "help": "record nothing"},
+}
+"""Arguments that several commands have, with their usual help texts."""
+TERMS: Final = ("--candidates", "--plant", "--allow-fmu", "--config")
+"""Options for the terms of a judgement."""
+
+
+def add_options(parser: argparse._ActionsContainer, *names: str, **changed: Any) -> None:
+    """Add arguments of `OPTIONS`, with these changes of their settings."""
+    for name in names:
+        parser.add_argument(name, **OPTIONS[name] | changed)
+
+
+def positive(kind: Callable[[str], float], what: str) -> Callable[[str], float]:
+    """A parser of positive finite numbers; the error says that the text is not `what`."""
+
+    def parse(text: str) -> float:
+        try:
+            value = kind(text)
+        except ValueError:
+            value = 0.0
+        if not 0.0 < value < float("inf"):
+            raise argparse.ArgumentTypeError(f"{text!r} is not {what}")
+        return value
+
+    return parse
+
+
+def check_writable(*outputs: Path | None, example: str = "") -> None:
+    """Check the output paths before a minute of work, not after; `example` is the name of such a file.
+
+    Raises:
+        TwinmatchError: the folder of an output does not exist, or the output is itself a folder.
+    """
+    for output in outputs:
+        if output is None:
+            continue
+        if not output.absolute().parent.is_dir():
+            raise TwinmatchError(f"{output}: the folder {output.parent} does not exist; create it first")
+        if output.is_dir():
+            such = f", such as {output / example}" if example else ""
+            raise TwinmatchError(f"{output}: is a folder; give the file to write{such}")
+
+
+def write_json(path: Path | None, content: Callable[[], Any]) -> None:
+    """Write a document as strict JSON, if a file is given.
+
+    Raises:
+        TwinmatchError: the file cannot be written.
+    """
+    if path is None:
+        return
+    text = json.dumps(content(), indent=1, allow_nan=False, ensure_ascii=False)
+    try:
+        path.write_text(text + "\n", encoding="utf-8")
+    except OSError as error:
+        raise TwinmatchError(f"{path}: cannot be written ({error.strerror})") from error
+
+
+def console_for(width: int) -> Console:
+    """A console for tables, of this width, in characters, where the output is not a terminal."""
+    from rich.console import Console  # noqa: PLC0415 — needed only to print tables
+
+    console = Console(highlight=False)
+    if not console.is_terminal:
+        console.width = width
+    return console
+
+
+class Progress:
+    """A context manager with a progress bar on standard error, shown from the first call of `advance`.
+
+    Without a terminal, or on a dumb one, nothing is shown.
+    """
+
+    def __init__(self, doing: str = "judging") -> None:
+        """Set the label of the bar."""
+        self._doing = doing
+        self._bar: progress.Progress | None = None
+        self._shown = False
+
+    def __enter__(self) -> Progress:
+        self._shown = sys.stderr.isatty() and os.environ.get("TERM", "").lower() not in {"dumb", "unknown"}
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+
+    def advance(self, done: int, total: int) -> None:
+        """Show that `done` of `total` are done."""
+        self._show(self._doing, done, total)
+
+    def reading(self, done: int, total: int) -> None:
+        """Show that `done` of `total` bytes of the file are read, before the work itself."""
+        self._show("reading", done, total)
+
+    def _show(self, doing: str, done: int, total: int) -> None:
+        if self._bar is None and self._shown:
+            from rich.console import Console  # noqa: PLC0415 — needed only for the bar
+            from rich.progress import Progress as Bar  # noqa: PLC0415
+
+            self._bar = Bar(console=Console(stderr=True), transient=True, redirect_stdout=False)
+            self._task = self._bar.add_task(doing, total=None)
+            self._bar.start()
+        if self._bar is not None:
+            self._bar.update(self._task, description=doing, completed=done, total=total)
+
+
+def add_serving_options(parser: argparse.ArgumentParser, port: int) -> None:
+    """Add the options for the address, the port (default `port`) and the namespace of a server."""
+    parser.add_argument(
+        "--address",
+        default="127.0.0.1",
+        help="serve on this address; any but 127.0.0.1 is open to other machines",
+    )
+    parser.add_argument(
+        "--port", type=int, default=port, help=f"TCP port (default: {port}); 0: any free port"
+    )
+    parser.add_argument("--namespace", default="", metavar="/RIG", help="namespace of the plant to show")
+
+
+def serving_words(command: str, options: argparse.Namespace, library: str, **parameters: Any) -> list[str]:
+    """The command line of a server's node: address, port, namespace and these parameters, None left out.
+
+    Raises:
+        ServingError: an option has an invalid value, or ROS or `library` (of the extra named `command`) is
+            not installed.
+    """
+    from twinmatch.showing.serving import ServingError  # noqa: PLC0415 — keeps --help fast
+
+    if not 0 <= options.port <= 65535:
+        raise ServingError(f"{command}: --port is {options.port}; give a port from 0 to 65535")
+    for name, extra in ((library, command), ("rclpy", "ros")):
+        if importlib.util.find_spec(name) is None:
+            raise ServingError(f"{command}: {name} is not installed; pip install 'twinmatch[{extra}]'")
+    if options.namespace and re.fullmatch(r"(/?[A-Za-z_][A-Za-z0-9_]*)+", options.namespace) is None:
+        raise ServingError(f"{command}: {options.namespace!r} is not a namespace; give one such as /rig_a")
+    words = [command, "--ros-args"]
+    for name, value in {"address": options.address, "port": options.port, **parameters}.items():
+        if value is not None:
+            text = json.dumps(str(value) if isinstance(value, Path) else value, ensure_ascii=False)
+            words += ["-p", f"{name}:={text}"]
+    return [*words, "-r", f"__ns:=/{options.namespace.removeprefix('/')}"] if options.namespace else words
+
+
+def session_to_record(options: argparse.Namespace) -> Path | None:
+    """The new folder that the options `--session` and `--no-record` name; None: record nothing."""
+    from twinmatch.launching.live import refuse_existing  # noqa: PLC0415 — needs ROS
+
+    session = options.session or Path("sessions") / time.strftime("%Y-%m-%d_%H-%M-%S")
+    session = None if options.no_record else session
+    refuse_existing(session)
+    return session
