@@ -124,68 +124,6 @@ def test_it_is_compared_with_the_measurements(session: Path, capsys: Any) -> Non
     )
 
 
-PROFILES = {
-    "past.csv": "-5,50\n",
-    "back.csv": "10,50\n10,60\n",
-    "hot.csv": "10,150\n",
-    "words.csv": "10,warm\n",
-    "empty.csv": "",
-}
-
-
-@pytest.fixture
-def profiles(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for name, text in PROFILES.items():
-        (tmp_path / name).write_text(text, encoding="utf-8")
-    monkeypatch.chdir(tmp_path)
-
-
-@pytest.mark.usefixtures("profiles")
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        (["--at", "100"], ["no candidate at sample 100", "from sample 300 on"]),
-        (["--at", "920"], ["has no sample 920", "0 to 919"]),
-        (["--at", "500", "--horizon", "0"], ["horizon is 0 s", "positive"]),
-        (["--at", "500", "--horizon", "-3"], ["horizon is -3 s"]),
-        (["--at", "500", "--horizon", "nan"], ["horizon is nan s"]),
-        (["--at", "500", "--horizon", "1e9"], ["horizon is 1e+09 s", "at most 86400"]),
-        (["--at", "500", "--horizon", "0.5"], ["0.5 s is shorter than one sample", "1 s"]),
-        (["--at", "500", "--candidate", "Bob"], ["sample 500", "'Bob'", "there are: ", "40 °C"]),
-        (["--at", "500", "--hold", "150"], ["--hold", "150 °C", "0 to 100 °C"]),
-        (["--at", "500", "--hold", "inf"], ["--hold", "inf"]),
-        (
-            ["--at", "500", "--hold", "50", "--reference", "recorded"],
-            ["--reference and --hold", "give only one"],
-        ),
-        (["--at", "500", "--reference", "absent.csv"], ["absent.csv: does not exist"]),
-        (["--at", "500", "--reference", "past.csv"], ["past.csv", "row 1", "past"]),
-        (["--at", "500", "--reference", "back.csv"], ["back.csv", "row 2", "increasing"]),
-        (["--at", "500", "--reference", "hot.csv"], ["hot.csv", "row 1", "150 °C", "0 to 100 °C"]),
-        (["--at", "500", "--reference", "words.csv"], ["words.csv", "line 1", "warm"]),
-        (["--at", "500", "--reference", "empty.csv"], ["empty.csv", "no row"]),
-        (["--at", "919", "--reference", "recorded"], ["right after sample 919", "--hold"]),
-        (["--at", "500", "--json", "nowhere/out.json"], ["folder nowhere does not exist"]),
-    ],
-)
-def test_a_mistake_is_one_clear_line(
-    options: list[str], words: list[str], session: Path, capsys: Any
-) -> None:
-    assert main(["forecast", str(session), *options]) == 2
-    captured = capsys.readouterr()
-    assert not captured.out
-    assert captured.err.startswith("twinmatch: ")
-    assert captured.err.count("\n") == 1
-    assert all(word in captured.err for word in words), captured.err
-
-
-def test_what_is_not_a_sample_is_refused_at_once(session: Path, capsys: Any) -> None:
-    with pytest.raises(SystemExit) as caught:
-        main(["forecast", "--at", "500", str(session)])
-    assert caught.value.code == 2
-    assert "is not a sample index; give whole numbers, and the session before --at" in capsys.readouterr().err
-
-
 def test_the_shipped_session_is_forecast_within_its_bands(tmp_path: Path) -> None:
     """Its generator is the paper's plant with a camera's noise, so the bands have every chance to hold it."""
     at = list(range(450, 1650, 100))

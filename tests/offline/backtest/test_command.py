@@ -56,31 +56,6 @@ def test_a_session_that_cannot_be_used_is_skipped(still: Path, tmp_path: Path) -
     assert "absent.mat" in done.stderr
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["absent.mat"], "absent.mat"),
-        ([SHIPPED, "--horizon", "0.5"], "shorter than one sample"),
-        ([SHIPPED, "--figure", "nowhere/card.png"], "create it first"),
-        ([SHIPPED, "--config", "absent.yaml"], "absent.yaml"),
-    ],
-    ids=["session", "horizon", "folder", "config"],
-)
-def test_mistakes_are_one_line(arguments: list[object], words: str) -> None:
-    done = run_twinmatch("backtest", *arguments)
-    assert done.returncode == 2
-    assert done.stdout == ""
-    assert len(done.stderr.strip().splitlines()) == 1, done.stderr
-    assert words in done.stderr
-
-
-@pytest.mark.parametrize("wrong", [["--every", "0"], ["--horizon", "soon"], ["--peers", "prophet"]])
-def test_options_that_mean_nothing_are_refused(wrong: list[str]) -> None:
-    done = run_twinmatch("backtest", SHIPPED, *wrong)
-    assert done.returncode == 2
-    assert "Traceback" not in done.stderr
-
-
 def test_the_command_offers_every_peer() -> None:
     """It names them itself, since importing them is slow."""
     assert tuple(PEERS) == OFFERED

@@ -255,19 +255,11 @@ def test_an_open_server_says_so(serve: Callable[..., Any]) -> None:
     assert "FOXGLOVE OPEN: anyone who can reach 0.0.0.0 may read this graph;" in server.text
 
 
-@pytest.mark.parametrize(
-    ("options", "line"),
-    [
-        (["--port", "70000"], "foxglove: --port is 70000; give a port from 0 to 65535"),
-        (["--address", "203.0.113.7"], "foxglove: 203.0.113.7:8765 cannot be used: Cannot assign"),
-        (["--namespace", "no name"], "foxglove: 'no name' is not a namespace; give one such as /rig_a"),
-    ],
-)
-def test_mistakes_are_one_line(ros: None, options: list[str], line: str) -> None:  # noqa: ARG001
-    command = [sys.executable, "-m", "twinmatch.cli", "foxglove", *options]
+def test_an_address_of_another_machine_is_one_line(ros: None) -> None:  # noqa: ARG001
+    command = [sys.executable, "-m", "twinmatch.cli", "foxglove", "--address", "203.0.113.7"]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=360)
     assert done.returncode == 2, done.stderr
-    assert line in done.stderr
+    assert "foxglove: 203.0.113.7:8765 cannot be used: Cannot assign" in done.stderr
     assert len(done.stderr.splitlines()) == 1
 
 

@@ -35,19 +35,11 @@ def test_an_open_page_says_so(page_process: Callable[..., Any], options: tuple[s
     assert f"PAGE OPEN: anyone who can reach 0.0.0.0 may {able};" in page.text
 
 
-@pytest.mark.parametrize(
-    ("options", "line"),
-    [
-        (["--port", "70000"], "dashboard: --port is 70000; give a port from 0 to 65535"),
-        (["--address", "203.0.113.7"], "dashboard: 203.0.113.7:5006 cannot be used"),
-        (["--namespace", "no name"], "dashboard: 'no name' is not a namespace; give one such as /rig_a"),
-    ],
-)
-def test_mistakes_are_one_line(ros: None, options: list[str], line: str) -> None:  # noqa: ARG001
-    command = [sys.executable, "-m", "twinmatch.cli", "dashboard", *options]
+def test_an_address_of_another_machine_is_one_line(ros: None) -> None:  # noqa: ARG001
+    command = [sys.executable, "-m", "twinmatch.cli", "dashboard", "--address", "203.0.113.7"]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=360)
     assert done.returncode == 2, done.stderr
-    assert line in done.stderr
+    assert "dashboard: 203.0.113.7:5006 cannot be used" in done.stderr
     assert len(done.stderr.splitlines()) == 1
 
 
