@@ -11,19 +11,13 @@ import pytest
 pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
 pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup")
 
-from rclpy.serialization import serialize_message
-
 from tests.support.places import SHIPPED
+from tests.support.recorded import write_judged
 from tests.support.steps import quarter_of_an_hour
 from twinmatch.cli import main
-from twinmatch.nodes.messages import match_message, score_message
 from twinmatch.offline.verification import verify_session
 from twinmatch.parameters.twin import read_settings, settings_from, twin_values, values_of
 from twinmatch.plants import Peltier
-from twinmatch.sessions import Qos, SessionWriter, Topic
-from twinmatch.sessions.definitions import schema_of
-from twinmatch.sessions.messages import SAMPLE, encode_sample
-from twinmatch.sessions.metadata import parameters_record
 from twinmatch.twin import Twin, TwinSettings
 
 pytestmark = pytest.mark.ros
@@ -35,10 +29,6 @@ def config(tmp_path: Path) -> Path:
     path = tmp_path / "unknown.yaml"
     path.write_text("/**:\n  ros__parameters:\n    loop: unknown\n", encoding="utf-8")
     return path
-
-
-def topic_of(name: str, kind: str) -> Topic:
-    return Topic(name, kind, schema_of(kind), "", Qos("reliable", "volatile", 100))
 
 
 def test_parameters_say_that_the_loop_is_not_known(config: Path, tmp_path: Path) -> None:
@@ -57,23 +47,7 @@ def test_a_recorded_session_is_verified_bit_for_bit(tmp_path: Path) -> None:
     samples, settings = quarter_of_an_hour(), TwinSettings.of(Peltier, gains=None)
     twin = Twin(settings)
     outcomes = [twin.push(sample) for sample in samples]
-    stamps = {sample.index: sample.stamp for sample in samples}
-    score = topic_of("/twin/model_score", "twinmatch_msgs/msg/ModelScore")
-    match = topic_of("/twin/match", "twinmatch_msgs/msg/Match")
-    scores = [score_message(v, stamps[v.sample]) for o in outcomes for v in o.verdicts]
-    matches = [match_message(o.match, stamps[o.match.sample]) for o in outcomes if o.match is not None]
-    entries = {name: json.dumps(value) for name, value in values_of(settings).items()}
-    with SessionWriter(tmp_path / "run") as writer:
-        for node in ("/matcher", "/discriminator"):
-            writer.add_record(parameters_record(node), {**entries, "use_sim_time": "false"})
-        for topic in (SAMPLE, score, match):
-            writer.add_topic(topic)
-        for sample in samples:
-            writer.write(SAMPLE.name, encode_sample(sample), sample.stamp)
-        for topic, messages in ((match, matches), (score, scores)):
-            for message in messages:
-                writer.write(topic.name, serialize_message(message), samples[-1].stamp)
-    found = verify_session(tmp_path / "run")
+    found = verify_session(write_judged(tmp_path / "run", samples, outcomes, values_of(settings)))
     assert found.identical
     assert found.matches >= 2
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,34 +12,22 @@ import pytest
 pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
 pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup")
 
-from rclpy.serialization import serialize_message
-
+from tests.support.recorded import Change, write_judged
 from tests.support.steps import quarter_of_an_hour
 from twinmatch.cli import main
-from twinmatch.nodes.messages import match_message, score_message
 from twinmatch.offline.judging import Judgement, TermsError
 from twinmatch.offline.summary import summarise
 from twinmatch.offline.verification import VerifyError, verify_session
 from twinmatch.parameters.twin import twin_values
-from twinmatch.sessions import Qos, SessionError, SessionWriter, Topic
+from twinmatch.sessions import SessionError
 from twinmatch.sessions.candidates import parse_candidates
-from twinmatch.sessions.definitions import schema_of
-from twinmatch.sessions.messages import SAMPLE, encode_sample
-from twinmatch.sessions.metadata import CANDIDATES, parameters_of, parameters_record
+from twinmatch.sessions.metadata import parameters_of, parameters_record
 from twinmatch.signals import Sample
 from twinmatch.twin import Outcome, Twin, TwinSettings
 
 pytestmark = pytest.mark.ros
 
 FAMILY = "candidates:\n  - {name: a guess, operating_point: 75.0, seebeck: 0.07, heat_capacity: 25.0}\n"
-
-
-def topic_of(name: str, kind: str) -> Topic:
-    return Topic(name, kind, schema_of(kind), "", Qos("reliable", "volatile", 100))
-
-
-SCORE = topic_of("/twin/model_score", "twinmatch_msgs/msg/ModelScore")
-MATCH = topic_of("/twin/match", "twinmatch_msgs/msg/Match")
 
 
 @pytest.fixture(scope="module")
@@ -55,40 +42,19 @@ def outcomes(samples: list[Sample]) -> list[Outcome]:
     return [twin.push(sample) for sample in samples]
 
 
-Change = Callable[[list[Any], list[Any]], None]
-
-
 @pytest.fixture
 def record(samples: list[Sample], outcomes: list[Outcome], tmp_path: Path) -> Callable[..., Path]:
-    """A session as the recorder makes one; `change` may spoil matches and scores before they are written."""
+    """A session as the recorder makes one, with some parameters other than the twin's, or of other names."""
 
     def write(
         change: Change = lambda _matches, _scores: None,
         parameters: dict[str, Any] | None = None,
-        family: str | None = FAMILY,
         unknown: dict[str, Any] | None = None,
-        nodes: tuple[str, ...] = ("/matcher", "/discriminator"),
+        family: str | None = FAMILY,
+        **more: Any,
     ) -> Path:
-        stamps = {sample.index: sample.stamp for sample in samples}
-        matches = [match_message(o.match, stamps[o.match.sample]) for o in outcomes if o.match is not None]
-        scores = [score_message(v, stamps[v.sample]) for o in outcomes for v in o.verdicts]
-        change(matches, scores)
-        values = twin_values("twin", {"candidates": "family.yaml", **(parameters or {})})
-        values |= unknown or {}
-        with SessionWriter(tmp_path / "run") as writer:
-            for node in nodes:
-                entries = {name: json.dumps(value) for name, value in values.items()}
-                writer.add_record(parameters_record(node), {**entries, "use_sim_time": "false"})
-            if family is not None:
-                writer.add_record(CANDIDATES, {"text": family})
-            for topic in (SAMPLE, SCORE, MATCH):
-                writer.add_topic(topic)
-            for sample in samples:
-                writer.write(SAMPLE.name, encode_sample(sample), sample.stamp)
-            for topic, messages in ((MATCH, matches), (SCORE, scores)):
-                for message in messages:
-                    writer.write(topic.name, serialize_message(message), samples[-1].stamp)
-        return tmp_path / "run"
+        values = twin_values("twin", {"candidates": "family.yaml", **(parameters or {})}) | (unknown or {})
+        return write_judged(tmp_path / "run", samples, outcomes, values, change=change, family=family, **more)
 
     return write
 

@@ -18,6 +18,7 @@ __all__ = [
     "parameter_format",
     "percent",
     "signal_names",
+    "span_text",
     "with_unit",
 ]
 
@@ -65,7 +66,8 @@ def parameter_format(plant: type[Plant], name: str) -> ParameterFormat:
     symbol = declared.symbol or name
     prefix, factor = _prefix(declared.unit, declared.scale)
     # Where the output is in °C, absolute temperatures are shown in °C too.
-    celsius = declared.unit == "K" and plant.output.unit == "°C" and not _difference(declared)
+    difference = isinstance(declared, Parameter) and declared.relative
+    celsius = declared.unit == "K" and plant.output.unit == "°C" and not difference
     return ParameterFormat(
         name,
         f"{symbol}(0)" if start else symbol,
@@ -92,10 +94,6 @@ def _prefix(unit: str, scale: float) -> tuple[str, float]:
     return ("m", 1e3) if scale >= 1e-3 else ("µ", 1e6)
 
 
-def _difference(declared: Parameter | State) -> bool:
-    return isinstance(declared, Parameter) and declared.relative
-
-
 def number(value: float | None, decimals: int = 2, *, plus: bool = False) -> str:
     """A number with a true minus sign; a dash for None or NaN, ∞ for infinity."""
     if value is None or math.isnan(value):
@@ -106,6 +104,13 @@ def number(value: float | None, decimals: int = 2, *, plus: bool = False) -> str
     if float(text) == 0:
         text = text.replace("-", "")
     return text.replace("-", "−")
+
+
+def span_text(low: float, high: float, decimals: int = 3) -> str:
+    """An interval; a dash where an end is not known."""
+    if math.isnan(low) or math.isnan(high):
+        return number(None)
+    return f"{number(low, decimals)} to {number(high, decimals)}"
 
 
 def percent(share: float, decimals: int = 1) -> str:

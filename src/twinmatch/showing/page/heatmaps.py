@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from twinmatch.comparing import CandidateScore, Verdict
 from twinmatch.showing.page.style import FONT, panel
-from twinmatch.showing.quantities import number
+from twinmatch.showing.quantities import number, span_text
 from twinmatch.showing.style import TEXT
 
 SUM = "Σ"
@@ -125,7 +125,7 @@ def _interval(candidate: CandidateScore, other: int) -> str:
     """The 90 % interval of its ν-gap to another candidate of the family."""
     if not (other < len(candidate.nu_gap_low) and other < len(candidate.nu_gap_high)):
         return "not computed"
-    return f"{number(candidate.nu_gap_low[other], 3)} to {number(candidate.nu_gap_high[other], 3)}"
+    return span_text(candidate.nu_gap_low[other], candidate.nu_gap_high[other])
 
 
 LEAST_SPAN = 4.0

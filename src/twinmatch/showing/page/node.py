@@ -79,20 +79,33 @@ class Dashboard(TwinmatchNode):
             control=self.values["control"],
             plant=lambda: self._settings.plant,
         )
-        self._subscribe(PlantDescription, "plant/description", self._on_description, LATCHED)
-        self._subscribe(LoopSample, "plant/sample", self._on_sample, ALL)
-        self._subscribe(TwinState, "twin/state", self._on_twin, ALL)
-        self._subscribe(Forecast, "twin/forecast", self._on_forecast, ALL)
-        self._subscribe(ModelScore, "twin/model_score", self._on_score, ALL)
-        self._subscribe(PwmApplied, "plant/pwm_applied", self._on_pwm, ALL)
-        self._subscribe(PlantApplied, "plant/applied", self._on_applied, ALL)
-        self._subscribe(DiagnosticArray, "/diagnostics", self._on_health, ALL)
-        self._subscribe(Image, "thermal/image", self._on_image, qos_profile_sensor_data)
+        state = self.state
+
+        def drive(applied: float, current: float, fault: str) -> None:
+            state.push_drive(DriveReport(applied, current, fault))
+
+        def twin_row(message: TwinState) -> TwinRow:
+            return TwinRow(**{name: one_of(message, name) for name in TwinRow._fields})
+
+        for kind, topic, take, qos in (
+            (PlantDescription, "plant/description", self._on_description, LATCHED),
+            (LoopSample, "plant/sample", lambda m: state.push_sample(sample_from(m), time.monotonic()), ALL),
+            (TwinState, "twin/state", lambda m: state.push_twin(m.index, twin_row(m)), ALL),
+            (Forecast, "twin/forecast", lambda m: state.push_forecast(forecast_from(m)), ALL),
+            (ModelScore, "twin/model_score", lambda m: state.push_verdict(verdict_from(m)), ALL),
+            (PwmApplied, "plant/pwm_applied", lambda m: drive(m.pwm, m.current, m.fault), ALL),
+            (PlantApplied, "plant/applied", lambda m: drive(m.input, math.nan, m.fault), ALL),
+            (DiagnosticArray, "/diagnostics", self._on_health, ALL),
+            (Image, "thermal/image", self._on_image, qos_profile_sensor_data),
+        ):
+            self._subscribe(kind, topic, take, qos)
         self._summed_up = 0
         self.create_timer(SUM_UP, self._sum_up, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.create_timer(POLL, self._run_requests, clock=Clock(clock_type=ClockType.STEADY_TIME))
         address = self.values["address"]
-        self._server = PageServer(address, self.values["port"], self._fill)
+        self._server = PageServer(
+            address, self.values["port"], lambda document: Tab(self.state, self._requests).build(document)
+        )
         able = "read this page and command the plant" if self.values["control"] else "read this page"
         warn_if_open("PAGE", address, able)
         print(f"page: {self._server.url}", flush=True)
@@ -114,9 +127,6 @@ class Dashboard(TwinmatchNode):
         """Stop the server."""
         return self._server is None or self._server.close()
 
-    def _fill(self, document: Any) -> None:
-        Tab(self.state, self._requests).build(document)
-
     def _subscribe(self, kind: Any, topic: str, take: Callable[[Any], None], qos: QoSProfile) -> None:
         """Subscribe; an invalid message is reported and dropped."""
 
@@ -132,25 +142,6 @@ class Dashboard(TwinmatchNode):
         self.state.describe(description_from(message))
         if not self.values["config"] and message.plant != self._settings.plant.name:
             self._settings = TwinSettings.of(plant_named(message.plant), period=message.period)
-
-    def _on_sample(self, message: LoopSample) -> None:
-        self.state.push_sample(sample_from(message), time.monotonic())
-
-    def _on_twin(self, message: TwinState) -> None:
-        row = TwinRow(**{name: one_of(message, name) for name in TwinRow._fields})
-        self.state.push_twin(message.index, row)
-
-    def _on_forecast(self, message: Forecast) -> None:
-        self.state.push_forecast(forecast_from(message))
-
-    def _on_score(self, message: ModelScore) -> None:
-        self.state.push_verdict(verdict_from(message))
-
-    def _on_applied(self, message: PlantApplied) -> None:
-        self.state.push_drive(DriveReport(message.input, math.nan, message.fault))
-
-    def _on_pwm(self, message: PwmApplied) -> None:
-        self.state.push_drive(DriveReport(message.pwm, message.current, message.fault))
 
     def _on_health(self, message: DiagnosticArray) -> None:
         now = time.monotonic()

@@ -14,7 +14,7 @@ from twinmatch.showing.family import computed, criterion_rows
 from twinmatch.showing.page.health import NodeReports
 from twinmatch.showing.page.state import DashboardState, WhatIfAnswer
 from twinmatch.showing.page.style import DARK, MARK_INKS, MARK_SIGNS, SIGNS
-from twinmatch.showing.quantities import number, parameter_format, with_unit
+from twinmatch.showing.quantities import number, parameter_format, span_text, with_unit
 from twinmatch.showing.style import LEVELS
 from twinmatch.showing.verdicts import COLUMNS, LEVEL_WORDS, Event, row
 
@@ -77,15 +77,12 @@ def _advice(verdict: Verdict, output: Quantity) -> str:
             "Do not rely on forecasts. If the plant was changed, let it step and settle, so that a twin is "
             "matched again; if not, look at drive and sensor."
         )
-    return f"Nothing. Ask the leader what comes next{_proven_range(verdict, output)}."
-
-
-def _proven_range(verdict: Verdict, output: Quantity) -> str:
-    if math.isnan(verdict.held_low):
-        return ""
-    places = max(0, output.decimals - 2)
-    proven = TrustRange(verdict.held_low, verdict.held_high, output.unit, places)
-    return f"; its forecasts have come true between {proven}"
+    proven = ""
+    if not math.isnan(verdict.held_low):
+        places = max(0, output.decimals - 2)
+        held = TrustRange(verdict.held_low, verdict.held_high, output.unit, places)
+        proven = f"; its forecasts have come true between {held}"
+    return f"Nothing. Ask the leader what comes next{proven}."
 
 
 def _answer(question: str, answer: str, more: str) -> str:
@@ -219,7 +216,7 @@ def family_table(verdict: Verdict | None, *, every: bool) -> str:
         tag = '<span class="tag">nominal</span>' if nominal else ""
         rest = [
             number(candidate.nu_gap_sum, 3),
-            _span(candidate.nu_gap_sum_low, candidate.nu_gap_sum_high),
+            span_text(candidate.nu_gap_sum_low, candidate.nu_gap_sum_high, 2),
             number(candidate.nominal_probability, 2),
             number(candidate.nu_gap_to_plant, 3),
             number(candidate.margin, 3),
@@ -301,10 +298,6 @@ def _more(verdict: Verdict) -> list[str]:
     if verdict.structure:
         lines.append(f"structure that the samples justify: {verdict.structure}")
     return lines
-
-
-def _span(low: float, high: float) -> str:
-    return DASH if math.isnan(low) or math.isnan(high) else f"{number(low, 2)} to {number(high, 2)}"
 
 
 def _tiles(entries: Sequence[tuple[str, str]], kind: str = "tiles") -> str:

@@ -7,9 +7,9 @@ from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, TypeVar
 
-from twinmatch.comparing import REFUSED, CandidateScore, SimoModel, Verdict
+from twinmatch.comparing import REFUSED, CandidateScore, Verdict
 from twinmatch.dynamics import Plant
-from twinmatch.fitting import BoxJenkins, Match
+from twinmatch.fitting import Match
 from twinmatch.offline.backtest import Backtest
 from twinmatch.offline.backtest.result import LEADER, TWINS
 from twinmatch.offline.backtest.scoring import Card
@@ -22,11 +22,11 @@ from twinmatch.showing.quantities import (
     parameter_format,
     percent,
     signal_names,
+    span_text,
     with_unit,
 )
 from twinmatch.showing.series import Fan, root_mean_square
 from twinmatch.showing.verdicts import events, match_word, refusal
-from twinmatch.signals import FloatArray
 from twinmatch.twin import MatchReport
 
 Item = TypeVar("Item")
@@ -109,7 +109,8 @@ def nominal_table(score: CandidateScore, match: Match | None) -> ReportTable:
             ends = _ends(match, q) or "–"
             error = q.error_text(interval(match, name).error)
             value, *rest = Cell(q.text(value_of(match, name)), best=True), Cell(error), Cell(ends)
-            origin = _origin(match, name)
+            well = "well" if name in match.believed else "poorly"
+            origin = f"fitted, {well} determined" if match.believed else "fitted"
         else:
             value, *rest = Cell(q.text(score.parameters[name])), Cell("–"), Cell("–")
             origin = "candidate file" if match is None else "not fitted"
@@ -122,12 +123,6 @@ def _ends(match: Match, q: ParameterFormat) -> str:
     """The ends of a free parameter's interval; empty where they are not known."""
     known = interval(match, q.name)
     return f"{q.text(known.low)} to {q.text(known.high)}" if known.known else ""
-
-
-def _origin(match: Match, name: str) -> str:
-    if not match.believed:
-        return "fitted"
-    return "fitted, well determined" if name in match.believed else "fitted, poorly determined"
 
 
 def structure_table(verdict: Verdict) -> ReportTable | None:
@@ -226,14 +221,11 @@ def criterion_tables(verdict: Verdict) -> list[ReportTable]:
             )
             for k, row in enumerate(found)
         )
-        caption = f"Candidate {_named(candidate, verdict)}: order {candidate.chosen_order} chosen"
+        mark = ", nominal" if candidate.name == verdict.nominal else ""
+        caption = f"Candidate {candidate.name}{mark}: order {candidate.chosen_order} chosen"
         chosen = frozenset(k for k, row in enumerate(found) if row.chosen)
         tables.append(ReportTable(caption, names, rows, chosen))
     return tables
-
-
-def _named(candidate: CandidateScore, verdict: Verdict) -> str:
-    return f"{candidate.name}{', nominal' if candidate.name == verdict.nominal else ''}"
 
 
 def order_table(verdict: Verdict) -> ReportTable | None:
@@ -255,7 +247,7 @@ _Extra = tuple[str, Callable[[CandidateScore], str]]
 """Name of a column, and its text for a candidate."""
 
 _GAP_FIGURES: tuple[_Extra, ...] = (
-    ("90 % interval of Σ", lambda c: _span(c.nu_gap_sum_low, c.nu_gap_sum_high)),
+    ("90 % interval of Σ", lambda c: span_text(c.nu_gap_sum_low, c.nu_gap_sum_high)),
     ("P(nominal)", lambda c: number(c.nominal_probability)),
     ("to the current plant", lambda c: number(c.nu_gap_to_plant, 3)),
     ("margin b(P, C)", lambda c: number(c.margin, 3)),
@@ -267,9 +259,8 @@ def gap_table(verdict: Verdict) -> ReportTable:
     """The ν-gaps, their sums, and the further distances and probabilities that a candidate has."""
     extra = [e for e in _GAP_FIGURES if any(e[1](c) != number(None) for c in verdict.candidates)]
     sums = [c.nu_gap_sum for c in verdict.candidates]
-    nominal = verdict.nominal
-    title = "ν-gap between the plants"
-    return _distances(title, verdict.candidates, verdict.nu_gap, sums, extra, nominal=nominal)
+    title, found = "ν-gap between the plants", verdict.candidates
+    return _distances(title, verdict, found, verdict.nu_gap, sums=sums, extra=extra)
 
 
 def identified_table(verdict: Verdict) -> ReportTable:
@@ -278,17 +269,17 @@ def identified_table(verdict: Verdict) -> ReportTable:
     extra: list[_Extra] = [("to the newest window's model", lambda c: number(c.identified_gap_to_plant, 3))]
     title = f"ν-gap between the models of order {verdict.order}"
     gaps = verdict.identified_gap
-    return _distances(title, verdict.modelled, gaps, sums, extra, nominal=verdict.nominal)
+    return _distances(title, verdict, verdict.modelled, gaps, sums=sums, extra=extra)
 
 
 def _distances(
     title: str,
+    verdict: Verdict,
     candidates: Sequence[CandidateScore],
     matrix: Sequence[Sequence[float]],
+    *,
     sums: Sequence[float],
     extra: Sequence[_Extra],
-    *,
-    nominal: str | None,
 ) -> ReportTable:
     """A matrix of distances with its column sums, followed by more columns."""
     rows = []
@@ -297,12 +288,8 @@ def _distances(
         total_cell = Cell(number(total, 3), best=total == min(sums))
         rows.append((_head(c.name), *(Cell(number(v, 3)) for v in gaps), total_cell, *more))
     names = [c.name for c in candidates]
-    marked = frozenset(k for k, name in enumerate(names) if name == nominal)
+    marked = frozenset(k for k, name in enumerate(names) if name == verdict.nominal)
     return ReportTable(title, ("candidate", *names, "Σ", *(name for name, _ in extra)), tuple(rows), marked)
-
-
-def _span(low: float, high: float) -> str:
-    return number(None) if math.isnan(low) else f"{number(low, 3)} to {number(high, 3)}"
 
 
 def coefficient_table(member: Member) -> ReportTable:
@@ -313,21 +300,14 @@ def coefficient_table(member: Member) -> ReportTable:
     for output, title in outputs_of(member.score.orders)[:2]:
         for k, polynomial in enumerate("BCDF"):
             first = (_head(title, 4),) if k == 0 else ()
-            found = (_model(m, output) for m in models)
-            texts = (_coefficients(getattr(m, polynomial)) for m in found if m is not None)
+            found = (m.y if output == "y" else m.u for m in models)
+            values = (getattr(model, polynomial).tolist() for model in found if model is not None)
+            # In q⁻¹, constant term first, to six significant digits.
+            texts = ("  ".join(f"{v:.6g}".replace("-", "−") for v in row) for row in values)
             rows.append((*first, _head(polynomial), *(_words(text, mark="poly") for text in texts)))
     names = ("output", "", *(f"order {m.order}" for m in models))
     mark = ", nominal" if member.nominal else ""
     return ReportTable(f"Box–Jenkins models of candidate {member.score.name}{mark}", names, tuple(rows))
-
-
-def _coefficients(values: FloatArray) -> str:
-    """A polynomial in q⁻¹, constant term first, to six significant digits."""
-    return "  ".join(f"{v:.6g}".replace("-", "−") for v in values.tolist())
-
-
-def _model(model: SimoModel, output: str) -> BoxJenkins | None:
-    return model.y if output == "y" else model.u
 
 
 def forecast_tables(tested: Backtest) -> list[ReportTable]:

@@ -1,0 +1,62 @@
+"""Sessions with verdicts, as the recorder makes them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from rclpy.serialization import serialize_message
+
+from twinmatch.nodes.messages import match_message, score_message
+from twinmatch.sessions import Qos, SessionWriter, Topic
+from twinmatch.sessions.definitions import schema_of
+from twinmatch.sessions.messages import SAMPLE, encode_sample
+from twinmatch.sessions.metadata import CANDIDATES, parameters_record
+from twinmatch.signals import Sample
+from twinmatch.twin import Outcome
+
+__all__ = ["Change", "write_judged"]
+
+Change = Callable[[list[Any], list[Any]], None]
+"""May spoil messages of matches and of scores before they are written."""
+
+
+def _topic(name: str, kind: str) -> Topic:
+    return Topic(name, kind, schema_of(kind), "", Qos("reliable", "volatile", 100))
+
+
+SCORE = _topic("/twin/model_score", "twinmatch_msgs/msg/ModelScore")
+MATCH = _topic("/twin/match", "twinmatch_msgs/msg/Match")
+
+
+def write_judged(
+    folder: Path,
+    samples: Sequence[Sample],
+    outcomes: Iterable[Outcome],
+    values: Mapping[str, Any],
+    *,
+    nodes: Sequence[str] = ("/matcher", "/discriminator"),
+    family: str | None = None,
+    change: Change = lambda _matches, _scores: None,
+) -> Path:
+    """Samples with what a twin said of them, the parameters of these nodes and the initial candidates."""
+    outcomes, stamps = list(outcomes), {sample.index: sample.stamp for sample in samples}
+    matches = [match_message(o.match, stamps[o.match.sample]) for o in outcomes if o.match is not None]
+    scores = [score_message(v, stamps[v.sample]) for o in outcomes for v in o.verdicts]
+    change(matches, scores)
+    entries = {name: json.dumps(value) for name, value in values.items()}
+    with SessionWriter(folder) as writer:
+        for node in nodes:
+            writer.add_record(parameters_record(node), {**entries, "use_sim_time": "false"})
+        if family is not None:
+            writer.add_record(CANDIDATES, {"text": family})
+        for topic in (SAMPLE, SCORE, MATCH):
+            writer.add_topic(topic)
+        for sample in samples:
+            writer.write(SAMPLE.name, encode_sample(sample), sample.stamp)
+        for topic, messages in ((MATCH, matches), (SCORE, scores)):
+            for message in messages:
+                writer.write(topic.name, serialize_message(message), samples[-1].stamp)
+    return folder
