@@ -27,7 +27,7 @@ from twinmatch.signals import Sample
 
 def children() -> int:
     """Pages that this process started."""
-    command = ["ps", "-o", "args=", "--ppid", str(os.getpid())]
+    command = ["ps", "-ww", "-o", "args=", "--ppid", str(os.getpid())]
     found = subprocess.run(command, capture_output=True, text=True, check=True).stdout
     return sum("-m twinmatch.cli dashboard --port 0 --control" in line for line in found.splitlines())
 

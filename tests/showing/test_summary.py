@@ -159,7 +159,7 @@ def test_the_document_is_strict_json() -> None:
 
 
 @pytest.mark.parametrize("ending", ["png", "svg", "pdf"])
-def test_the_figure_is_drawn_and_gaps_are_no_hindrance(ending: str, tmp_path: Path) -> None:
+def test_the_figure_is_drawn_of_a_session_with_gaps_too(ending: str, tmp_path: Path) -> None:
     broken, path = samples()[:100] + samples()[150:], tmp_path / f"verdict.{ending}"
     draw_verdict(broken, MATCHED, TwinSettings(), path)
     assert path.stat().st_size > 5000
