@@ -9,8 +9,6 @@ import math
 from dataclasses import field
 from typing import Any
 
-__all__ = ["setting"]
-
 
 def setting(default: Any, text: str, unit: str = "", low: float = -math.inf, high: float = math.inf) -> Any:
     """A field of a dataclass that a user may set.

@@ -22,8 +22,6 @@ from twinmatch.signals import SignalError
 from twinmatch_msgs.msg import Forecast, LoopSample, Match, ModelScore, TwinState
 from twinmatch_msgs.srv import Past
 
-__all__ = ["Keeper"]
-
 MOST_SAMPLES = 2000
 """Most samples in one answer: some milliseconds of work."""
 MOST_MESSAGES = 20

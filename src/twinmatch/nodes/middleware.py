@@ -16,8 +16,6 @@ from types import ModuleType
 
 from twinmatch.errors import EXIT_USER_ERROR
 
-__all__ = ["BeforeRos", "problem"]
-
 VARIABLE = "RMW_IMPLEMENTATION"
 _INDEX = Path("share", "ament_index", "resource_index", "rmw_typesupport")
 _LOADER = "rmw_implementation"

@@ -26,19 +26,6 @@ from pathlib import Path
 from twinmatch.dynamics.store import cache_folder
 from twinmatch.errors import EXIT_USER_ERROR, TwinmatchError
 
-__all__ = [
-    "LEASE",
-    "PROFILES",
-    "VARIABLE",
-    "Network",
-    "NetworkError",
-    "check_sockets",
-    "lease",
-    "prepare",
-    "shell_lines",
-    "sockets_elsewhere",
-]
-
 VARIABLE = "TWINMATCH_NETWORK"
 """Environment variable whose value is that of a `Network`."""
 

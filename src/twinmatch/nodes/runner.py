@@ -38,8 +38,6 @@ try:
 except ImportError:  # Jazzy before rclpy 7.1.4, or a release that moves what is experimental
     EventsExecutor = SingleThreadedExecutor
 
-__all__ = ["EXIT_DEFECT", "TEARDOWN", "RunnerError", "program", "run"]
-
 EXIT_DEFECT = 1
 """Exit code after a defect of the program; its traceback is printed."""
 

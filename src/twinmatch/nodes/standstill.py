@@ -10,8 +10,6 @@ from __future__ import annotations
 import threading
 import time
 
-__all__ = ["Standstill"]
-
 BEAT = 0.25
 """Period of the heartbeat, wall s."""
 LONG = 4.0

@@ -38,8 +38,6 @@ from twinmatch.signals import FloatArray
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
 
-__all__ = ["Bag", "BagTopic", "Series", "is_bag", "map_bag", "open_bag"]
-
 _FILES: Final = (".mcap", ".db3", ".bag")
 _METADATA: Final = "metadata.yaml"
 _MANY: Final = 40

@@ -24,8 +24,6 @@ from twinmatch.plants import Peltier, find_plant, plant_named
 from twinmatch.plants.records import parameters_from
 from twinmatch.sessions.documents import DocumentError, parse_yaml, read_text, shown
 
-__all__ = ["CandidateFileError", "parse_candidates", "read_candidates"]
-
 _WORDS = ("name", "plant", "structure")
 MOST_NAME = 200
 """Longest name, characters."""

@@ -36,18 +36,6 @@ from twinmatch.sessions.tables import Table, split_title
 from twinmatch.sessions.times import read_times
 from twinmatch.signals import FloatArray
 
-__all__ = [
-    "Column",
-    "ColumnMap",
-    "Source",
-    "columns_of",
-    "described",
-    "parse_map",
-    "parse_source",
-    "proposed",
-    "read_map",
-]
-
 _FORM: Final = "write SIGNAL=COLUMN, such as output=T or 'output=T; unit=K; scale=0.1; offset=-40'"
 
 

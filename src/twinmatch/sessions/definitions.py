@@ -17,18 +17,6 @@ from typing import NamedTuple
 
 from twinmatch.sessions.files import SessionError
 
-__all__ = [
-    "FLOAT64",
-    "HEADER",
-    "LOOP_SAMPLE",
-    "SCALAR_SAMPLE",
-    "TEMPERATURE",
-    "TIME",
-    "MessageType",
-    "fields_of",
-    "schema_of",
-]
-
 _PRIMITIVE = {"bool", "byte", "char", "string", "wstring", "float32", "float64"} | {
     f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)
 }

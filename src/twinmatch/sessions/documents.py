@@ -19,8 +19,6 @@ from typing import Any
 from twinmatch.errors import TwinmatchError
 from twinmatch.sessions.files import read_bounded
 
-__all__ = ["MOST_BYTES", "DocumentError", "parse_json", "parse_yaml", "read_text", "read_yaml", "shown"]
-
 MOST_BYTES = 1 << 20
 """Longest document: a thousand candidates, or the metadata of a session of a thousand files."""
 MOST_VALUES = 20_000

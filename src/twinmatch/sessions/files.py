@@ -22,16 +22,6 @@ from typing import BinaryIO
 
 from twinmatch.errors import TwinmatchError
 
-__all__ = [
-    "ProgressCallback",
-    "RecordingError",
-    "SessionError",
-    "lines_of",
-    "open_regular",
-    "part_of",
-    "read_bounded",
-]
-
 ProgressCallback = Callable[[int, int], None]
 """Called with the amount done and the total."""
 

@@ -21,17 +21,6 @@ from twinmatch.sessions.times import Times, read_times, row_times
 from twinmatch.signals import FloatArray, Sample
 from twinmatch.units import Conversion, conversion, measure
 
-__all__ = [
-    "TIME",
-    "Mapped",
-    "PlantSignal",
-    "by_signal",
-    "check_range",
-    "map_samples",
-    "require_columns",
-    "with_plant_names",
-]
-
 TIME: Final = "time"
 
 _ODD = 0.01

@@ -22,8 +22,6 @@ import numpy as np
 from twinmatch.sessions.files import RecordingError, open_regular
 from twinmatch.signals import FloatArray
 
-__all__ = ["MAT_BEGINNING", "read_matrices"]
-
 MAT_BEGINNING: Final = b"MATLAB 5.0 MAT-file"
 _ORDERS: Final = {b"\x00\x01IM": "<", b"\x01\x00MI": ">"}
 """Byte order by the version and mark at the end of the header."""

@@ -28,21 +28,6 @@ from twinmatch.sessions.definitions import (
 from twinmatch.sessions.files import SessionError
 from twinmatch.signals import Sample, not_one_loop
 
-__all__ = [
-    "PLANT_TOPICS",
-    "Message",
-    "Qos",
-    "Topic",
-    "current",
-    "current_topic",
-    "decode_sample",
-    "encode_float64",
-    "encode_sample",
-    "encode_temperature",
-    "plant_messages",
-    "plant_topics",
-]
-
 FOREVER = {"sec": 9223372036, "nsec": 854775807}
 """An infinite duration in ROS 2."""
 

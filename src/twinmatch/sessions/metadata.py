@@ -13,23 +13,6 @@ from twinmatch.sessions.documents import DocumentError, parse_json, parse_yaml, 
 from twinmatch.sessions.files import SessionError
 from twinmatch.sessions.messages import Qos, Topic
 
-__all__ = [
-    "CANDIDATES",
-    "METADATA",
-    "PLANT",
-    "Part",
-    "Summary",
-    "distro_of",
-    "files_listed",
-    "has_reference",
-    "mcap_files",
-    "parameters_of",
-    "parameters_record",
-    "parse_qos",
-    "plant_of",
-    "qos_text",
-]
-
 METADATA = "metadata.yaml"
 VERSION = 9
 

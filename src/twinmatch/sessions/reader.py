@@ -18,8 +18,6 @@ from twinmatch.sessions.resampling import rounded_period
 from twinmatch.sessions.scan import Scan
 from twinmatch.signals import Sample, Window
 
-__all__ = ["Session", "check_samples", "gaps_of", "period_of", "read_session"]
-
 SUFFIX = "plant/sample"
 MESSAGES_BETWEEN = 5000
 """Messages between two reports of progress."""

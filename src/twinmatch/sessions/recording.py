@@ -20,15 +20,6 @@ from twinmatch.sessions.reader import check_samples, gaps_of
 from twinmatch.sessions.writer import SessionWriter, sync_folder
 from twinmatch.signals import Sample, Window
 
-__all__ = [
-    "EPOCH",
-    "DiskFullError",
-    "Recording",
-    "RecordingLimits",
-    "samples_of",
-    "write_session",
-]
-
 MEGABYTE = 1_000_000
 NANOSECONDS = 1_000_000_000
 

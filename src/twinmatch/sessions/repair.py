@@ -20,8 +20,6 @@ from twinmatch.sessions.metadata import METADATA, distro_of, files_listed, mcap_
 from twinmatch.sessions.scan import Scan
 from twinmatch.sessions.writer import SessionWriter, sync_folder
 
-__all__ = ["BROKEN", "Repair", "repair_session"]
-
 BROKEN = ".broken"
 """Suffix appended to the name of the original."""
 

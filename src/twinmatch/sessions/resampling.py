@@ -29,17 +29,6 @@ from numpy.typing import ArrayLike, NDArray
 from twinmatch.sessions.files import RecordingError
 from twinmatch.signals import FloatArray
 
-__all__ = [
-    "Gaps",
-    "Kind",
-    "Resampled",
-    "bridged_up_to",
-    "period_of_ticks",
-    "repeated",
-    "resample",
-    "rounded_period",
-]
-
 Kind = Literal["reading", "held", "set"]
 """Kind of a column, which determines its values between rows."""
 

@@ -25,8 +25,6 @@ from twinmatch.sessions.files import SessionError, open_regular
 from twinmatch.sessions.messages import Message, Topic
 from twinmatch.sessions.metadata import parse_qos
 
-__all__ = ["MAGIC", "Scan"]
-
 MAGIC = b"\x89MCAP0\r\n"
 
 _RECORD = struct.Struct("<BQ")

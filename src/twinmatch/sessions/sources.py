@@ -37,8 +37,6 @@ from twinmatch.sessions.scan import MAGIC
 from twinmatch.sessions.tables import Table, read_table, split_title
 from twinmatch.signals import KELVIN, Sample, Window
 
-__all__ = ["open_any", "read_recording", "session_of"]
-
 _SUFFIXES: Final = (".mat", ".csv")
 _MATRIX: Final = "simout"
 _OF_MATRIX: Final = (INPUT, OUTPUT, TIME, REFERENCE)

@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 
 from twinmatch.signals import Sample, SignalError, Window
 
-__all__ = ["MessageSpool", "SampleSpool"]
-
 Rows = NDArray[np.void]
 
 

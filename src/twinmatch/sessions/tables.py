@@ -30,8 +30,6 @@ from twinmatch.sessions.matlab import read_matrices
 from twinmatch.signals import FloatArray
 from twinmatch.units import measure
 
-__all__ = ["Table", "number", "read_table", "split_title"]
-
 MOST_BYTES: Final = 500_000_000
 """Largest file; anything larger is not a recording of a loop, or should be split before the import."""
 _HEAD: Final = 53

@@ -27,8 +27,6 @@ from twinmatch.sessions.tables import Table
 from twinmatch.signals import FloatArray
 from twinmatch.units import conversion
 
-__all__ = ["DAY_FIRST", "MONTH_FIRST", "Times", "in_order", "order_of", "read_times", "row_times"]
-
 DAY_FIRST: Final = "day/month/year"
 MONTH_FIRST: Final = "month/day/year"
 _FORM: Final = re.compile(

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from mcap.data_stream import RecordBuilder
     from mcap.records import ChunkIndex
 
-__all__ = ["SessionWriter", "sync_folder"]
-
 CHUNK_SIZE = 64 * 1024
 """Bytes buffered before they are written: what a killed recorder loses if it never flushes."""
 BLOCK = 1 << 20

@@ -15,19 +15,6 @@ from typing import Any, Final, NamedTuple
 from twinmatch.errors import TwinmatchError
 from twinmatch.units import Conversion, conversion, measure
 
-__all__ = [
-    "Channel",
-    "Field",
-    "FieldsOf",
-    "SamplingError",
-    "SignalSource",
-    "check_path",
-    "fields_below",
-    "follow",
-    "parse_channel",
-    "usual_unit",
-]
-
 NUMBERS: Final = frozenset(
     {"bool", "boolean", "byte", "char", "octet", "float", "float32", "float64", "double", "long double"}
     | {f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)}

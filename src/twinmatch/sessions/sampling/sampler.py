@@ -19,8 +19,6 @@ from twinmatch.sessions.sampling.channels import SamplingError
 from twinmatch.sessions.sampling.ticks import Grid, Rate
 from twinmatch.signals import Sample
 
-__all__ = ["INPUT", "OUTPUT", "REFERENCE", "TIMER", "Limits", "Sampler"]
-
 OUTPUT: Final = "output"
 INPUT: Final = "input"
 REFERENCE: Final = "reference"

@@ -8,8 +8,6 @@ from typing import Final
 
 import numpy as np
 
-__all__ = ["Grid", "Rate"]
-
 _LEAK: Final = 0.1
 """Fraction of a tick's lateness by which the grid is moved after it."""
 
