@@ -13,7 +13,7 @@ pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
 pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup")
 
 from twinmatch.nodes.camera_bridge import CameraBridge
-from twinmatch.nodes.output_gate import gate_limits, gate_table
+from twinmatch.nodes.gated import gate_limits, gate_table
 from twinmatch.nodes.pwm_bridge import PwmBridge
 from twinmatch.nodes.tclab_bridge import TCLabBridge
 from twinmatch.parameters.declared import check, render

@@ -6,7 +6,7 @@ import threading
 
 import pytest
 
-from twinmatch.nodes.output_gate import ClockTimes, OutputGate
+from twinmatch.nodes.gated import ClockTimes, OutputGate
 from twinmatch.safety import FaultKind
 
 SECOND = 1_000_000_000

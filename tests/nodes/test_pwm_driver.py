@@ -19,9 +19,9 @@ from twinmatch.emulation import arduino_model
 from twinmatch.emulation.arduino import StandInArduino
 from twinmatch.links.pwm_link import Applied, LinkSettings, PwmLink, PwmVersionError
 from twinmatch.links.pwm_protocol import Flags
-from twinmatch.nodes.driver import DriverPace, PwmDriver
+from twinmatch.nodes.gated import ClockTimes, DriverPace, OutputGate
 from twinmatch.nodes.node import Level, NodeHealth
-from twinmatch.nodes.output_gate import ClockTimes, OutputGate
+from twinmatch.nodes.pwm_bridge import PwmDriver
 from twinmatch.safety import FaultKind, GuardLimits
 
 PATIENT = LinkSettings(timeout=1.0)

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rclpy.serialization import serialize_message
 
-from twinmatch.nodes.recorder_past import Copies, Fetched, InOrder, values_of
+from twinmatch.nodes.past import Copies, Fetched, InOrder, values_of
 from twinmatch_msgs.msg import ModelScore
 
 SAMPLE, KINDS = "samples", ("matches", "verdicts")

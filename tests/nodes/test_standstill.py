@@ -13,15 +13,15 @@ from std_msgs.msg import Int64
 
 from tests.support.processes import Processes
 from tests.support.ros import listening
-from twinmatch.nodes.standstill import LONG, REDISCOVERY, Standstill
+from twinmatch.nodes.samples import Standstill
 from twinmatch.nodes.topics import EVERYTHING
 
 
 def test_a_process_that_beats_never_waits() -> None:
     still = Standstill()
     for k in range(40):
-        still.beat(k * LONG)
-        assert still.remaining(k * LONG + 0.5 * LONG) == 0.0
+        still.beat(k * Standstill.LONG)
+        assert still.remaining(k * Standstill.LONG + 0.5 * Standstill.LONG) == 0.0
 
 
 def test_after_a_standstill_the_first_to_look_waits_whether_or_not_the_heart_has_beaten() -> None:
@@ -31,15 +31,15 @@ def test_after_a_standstill_the_first_to_look_waits_whether_or_not_the_heart_has
         woken = 10.0
         if heart_first:
             still.beat(woken)
-        assert still.remaining(woken) == REDISCOVERY
-        assert still.remaining(woken + 0.5 * REDISCOVERY) == 0.5 * REDISCOVERY
-        assert still.remaining(woken + REDISCOVERY) == 0.0
+        assert still.remaining(woken) == Standstill.REDISCOVERY
+        assert still.remaining(woken + 0.5 * Standstill.REDISCOVERY) == 0.5 * Standstill.REDISCOVERY
+        assert still.remaining(woken + Standstill.REDISCOVERY) == 0.0
 
 
 def test_an_end_lets_go_of_who_waits() -> None:
     still = Standstill()
-    still.beat(time.monotonic() - 2 * LONG)
-    still.end()
+    still.beat(time.monotonic() - 2 * Standstill.LONG)
+    still.close()
     still.wait()
     assert still.remaining(time.monotonic()) > 0.0
 

@@ -7,7 +7,7 @@ import time
 import rclpy
 from std_msgs.msg import Int64
 
-from twinmatch.nodes.standstill import Standstill
+from twinmatch.nodes.samples import Standstill
 from twinmatch.nodes.topics import RELIABLE
 
 

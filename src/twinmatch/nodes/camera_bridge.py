@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from array import array
 from typing import Any, ClassVar
@@ -24,7 +23,7 @@ from twinmatch.links.thermal_client import (
     region,
 )
 from twinmatch.links.thermal_frame import DEFAULT_PORT, Exposure, ThermalFrame
-from twinmatch.nodes.node import Level, Report, TwinmatchNode
+from twinmatch.nodes.node import Background, Level, Report, TwinmatchNode
 from twinmatch.nodes.runner import program
 from twinmatch.nodes.sample_messages import time_message
 from twinmatch.parameters.declared import Setting
@@ -149,9 +148,8 @@ class CameraBridge(TwinmatchNode):
         settings = ClientSettings(stall_timeout=values["stall_timeout"])
         self._camera = ThermalClient(values["host"], values["port"], settings)
         self._past = WallToRos()
-        self._ending = threading.Event()
-        self._thread: threading.Thread | None = None
-        self._failure: Exception | None = None
+        self._thread = Background("camera", self._run)
+        self.beside.append(self._thread)
         self._measured_at: int | None = None  # stamp of the last temperature, ns
         self._pictured_at: int | None = None  # when the last images were published, monotonic ns
         self._counted = (0, time.monotonic())  # frames at the last report, and when that was
@@ -165,22 +163,13 @@ class CameraBridge(TwinmatchNode):
         self.health.say("streaming")
         self.report_on()
         self._camera.start()
-        self._thread = threading.Thread(target=self._run, name="camera", daemon=True)
         self._thread.start()
 
-    @property
-    def failure(self) -> Exception | None:
-        """The defect that ended the thread."""
-        return self._failure
-
     def close(self) -> bool:
-        """End the connection and the thread."""
-        self._ending.set()
+        """End the thread and the connection."""
+        ended = super().close()
         self._camera.close(2.0)
-        if self._thread is None:
-            return True
-        self._thread.join(2.0)
-        return not self._thread.is_alive()
+        return ended
 
     def report(self) -> Report:
         """State of the link, pace and age of the images, state of the camera."""
@@ -223,16 +212,13 @@ class CameraBridge(TwinmatchNode):
 
     def _run(self) -> None:
         number = 0
-        try:
-            while not self._ending.is_set():
-                received = self._camera.wait(number, PATIENCE)
-                if received is not None:
-                    number = received.number
-                    self._take(received)
-                    if self.step is not None:
-                        self.step.image(received.frame.stamp)
-        except Exception as error:  # handed to the main thread, which ends the process with it
-            self._failure = error
+        while not self._thread.ending.is_set():
+            received = self._camera.wait(number, PATIENCE)
+            if received is not None:
+                number = received.number
+                self._take(received)
+                if self.step is not None:
+                    self.step.image(received.frame.stamp)
 
     def _take(self, received: Received) -> None:
         frame = received.frame

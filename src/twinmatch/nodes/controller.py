@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
-from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -17,7 +15,7 @@ from std_msgs.msg import Float64
 
 from twinmatch.control import ControlError, Loop, Profile
 from twinmatch.dynamics import Pid, Plant, PlantError
-from twinmatch.nodes.node import READERS, Level, Report, TwinmatchNode, count_readers, missing_readers
+from twinmatch.nodes.node import READERS, Level, Missed, Readers, Report, TwinmatchNode
 from twinmatch.nodes.runner import program
 from twinmatch.nodes.sample_messages import sample_message, time_message
 from twinmatch.nodes.topics import LATCHED, RELIABLE
@@ -134,8 +132,6 @@ PELTIER = PlantTopics("plant/temperature", Temperature, "temperature", "plant/pw
 
 RESEND = 0.2
 """Interval at which the command is repeated in step, wall s."""
-REMEMBER = 60
-"""Ticks for which a missed one is reported."""
 
 
 class ControllerNode(TwinmatchNode):
@@ -171,8 +167,7 @@ class ControllerNode(TwinmatchNode):
         self._loop = Loop(self._plant, self._gains, max_age=values["max_age"])
         self._set_point: float | None = None
         """Set-point published or received last."""
-        self._waiting_until: float | None = time.monotonic() + values["wait_timeout"]
-        self._missed_at = (0, 0)  # count and index
+        self._missed = Missed(self.health)
         self._wiring = PELTIER if self._plant is Peltier else GENERAL
         self._commands: Any = None
 
@@ -184,6 +179,8 @@ class ControllerNode(TwinmatchNode):
         self.create_subscription(wiring.reading_type, wiring.reading, self._on_reading, NEWEST)
         self._commands = self.create_publisher(wiring.command_type, wiring.command, 10)
         self._samples = self.create_publisher(LoopSample, "plant/sample", RELIABLE)
+        timeout, number = self.values["wait_timeout"], self.values["wait_for"]
+        self._readers = Readers(self, self._samples.topic_name, timeout, number)
         if self._profile is None:
             # A latched reader gets the set-point published before it started, but nothing from publishers
             # that do not latch.
@@ -198,7 +195,7 @@ class ControllerNode(TwinmatchNode):
         every(self._gains.period, self._on_tick)
         every(self.values["command_period"], self._on_repeat)
         if self.step is not None:  # while the plant waits for a command, none may be lost
-            self.create_timer(RESEND, self._on_repeat, clock=Clock(clock_type=ClockType.STEADY_TIME))
+            self.wall_timer(RESEND, self._on_repeat)
         self.health.say("waiting")
         self.report_on()
 
@@ -248,8 +245,10 @@ class ControllerNode(TwinmatchNode):
         self._set_point = message.data
 
     def _on_tick(self) -> None:
-        if not self._readers_there():
+        if not self._readers.there():
             return
+        if self.step is not None:
+            self.step.drive()
         sample = self._loop.tick(self._now(), self._reference)
         if self.exit_code is not None:
             return
@@ -264,10 +263,10 @@ class ControllerNode(TwinmatchNode):
             # Before sample 0 this is how every run begins.
             level = Level.ERROR if self._loop.idle else Level.WARN
             self.health.flag("idle", level, f"the output is off: {self._loop.trouble}")
-        self._watch_missed()
+        self._missed.watch(self._loop.missed, round(self._loop.time / self._gains.period))
 
     def _on_repeat(self) -> None:
-        if self._waiting_until is None and self.exit_code is None:
+        if not self._readers.awaited and self.exit_code is None:
             self._command(self._loop.input)
 
     def _reference(self, at: float) -> float | None:
@@ -293,36 +292,6 @@ class ControllerNode(TwinmatchNode):
             self._commands.publish(message)
             if self.step is not None:
                 self.step.sent(now)
-
-    def _readers_there(self) -> bool:
-        """Whether all nodes that must not miss a sample subscribe, or the wait for them is over."""
-        if self._waiting_until is None:
-            return True
-        wanted, found = self.values["wait_for"], count_readers(self, self._samples.topic_name)
-        missing = missing_readers(self, self._samples.topic_name, self.values["readers"])
-        if (found < wanted or missing) and time.monotonic() < self._waiting_until:
-            return False
-        if found < wanted or missing:
-            text = (
-                f"{self._samples.topic_name} has only {found} of {wanted} subscribers; started without them"
-            )
-            if missing:
-                text = f"{', '.join(missing)} did not subscribe to {self._samples.topic_name} in time"
-            self.get_logger().warning(text)
-            self.health.flag("readers", Level.WARN, text)
-        self._waiting_until = None
-        if self.step is not None:
-            self.step.drive()
-        return True
-
-    def _watch_missed(self) -> None:
-        missed, number = self._loop.missed, round(self._loop.time / self._gains.period)
-        if missed != self._missed_at[0]:
-            self._missed_at = (missed, number)
-            text = f"ticks were missed, {missed} in all; windows start over"
-            self.health.flag("missed", Level.WARN, text)
-        elif number - self._missed_at[1] > REMEMBER:
-            self.health.withdraw("missed")
 
     def _now(self) -> int:
         return int(self.get_clock().now().nanoseconds) if self.step is None else self.step.now

@@ -11,7 +11,6 @@ from collections import deque
 from pathlib import Path
 
 import numpy as np
-from rclpy.clock import Clock, ClockType
 
 from twinmatch import twin
 from twinmatch.comparing import Verdict
@@ -154,7 +153,7 @@ class DiscriminatorNode(SampleNode):
         self.create_subscription(Match, "twin/match", self._on_match, EVERYTHING)
         if self.step is not None:
             self.step.wait_for(self._behind)
-        self.create_timer(CHECK, self._repeat, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.wall_timer(CHECK, self._repeat)
 
     def _behind(self) -> bool:
         """Whether a match has been awaited for so long that a plant in step should wait too."""

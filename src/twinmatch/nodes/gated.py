@@ -1,20 +1,301 @@
-"""Base of the nodes between commands and a heater: gate, driver, fault services."""
+"""What stands between commands and a heater: the gate, the thread that drives the hardware, the node of both.
+
+The node's callbacks provide the gate's inputs, the driver's thread asks it for decisions. All times there are
+from a `SafetyClock`, which reads its clocks through one function, so that tests need neither clocks nor ROS.
+However the thread ends, its last command is zero. If it cannot send it, the board does so by itself after its
+deadline, and for a kit the process that holds its port.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import threading
 import time
-from typing import Any, ClassVar
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
 from std_srvs.srv import Trigger
 
-from twinmatch.nodes.driver import DriverPace, DriverThread
-from twinmatch.nodes.node import Level, Report, TwinmatchNode
-from twinmatch.nodes.output_gate import ClockTimes, OutputGate, gate_limits
-from twinmatch.nodes.sample_messages import sample_from
+from twinmatch.errors import TwinmatchError
+from twinmatch.links.kit_link import KitLink
+from twinmatch.links.pwm_link import PwmLink
+from twinmatch.nodes.node import Background, Level, NodeHealth, Report, TwinmatchNode
+from twinmatch.nodes.step import FOREVER, InStep
 from twinmatch.nodes.topics import RELIABLE
-from twinmatch.safety import ClockLimits, FaultKind, GuardFault, GuardLimits
-from twinmatch.signals import SignalError
-from twinmatch_msgs.msg import LoopSample
+from twinmatch.parameters.declared import Setting, group, parameters_of
+from twinmatch.safety import (
+    ClockLimits,
+    FaultKind,
+    GuardFault,
+    GuardLimits,
+    OutputGuard,
+    SafetyClock,
+)
+from twinmatch.signals import Sample
+
+
+class ClockTimes(NamedTuple):
+    """The same moment on three clocks, ns."""
+
+    stamps: int
+    """The clock of the messages' stamps."""
+    plant: int
+    """The clock for deadlines: the simulated one if there is one, else the monotonic one."""
+    wall: int
+    """A monotonic clock of this machine."""
+
+
+class Decision(NamedTuple):
+    """What may be sent to the driver."""
+
+    input: float
+    """Command u, in the drive's unit."""
+    armed: bool
+    """Whether commands pass and the driver's deadline may be kept alive."""
+    sample: int
+    """Sample at which the command was computed."""
+    time: float
+    """Time of the decision, s of the safety clock."""
+
+
+class OutputGate:
+    """An `OutputGuard` with its clocks and a lock."""
+
+    def __init__(
+        self,
+        read_clocks: Callable[[], ClockTimes],
+        limits: GuardLimits | None = None,
+        clock_limits: ClockLimits | None = None,
+    ) -> None:
+        """Start with the output at zero, waiting for inputs."""
+        self._read_clocks = read_clocks
+        self._guard = OutputGuard(limits)
+        self._safety_clock = SafetyClock(clock_limits)
+        self._index = 0
+        self.commanded = 0
+        """Stamp of the newest command, ns."""
+        self._news = threading.Condition(threading.RLock())
+
+    @property
+    def fault(self) -> GuardFault | None:
+        """The latched fault, if any."""
+        with self._news:
+            return self._guard.fault
+
+    @property
+    def armed(self) -> bool:
+        """Whether commands passed at the last decision."""
+        with self._news:
+            return self._guard.armed
+
+    @property
+    def clock_stopped(self) -> bool:
+        """Whether the plant's clock stands still, or has not been seen to move."""
+        with self._news:
+            return self._safety_clock.stopped
+
+    def command(self, value: float, index: int, stamp: int) -> None:
+        """Take a command sent at `stamp` (ns), computed at sample `index`."""
+        with self._news:
+            now, times = self._now()
+            self._guard.command(value, now, (times.stamps - stamp) / 1e9)
+            self._index, self.commanded = index, stamp
+            self._news.notify_all()
+
+    def temperature(self, celsius: float, stamp: int) -> None:
+        """Take a temperature measured at `stamp` (ns)."""
+        with self._news:
+            now, times = self._now()
+            self._guard.temperature(celsius, now, (times.stamps - stamp) / 1e9)
+            self._news.notify_all()
+
+    def sample(self, reference: float, temperature: float, drive: float) -> None:
+        """Take one tick of the control loop."""
+        with self._news:
+            self._guard.loop(reference, temperature, drive, self._now()[0])
+            self._news.notify_all()
+
+    def trip(self, kind: FaultKind, message: str) -> None:
+        """Latch a fault."""
+        with self._news:
+            self._guard.trip(kind, message, self._now()[0])
+            self._news.notify_all()
+
+    def clear(self) -> GuardFault | None:
+        """Clear the fault and return it; the output waits for new inputs."""
+        with self._news:
+            fault = self._guard.fault
+            self._guard.clear()
+            return fault
+
+    def decide(self) -> Decision:
+        """What may be sent now. Nothing is armed while the plant's clock stands still."""
+        with self._news:
+            now, _ = self._now()
+            clock = self._safety_clock
+            if clock.stopped:
+                if self._guard.armed:
+                    message = f"/clock has stood still for {clock.standing:.1f} s; is the simulator running?"
+                    self._guard.trip(FaultKind.CLOCK, message, now)
+                return Decision(0.0, False, self._index, now)
+            value = self._guard.output(now)
+            return Decision(value, self._guard.armed, self._index, now)
+
+    def wait(self, timeout: float) -> None:
+        """Sleep until there is a new input, `timeout` seconds of the wall clock at most."""
+        with self._news:
+            self._news.wait(timeout)
+
+    def _now(self) -> tuple[float, ClockTimes]:
+        times = self._read_clocks()
+        return self._safety_clock.read(times.plant, times.wall), times
+
+
+def gate_table(usual: GuardLimits, note: str = "") -> tuple[Setting, ...]:
+    """The parameters of the limits of a plant; `note` explains the default of the temperature's timeout."""
+    most = max(map(abs, usual.commands))
+    names = {"y": usual.unit, "u": usual.drive_unit, "note": note}
+    silence, *others = parameters_of(usual, **names)
+    *runaway, full = parameters_of(usual.runaway, "runaway.", **names)
+    clock = "Zero when /clock stands still for this long, by the wall clock."
+    return (
+        silence,
+        others[0],
+        Setting("clock_timeout", ClockLimits().patience, clock, "s", 0.1, 60.0),
+        *others[1:],
+        *runaway,
+        replace(full, low=most / 255.0, high=most),
+    )
+
+
+def gate_limits(usual: GuardLimits, values: Mapping[str, Any]) -> GuardLimits:
+    """The guard's limits from checked parameter values; the other limits are those of `usual`.
+
+    Raises:
+        SafetyError: values contradict each other.
+    """
+    own = {parameter.name: values[parameter.name] for parameter in parameters_of(usual)}
+    return replace(usual, **own, runaway=replace(usual.runaway, **group(values, "runaway.")))
+
+
+Link = TypeVar("Link", PwmLink, KitLink)
+Tell = Callable[[Any, int], None]
+"""Called with each report of the hardware (None: unknown) and the sample whose command it applies."""
+
+
+@dataclass(frozen=True)
+class DriverPace:
+    """Pace of a driver's thread."""
+
+    repeat: float = 0.1
+    """Interval at which a command is repeated, s of the plant's clock."""
+    poll: float = 0.025
+    """Longest sleep between two readings of that clock, wall s."""
+    first_pause: float = 0.1
+    """Pause before the first attempt to restore a lost link, s; doubled after each attempt."""
+    longest_pause: float = 2.0
+    """Longest such pause, s."""
+
+
+class DriverThread(Background, ABC, Generic[Link]):
+    """Applies what the gate passes, and nothing else, until it is closed or fails; then releases the link."""
+
+    NAME: ClassVar[str]
+    CLOSING: ClassVar[float]
+    """Default time in which the thread has to end, s."""
+    ERRORS: ClassVar[type[TwinmatchError]]
+    """Errors of the link."""
+
+    connected = False
+    """Whether the hardware answered last."""
+    step: InStep | None = None
+    """Told which commands are applied, if the plant waits for them."""
+
+    def __init__(
+        self, link: Link, gate: OutputGate, tell: Tell, health: NodeHealth, pace: DriverPace | None = None
+    ) -> None:
+        """`tell` is called in the thread, which `start` starts."""
+        super().__init__(self.NAME, self._serve_gate, self.CLOSING)
+        self.link: Link = link
+        self._gate, self._tell, self._health, self._pace = gate, tell, health, pace or DriverPace()
+        self._clear_wanted = threading.Event()
+        self._known = False  # whether the hardware has answered before
+        self._driving = False  # whether the last command had passed the gate
+        self._sent_at = 0.0
+        self._attempts = 0
+
+    def clear(self) -> None:
+        """Clear the fault latched by the hardware, before anything else is sent."""
+        self._clear_wanted.set()
+
+    @abstractmethod
+    def _connect(self) -> None:
+        """Open the link."""
+
+    @abstractmethod
+    def _serve(self, decision: Decision) -> None:
+        """Apply a decision of the gate, or wait for the next one."""
+
+    @abstractmethod
+    def _zero(self) -> None:
+        """Set zero."""
+
+    @abstractmethod
+    def _refusal(self, error: Any) -> FaultKind | None:
+        """The fault of hardware that is there but refuses; None if the link is lost.
+
+        Raises:
+            TwinmatchError: the error itself, if waiting does not help.
+        """
+
+    def _serve_gate(self) -> None:
+        try:
+            while not self.ending.is_set():
+                commanded = self._gate.commanded
+                self._turn()
+                if self.step is not None:
+                    self.step.applied(commanded if self.connected else FOREVER)
+        finally:
+            self.connected = False
+            if self.link.is_open:
+                with contextlib.suppress(Exception):  # the port must be released whatever happens
+                    self._zero()
+            self.link.close()
+
+    def _turn(self) -> None:
+        try:
+            if not self.link.is_open:
+                self._connect()
+                self._known, self._attempts = True, 0
+                self._health.count("connections")
+                self._health.withdraw("link")
+            if self._clear_wanted.is_set():
+                self.link.clear()
+                self._clear_wanted.clear()
+            self._serve(self._gate.decide())
+        except self.ERRORS as error:
+            kind = self._refusal(error)
+            if kind is None:
+                self._lost(error)
+            else:
+                self._driving = False
+                self._gate.trip(kind, str(error))
+
+    def _lost(self, error: TwinmatchError) -> None:
+        """Close a lost link, and wait before the next attempt to restore it."""
+        if self._driving:
+            self._gate.trip(FaultKind.LINK, str(error))
+        self._driving = self.connected = False
+        self._health.count(type(error).__name__)
+        self._health.flag("link", Level.ERROR, str(error))
+        self.link.close()
+        self._tell(None, 0)
+        pause = self._pace.first_pause * 2.0 ** min(self._attempts, 30)
+        self.ending.wait(min(pause, self._pace.longest_pause))
+        self._attempts += 1
+
 
 NAN = float("nan")
 SIMULATED_POLL = 0.004
@@ -54,7 +335,7 @@ class GatedNode(TwinmatchNode):
         for place in ("~", "plant"):
             self.create_service(Trigger, f"{place}/clear_fault", self._on_clear)
             self.create_service(Trigger, f"{place}/stop", self._on_stop)
-        self.create_subscription(LoopSample, "plant/sample", self._on_sample, RELIABLE)
+        self.hear_samples(self._on_sample, RELIABLE)
 
     @property
     def pace(self) -> DriverPace:
@@ -67,17 +348,9 @@ class GatedNode(TwinmatchNode):
         if self.step is not None:
             driver.step, driver.link.plant_time = self.step, self.step.breathe
         self._driver = driver
+        self.beside.append(driver)
         self.report_on()
         driver.start()
-
-    @property
-    def failure(self) -> Exception | None:
-        """The error that ended the driver's thread, if any."""
-        return None if self._driver is None else self._driver.failure
-
-    def close(self) -> bool:
-        """Set zero and release the hardware."""
-        return self._driver is None or self._driver.close()
 
     def report(self) -> Report:
         """Fault, gate, clock, runaway watch."""
@@ -110,14 +383,8 @@ class GatedNode(TwinmatchNode):
         stamps, wall = self.get_clock().now().nanoseconds, time.monotonic_ns()
         return ClockTimes(stamps, stamps if self.get_clock().ros_time_is_active else wall, wall)
 
-    def _on_sample(self, message: LoopSample) -> None:
-        try:
-            sample = sample_from(message)
-        except SignalError as error:
-            self.health.flag("sample", Level.ERROR, f"plant/sample: {error}")
-            return
+    def _on_sample(self, sample: Sample) -> None:
         self._sampled_at = time.monotonic()
-        self.health.withdraw("sample")
         self.gate.sample(sample.reference, sample.output, sample.input)
 
     def _on_clear(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:

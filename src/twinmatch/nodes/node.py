@@ -1,26 +1,32 @@
 """Base class of all nodes of this package: table of parameters, diagnostics, a worker thread, orderly end.
 
-`NodeHealth` collects what REP 107 diagnostics report and knows nothing of ROS; `Reporter` publishes it once a
-second. A `Worker` does a node's heavy work, so that its callbacks never wait.
+`NodeHealth` collects what REP 107 diagnostics report and knows nothing of ROS. A `Worker` does a node's heavy
+work, so that its callbacks never wait.
 """
 
 from __future__ import annotations
 
 import math
 import threading
+import time
 from collections.abc import Callable, Mapping, Sequence
 from enum import IntEnum
 from queue import Empty, SimpleQueue
-from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
+from typing import Any, ClassVar, Generic, NamedTuple, Protocol, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from rclpy.timer import Timer
 
 from twinmatch.errors import TwinmatchError
+from twinmatch.nodes.sample_messages import sample_from
 from twinmatch.nodes.step import InStep
 from twinmatch.parameters.declared import ParameterError, Setting, Values, check
+from twinmatch.signals import Sample, SignalError
+from twinmatch_msgs.msg import LoopSample
 
 PERIOD = 1.0
 """Reporting period (REP 107), s, by a clock that runs even while simulated time is stopped."""
@@ -106,24 +112,34 @@ def status_message(name: str, report: Report) -> DiagnosticStatus:
     return DiagnosticStatus(level=bytes([report.level]), name=name, message=report.message, values=values)
 
 
-class Reporter:
-    """Publishes the health of a node's parts on /diagnostics."""
+class Background:
+    """A thread of a node; an error in it is handed to the main thread, which ends the process with it."""
 
-    def __init__(self, node: Node, tasks: Mapping[str, Callable[[], Report]]) -> None:
-        """Report the tasks, named `<node>: <key>`, every second from now on."""
-        self._node = node
-        self._tasks = tasks
-        self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._timer = node.create_timer(PERIOD, self.publish, clock=steady)
+    failure: Exception | None = None
+    """The error that ended the thread, if any."""
 
-    def publish(self) -> None:
-        """Report now, outside the regular period."""
-        name = self._node.get_fully_qualified_name().lstrip("/")
-        message = DiagnosticArray()
-        message.header.stamp = self._node.get_clock().now().to_msg()
-        message.status = [status_message(f"{name}: {key}", task()) for key, task in self._tasks.items()]
-        self._publisher.publish(message)
+    def __init__(self, name: str, run: Callable[[], None], patience: float = 2.0) -> None:
+        """`run` returns soon after `ending` is set; `close` waits for it `patience` s by default."""
+        self.ending = threading.Event()
+        self._run, self._patience = run, patience
+        self._thread = threading.Thread(target=self._guarded, name=name, daemon=True)
+
+    def start(self) -> None:
+        """Start the thread."""
+        self._thread.start()
+
+    def close(self, timeout: float | None = None) -> bool:
+        """End the thread; returns whether it ended within the timeout (s)."""
+        self.ending.set()
+        if self._thread.ident is not None:
+            self._thread.join(self._patience if timeout is None else timeout)
+        return not self._thread.is_alive()
+
+    def _guarded(self) -> None:
+        try:
+            self._run()
+        except Exception as error:
+            self.failure = error
 
 
 Item = TypeVar("Item")
@@ -131,24 +147,22 @@ PATIENCE = 0.2
 """Interval at which an idle worker checks whether it should end, s."""
 
 
-class Worker(Generic[Item]):
+class Worker(Background, Generic[Item]):
     """Handles items in the order in which they were queued.
 
     Nothing is ever dropped: the items are small, and a lost sample would cost a whole window. After a
     `TwinmatchError` of the handler, which is reported, the next item is handled; any other exception is a
-    defect, ends the worker and is kept in `failure`.
+    defect and ends the worker.
     """
 
     def __init__(self, handle: Callable[[Item], None], health: NodeHealth, backlog: int = 100) -> None:
         """Start the thread; more than `backlog` queued items are reported as a warning."""
-        self.failure: Exception | None = None
+        super().__init__("worker", self._work)
         self._handle = handle
         self._health = health
         self._backlog = backlog
         self._items: SimpleQueue[Item] = SimpleQueue()
-        self._ending = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="worker", daemon=True)
-        self._thread.start()
+        self.start()
 
     @property
     def depth(self) -> int:
@@ -166,27 +180,16 @@ class Worker(Generic[Item]):
         message = f"{depth} messages are queued; they arrive faster than they are processed"
         self._health.flag_if(depth > self._backlog, "queue", Level.WARN, message)
 
-    def close(self, timeout: float = 2.0) -> bool:
-        """End the worker after its current item; returns whether it ended within the timeout (s)."""
-        self._ending.set()
-        self._thread.join(timeout)
-        return not self._thread.is_alive()
-
-    def _run(self) -> None:
-        while not self._ending.is_set():
+    def _work(self) -> None:
+        while not self.ending.is_set():
             try:
-                item = self._items.get(timeout=PATIENCE)
+                self._handle(self._items.get(timeout=PATIENCE))
             except Empty:
                 continue
-            try:
-                self._handle(item)
             except TwinmatchError as error:
                 self._health.set("last error", error)
                 self._health.count("errors")
                 self._health.flag("error", Level.ERROR, str(error))
-            except Exception as error:  # handed to the main thread, which ends the process with it
-                self.failure = error
-                return
             else:
                 self._health.withdraw("error")
 
@@ -197,6 +200,81 @@ KEEPER = "keeper"
 READERS = Setting(
     "readers", "", "Nodes that must receive every plant/sample and are waited for; names with spaces between."
 )
+
+
+class Readers:
+    """The readers that a node waits for before its first sample, by the wall clock.
+
+    Nodes are matched by name: foreign programs may subscribe too, and come and go.
+    """
+
+    def __init__(self, node: TwinmatchNode, topic: str, timeout: float, number: int = 0) -> None:
+        """Wait for the nodes of the parameter `readers` and so many subscribers, `timeout` s at most."""
+        self._node, self._topic, self._timeout, self._number = node, topic, timeout, number
+        self._names = set(node.values["readers"].split())
+        self._until = time.monotonic() + timeout
+        self.awaited = True
+        """Whether they are still waited for."""
+
+    @property
+    def lacking(self) -> str:
+        """Who does not subscribe yet, for a message; empty if nobody is missing."""
+        if not (self._names or self._number):
+            return ""
+        found = [info.node_name for info in self._node.get_subscriptions_info_by_topic(self._topic)]
+        if missing := sorted(self._names.difference(found)):
+            return f"{', '.join(missing)} did not subscribe to {self._topic}"
+        number = sum(name != KEEPER for name in found)  # the keeper runs in the publisher's process
+        return "" if number >= self._number else f"{self._topic} has {number} of {self._number} subscribers"
+
+    @property
+    def late(self) -> bool:
+        """Whether the time to wait is over."""
+        return time.monotonic() > self._until
+
+    def there(self) -> bool:
+        """Whether the first sample may be published; who is missing when the wait is over is a warning."""
+        if self.awaited:
+            lacking = self.lacking
+            if lacking and not self.late:
+                return False
+            if lacking:
+                text = f"{lacking} after {self._timeout:g} s; started without them"
+                self._node.get_logger().warning(text)
+                self._node.health.flag("readers", Level.WARN, text)
+            self.awaited = False
+        return True
+
+
+class Missed:
+    """Reports the ticks that a loop has missed, for `REMEMBER` ticks after the last of them."""
+
+    REMEMBER = 60
+
+    def __init__(self, health: NodeHealth, subject: str = "") -> None:
+        """`subject` precedes the message."""
+        self._health, self._subject = health, subject
+        self._count = self._index = 0
+
+    def watch(self, count: int, index: int) -> None:
+        """Take the number of missed ticks so far and the newest index."""
+        if count != self._count:
+            self._count, self._index = count, index
+            text = f"{self._subject}ticks were missed, {count} in all; windows start over"
+            self._health.flag("missed", Level.WARN, text)
+        elif index - self._index > self.REMEMBER:
+            self._health.withdraw("missed")
+
+
+class Running(Protocol):
+    """What runs beside a node's callbacks: a thread, or the client of a service."""
+
+    @property
+    def failure(self) -> Exception | None:
+        """The error that ended it, if any."""
+
+    def close(self) -> bool:
+        """End it; returns whether it ended in time."""
 
 
 class TwinmatchNode(Node):
@@ -214,6 +292,9 @@ class TwinmatchNode(Node):
     """Time that `close` may take in addition to the runner's `TEARDOWN`, s."""
     step: InStep | None = None
     """Keeps a virtual plant in step with this process, if it runs faster than real time."""
+    failed: Exception | None = None
+    """Set by a node that cannot continue: the process then ends with it."""
+    _diagnostics: Any = None
 
     def __init__(self) -> None:
         """Read the parameters into `self.values`.
@@ -230,7 +311,8 @@ class TwinmatchNode(Node):
         self.exit_code: int | None = None
         """Set by a node that has finished: the process then exits with this code."""
         self.health = NodeHealth()
-        self._reporter: Reporter | None = None
+        self.beside: list[Running] = []
+        """What runs beside the callbacks, in the order in which it is closed."""
         try:
             self.values: Values = declare(self, self.table_for)
             self.read_parameters()
@@ -239,18 +321,43 @@ class TwinmatchNode(Node):
             raise
         self.add_on_set_parameters_callback(self._on_set)
 
+    def wall_timer(self, period: float, call: Callable[[], object]) -> Timer:
+        """Call this every `period` s by a clock that runs even while simulated time is stopped."""
+        return self.create_timer(period, call, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def hear_samples(self, take: Callable[[Sample], None], qos: QoSProfile) -> None:
+        """Subscribe to `plant/sample`; a message that is no sample of one loop is refused and reported."""
+
+        def on_sample(message: LoopSample) -> None:
+            try:
+                sample = sample_from(message)
+            except SignalError as error:
+                self.health.count("refused")
+                self.health.flag("sample", Level.ERROR, f"plant/sample: {error}")
+                return
+            self.health.withdraw("sample")
+            take(sample)
+
+        self.create_subscription(LoopSample, "plant/sample", on_sample, qos)
+
     def report_on(self, **tasks: Callable[[], Report]) -> None:
-        """Start to publish the node's health on /diagnostics, together with these further tasks."""
-        self._reporter = Reporter(self, {"health": self.report, **tasks})
+        """Publish the node's health on /diagnostics every `PERIOD`, together with these further tasks."""
+        self._tasks = {"health": self.report, **tasks}
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self.wall_timer(PERIOD, self.report_now)
 
     def report(self) -> Report:
         """The node's health; a subclass updates it first."""
         return self.health.report()
 
     def report_now(self) -> None:
-        """Report outside the regular period, such as before the end."""
-        if self._reporter is not None:
-            self._reporter.publish()
+        """Report, also outside the regular period, such as before the end."""
+        if self._diagnostics is not None:
+            name = self.get_fully_qualified_name().lstrip("/")
+            message = DiagnosticArray()
+            message.header.stamp = self.get_clock().now().to_msg()
+            message.status = [status_message(f"{name}: {key}", task()) for key, task in self._tasks.items()]
+            self._diagnostics.publish(message)
 
     @classmethod
     def table_for(cls, given: Mapping[str, Any]) -> tuple[Sequence[Setting], Mapping[str, Any]]:
@@ -276,8 +383,8 @@ class TwinmatchNode(Node):
 
     @property
     def failure(self) -> Exception | None:
-        """The error that ended a thread of this node, if any."""
-        return None
+        """The error with which the process has to end, if any."""
+        return self.failed or next((one.failure for one in self.beside if one.failure is not None), None)
 
     @property
     def busy(self) -> bool:
@@ -285,8 +392,9 @@ class TwinmatchNode(Node):
         return False
 
     def close(self) -> bool:
-        """End the node's threads; returns whether all of them ended."""
-        return True
+        """End what runs beside the callbacks; returns whether all of it ended."""
+        ended = [one.close() for one in self.beside]
+        return all(ended)
 
     def _on_set(self, parameters: Sequence[Any]) -> SetParametersResult:
         """Handle `ros2 param set`: check against the table, then let the node adopt the values."""
@@ -307,21 +415,6 @@ class TwinmatchNode(Node):
             return SetParametersResult(successful=False, reason=str(error))
         self.values = values
         return SetParametersResult(successful=True)
-
-
-def count_readers(node: Node, topic: str) -> int:
-    """The number of subscribers of a topic, without the keeper, which runs in the publisher's process."""
-    return sum(info.node_name != KEEPER for info in node.get_subscriptions_info_by_topic(topic))
-
-
-def missing_readers(node: Node, topic: str, wanted: str) -> list[str]:
-    """The wanted nodes (names with spaces between) that do not subscribe to the topic yet.
-
-    Subscribers are matched by name: foreign programs may subscribe too, and come and go.
-    """
-    names = set(wanted.split())
-    found = {info.node_name for info in node.get_subscriptions_info_by_topic(topic)} if names else set()
-    return sorted(names - found)
 
 
 def declare(

@@ -39,12 +39,8 @@ class PlantClock(TwinmatchNode):
         """Start to follow the rig."""
         self._publisher = self.create_publisher(Clock, "/clock", CLOCK)
         self._client.start()
+        self.beside.append(self._client)
         self.report_on()
-
-    @property
-    def failure(self) -> Exception | None:
-        """The error that ended the thread that follows the rig, if any."""
-        return self._client.failure
 
     def report(self) -> Report:
         """Whether time passes."""
@@ -57,10 +53,6 @@ class PlantClock(TwinmatchNode):
             self.health.withdraw("still")
         self.health.set("set back", self._stillness.set_backs)
         return super().report()
-
-    def close(self) -> bool:
-        """End the thread."""
-        return self._client.close()
 
     def _on_time(self, stamp: int) -> None:
         self._stillness.tell(stamp)

@@ -18,7 +18,7 @@ from std_srvs.srv import SetBool
 
 from twinmatch.errors import TwinmatchError
 from twinmatch.nodes.keeper import Keeper
-from twinmatch.nodes.node import READERS, Level, Report, TwinmatchNode, count_readers, missing_readers
+from twinmatch.nodes.node import READERS, Background, Level, Readers, Report, TwinmatchNode
 from twinmatch.nodes.runner import program
 from twinmatch.nodes.topics import DEPTH, MessageTypeError, message_class, profile_of
 from twinmatch.parameters.declared import Setting, Values
@@ -124,11 +124,10 @@ class Player(TwinmatchNode):
         super().__init__()
         self._change = threading.Condition()
         self._paused: bool = self.values["paused"]
-        self._ending = False
-        self._failure: Exception | None = None
         self._played = 0
         self._over = False
-        self._thread = threading.Thread(target=self._run, name="player", daemon=True)
+        self._thread = Background("player", self._run)
+        self.beside.append(self._thread)
 
     def open(self) -> None:
         """Read the session and start to wait for readers.
@@ -161,11 +160,6 @@ class Player(TwinmatchNode):
         self.report_on()
         self._thread.start()
 
-    @property
-    def failure(self) -> Exception | None:
-        """The error that ended playback early, if any."""
-        return self._failure
-
     def report(self) -> Report:
         """Position and rate of playback."""
         self.health.set("messages", self._played)
@@ -180,11 +174,9 @@ class Player(TwinmatchNode):
     def close(self) -> bool:
         """Stop playing."""
         with self._change:
-            self._ending = True
+            self._thread.ending.set()
             self._change.notify_all()
-        if self._thread.ident is not None:
-            self._thread.join(2.0)
-        return not self._thread.is_alive()
+        return super().close()
 
     def _relative(self, name: str) -> str:
         return name.removeprefix(self._prefix)
@@ -209,39 +201,20 @@ class Player(TwinmatchNode):
         self.report_now()
 
     def _run(self) -> None:
-        try:
-            if self._wait_for_readers() and self._play():
-                self._finish()
-        except Exception as error:  # handed to the main thread
-            self._failure = error
+        if self._wait_for_readers() and self._play():
+            self._finish()
 
     def _wait_for_readers(self) -> bool:
-        publisher = self._publishers_of[self._session.topic]
-        wanted, timeout = self.values["wait_for"], self.values["wait_timeout"]
-        deadline = time.monotonic() + timeout
-        while count_readers(self, publisher.topic_name) < wanted or self._missing(publisher):
-            if self._ending:
-                return False
-            if time.monotonic() > deadline:
-                self._refuse_missing(self._missing(publisher), publisher.topic_name)
-                found = count_readers(self, publisher.topic_name)
-                msg = (
-                    f"player: {publisher.topic_name} has {found} of {wanted} subscribers after "
-                    f"{timeout:g} s; start them first, or lower wait_for"
-                )
+        timeout, number = self.values["wait_timeout"], self.values["wait_for"]
+        readers = Readers(self, self._publishers_of[self._session.topic].topic_name, timeout, number)
+        while lacking := readers.lacking:
+            if readers.late:
+                msg = f"player: {lacking} after {timeout:g} s; start them first, or lower wait_for"
                 raise PlayerError(msg)
-            time.sleep(0.02)
+            if self._thread.ending.wait(0.02):
+                return False
         self.health.say("paused" if self._paused else "playing")
         return True
-
-    def _missing(self, publisher: Any) -> list[str]:
-        return missing_readers(self, publisher.topic_name, self.values["readers"])
-
-    def _refuse_missing(self, missing: list[str], topic: str) -> None:
-        if missing:
-            timeout = self.values["wait_timeout"]
-            msg = f"player: {', '.join(missing)} did not subscribe to {topic} within {timeout:g} s"
-            raise PlayerError(msg)
 
     def _play(self) -> bool:
         """Publish everything; returns whether the end was reached."""
@@ -257,7 +230,7 @@ class Player(TwinmatchNode):
     def _wait_until_due(self, log_time: int) -> bool:
         recorded = log_time / 1e9
         with self._change:
-            while not self._ending:
+            while not self._thread.ending.is_set():
                 now = time.monotonic()
                 if not self._paused:
                     self._pace.resume(now)
@@ -290,7 +263,7 @@ class Player(TwinmatchNode):
             if publisher.qos_profile.reliability != ReliabilityPolicy.RELIABLE:
                 continue
             while not publisher.wait_for_all_acked(Duration(seconds=0.5)):
-                if self._ending or (deadline is not None and time.monotonic() > deadline):
+                if self._thread.ending.is_set() or (deadline is not None and time.monotonic() > deadline):
                     return False
         return True
 

@@ -2,26 +2,134 @@
 
 from __future__ import annotations
 
+import time
 from typing import ClassVar
 
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import Temperature
 
-from twinmatch.links.pwm_link import Applied, LinkSettings, PwmLink
-from twinmatch.nodes.driver import PwmDriver
-from twinmatch.nodes.gated import NAN, GatedNode, fault_text
-from twinmatch.nodes.node import Report
-from twinmatch.nodes.output_gate import gate_table
+from twinmatch.links.pwm_link import (
+    Applied,
+    LinkSettings,
+    PwmLatchedError,
+    PwmLink,
+    PwmLinkError,
+    PwmResetError,
+    PwmVersionError,
+)
+from twinmatch.links.pwm_protocol import Banner, Flags
+from twinmatch.nodes.gated import NAN, Decision, DriverThread, GatedNode, fault_text, gate_table
+from twinmatch.nodes.node import Level, Report
 from twinmatch.nodes.runner import program
 from twinmatch.nodes.sample_messages import nanoseconds
 from twinmatch.nodes.topics import RELIABLE
 from twinmatch.parameters.declared import Setting
 from twinmatch.parameters.loop import unit_of
 from twinmatch.plants import Peltier
-from twinmatch.safety import GuardLimits
+from twinmatch.safety import FaultKind, GuardLimits
 from twinmatch_msgs.msg import PwmApplied, PwmCommand
 
 _TIMEOUT = "Longest wait for an answer of the board, by the wall clock."
+
+
+IDLE = 0.25
+"""Interval between two queries to a board that is not driven, wall s."""
+
+
+class PwmDriver(DriverThread[PwmLink]):
+    """The one thread that talks to the PWM board.
+
+    Several times a second it sends the command that the gate passes, which keeps the board's watchdog
+    satisfied. When the gate closes, it sends zero once and then only queries: after its deadline the board
+    switches the output off by itself.
+    """
+
+    NAME = "pwm driver"
+    CLOSING = 3.0
+    ERRORS = PwmLinkError
+
+    _sent = 0.0
+    _asked_at = 0.0
+
+    def _refusal(self, error: PwmLinkError) -> FaultKind | None:
+        if isinstance(error, PwmVersionError):
+            raise error
+        if isinstance(error, PwmLatchedError) and error.flags & Flags.DRIVER:
+            return FaultKind.DRIVER
+        return FaultKind.BOARD if isinstance(error, PwmLatchedError | PwmResetError) else None
+
+    def _connect(self) -> None:
+        banner = self.link.open()
+        self._check_pace(banner)
+        flags = self.link.query().flags
+        if flags & Flags.DRIVER:
+            tripped = "the board has tripped because the motor driver reported a fault"
+            self._gate.trip(FaultKind.DRIVER, tripped)
+        elif not self._known:
+            self.link.clear()
+        elif flags & Flags.RESET:
+            self._gate.trip(FaultKind.BOARD, "the PWM board restarted; find the cause")
+        self.connected = True
+        self._health.set("firmware", banner.firmware)
+
+    def _zero(self) -> None:
+        self._tell(self.link.command(0.0), 0)
+
+    def _check_pace(self, banner: Banner) -> None:
+        deadline, link = banner.deadline_ms / 1000, self.link.settings
+        self._health.set("board deadline", f"{deadline:g} s")
+        longest = link.timeout * (link.retries + 1) + self._pace.repeat
+        if longest >= deadline:
+            message = (
+                f"an answer may take {longest:g} s, but the board's deadline is {deadline:g} s; "
+                "lower timeout, retries or repeat"
+            )
+            self._health.flag("pace", Level.WARN, message)
+
+    def _serve(self, decision: Decision) -> None:
+        if decision.armed:
+            due = decision.time - self._sent_at >= self._pace.repeat
+            if due or not self._driving or decision.input != self._sent:
+                self._drive(decision)
+                return
+        elif self._driving:
+            self._driving = False
+            self._tell(self.link.command(0.0), decision.sample)
+            return
+        elif time.monotonic() - self._asked_at >= IDLE:
+            self._asked_at = time.monotonic()
+            self._tell(self.link.query(), decision.sample)
+            return
+        self._gate.wait(self._pace.poll)
+
+    def _drive(self, decision: Decision) -> None:
+        if not self._driving:
+            self._wake()
+            decision = self._gate.decide()  # clearing takes time, in which the gate may have closed
+            if not decision.armed:
+                return
+        self._driving = True
+        self._sent, self._sent_at = decision.input, decision.time
+        applied = self.link.command(decision.input)
+        self._tell(applied, decision.sample)
+        if applied.pwm != round(decision.input):
+            message = (
+                f"the board applies {applied.pwm}, but {round(decision.input)} was sent; is another program "
+                "using it?"
+            )
+            self._gate.trip(FaultKind.BOARD, message)
+
+    def _wake(self) -> None:
+        """Clear a board that tripped on its deadline, which was intended; nothing else.
+
+        Raises:
+            PwmLatchedError: the board tripped for another reason.
+        """
+        flags = self.link.query().flags
+        if flags & (Flags.DRIVER | Flags.RESET):
+            self.link.command(0.0)  # refused, with the reason
+        elif flags & Flags.TRIPPED:
+            self.link.clear()
 
 
 class PwmBridge(GatedNode):

@@ -14,13 +14,12 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from rcl_interfaces.srv import GetParameters, ListParameters
-from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
 
 from twinmatch.nodes.node import Level, Report, TwinmatchNode, Worker
-from twinmatch.nodes.recorder_past import RecorderPast
+from twinmatch.nodes.past import RecorderPast
 from twinmatch.nodes.runner import program
 from twinmatch.nodes.topics import message_class, offered, profile_of, wanted
 from twinmatch.parameters.declared import Setting
@@ -211,24 +210,18 @@ class RecorderNode(TwinmatchNode):
         self._unknown: set[str] = set()
         self._arrivals: dict[str, Arrivals] = {}
         self._taken = self._written = self._dropped = 0  # bytes, bytes, messages
-        self._stopped: SessionError | None = None
         self._left = threading.Event()
         self.worker = worker = Worker(self._do, self.health, backlog=5000)
+        self.beside.append(worker)
         if self.step is not None:
             self.step.wait_for(lambda: worker.depth > AHEAD)
         self._settings = NodeSettings(self, self._on_record)
         self._past = RecorderPast(self, self._keep, self._readers.__contains__)
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(SEARCH, self._on_search, clock=steady)
-        self.create_timer(FLUSH, partial(self.worker.put, self._recording.flush), clock=steady)
+        self.wall_timer(SEARCH, self._on_search)
+        self.wall_timer(FLUSH, partial(worker.put, self._recording.flush))
         self.get_logger().info(f"recording into {self._recording.folder}")
         self.health.say("recording")
         self.report_on(topics=self._report_topics)
-
-    @property
-    def failure(self) -> Exception | None:
-        """The error that stopped the recording or ended the worker, if any."""
-        return self._stopped or (None if self.worker is None else self.worker.failure)
 
     def report(self) -> Report:
         """Messages, topics and bytes waiting."""
@@ -257,12 +250,12 @@ class RecorderNode(TwinmatchNode):
 
     def _do(self, job: Job) -> None:
         """Run one job in the worker; skipped after a disk error."""
-        if self._stopped is not None:
+        if self.failed is not None:
             return
         try:
             job()
         except SessionError as error:
-            self._stopped = error
+            self.failed = error
             raise
 
     def _leave(self) -> None:

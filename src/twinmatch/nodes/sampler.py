@@ -10,13 +10,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, ClassVar, Final
 
-from rclpy.clock import Clock, ClockType
-
 from twinmatch.description import Quantity
 from twinmatch.dynamics import Plant, PlantError
 from twinmatch.errors import TwinmatchError
 from twinmatch.nodes.keeper import Keeper
-from twinmatch.nodes.node import READERS, Level, Report, TwinmatchNode, missing_readers
+from twinmatch.nodes.node import READERS, Level, Missed, Readers, Report, TwinmatchNode
 from twinmatch.nodes.runner import program
 from twinmatch.nodes.sample_messages import nanoseconds, sample_message
 from twinmatch.nodes.topics import RELIABLE, ForeignTopics
@@ -151,8 +149,6 @@ CHECKS: Final = 20
 """Checks for complete samples per sampling period."""
 INTERVAL: Final = (0.002, 0.05)
 """Shortest and longest interval between two checks, s."""
-REMEMBER: Final = 60
-"""Ticks for which a missed one is reported."""
 
 
 class SamplerNode(TwinmatchNode):
@@ -164,8 +160,6 @@ class SamplerNode(TwinmatchNode):
 
     NAME = "sampler"
     PARAMETERS: ClassVar = sampler_table()
-
-    _failure: TwinmatchError | None = None
 
     @classmethod
     def table_for(cls, given: Mapping[str, Any]) -> tuple[Sequence[Setting], Mapping[str, Any]]:
@@ -203,23 +197,18 @@ class SamplerNode(TwinmatchNode):
         self._fresh: dict[str, dict[int, tuple[float, int]]] = {name: {} for name in self._sources}
         self._begun = time.monotonic()
         self._heard: dict[str, float] = {}
-        self._missed_at = (0, 0)
+        self._missed = Missed(self.health, "the loop paused: ")
+        self._readers = Readers(self, self._publisher.topic_name, self.values["readers_timeout"])
         self._index = -1
         self._first: int | None = None
         """The sampler's index of the first published sample, which is published as sample 0."""
-        self._waiting = True
         period = self.values["period"]
-        self.create_timer(SEARCH, self._on_search, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.wall_timer(SEARCH, self._on_search)
         self.create_timer(min(max(period / CHECKS, INTERVAL[0]), INTERVAL[1]), self._on_check)
         if self.values["paced_by"] == TIMER:
             self.create_timer(period, lambda: self._sampler.tick(self._now()))
         self.health.say("waiting for topics")
         self.report_on()
-
-    @property
-    def failure(self) -> Exception | None:
-        """The error in the map or the graph that prevents sampling, if any."""
-        return self._failure
 
     def report(self) -> Report:
         """Each signal's value and counts, and the reason if there are no samples."""
@@ -253,7 +242,7 @@ class SamplerNode(TwinmatchNode):
                     unit = signals_of(self._plant)[name].unit
                     self._ready[name] = source.to(unit, kinds, paths)
         except TwinmatchError as error:
-            self._failure = SamplingError(f"{self.NAME}: {error}")
+            self.failed = SamplingError(f"{self.NAME}: {error}")
             return
         missing = self._topics.missing
         if missing and self._late(time.monotonic()):
@@ -262,7 +251,7 @@ class SamplerNode(TwinmatchNode):
                 f"{self.NAME}: no publisher on {' or '.join(missing)} for {waited:g} s; topics with a "
                 f"publisher: {self._topics.alternatives()}"
             )
-            self._failure = SamplingError(msg)
+            self.failed = SamplingError(msg)
 
     def _on_message(self, topic: str, message: Any) -> None:
         """Take the values of a message, for each signal mapped to it."""
@@ -288,31 +277,14 @@ class SamplerNode(TwinmatchNode):
 
     def _on_check(self) -> None:
         for sample in self._sampler.collect(self._now()):
-            if self._readers_there():
+            if self._readers.there():
                 if self._first is None:
                     self._first = sample.index
                 self._index = sample.index - self._first
                 self._publisher.publish(sample_message(replace(sample, index=self._index), self._plant.name))
                 self.health.set("sample", self._index)
                 self.health.say("sampling")
-        missed, index = self._sampler.grid.missed, self._index
-        if missed != self._missed_at[0]:
-            self._missed_at = (missed, index)
-            text = f"the loop paused: ticks were missed, {missed} in all; windows start over"
-            self.health.flag("missed", Level.WARN, text)
-        elif index - self._missed_at[1] > REMEMBER:
-            self.health.withdraw("missed")
-
-    def _readers_there(self) -> bool:
-        """Whether all nodes that must not miss a sample subscribe, or the wait for them is over."""
-        if self._waiting:
-            missing = missing_readers(self, self._publisher.topic_name, self.values["readers"])
-            over = time.monotonic() > self._begun + self.values["readers_timeout"]
-            if missing and over:
-                text = f"{', '.join(missing)} did not subscribe to {self._publisher.topic_name} in time"
-                self.health.flag("readers", Level.WARN, text)
-            self._waiting = bool(missing) and not over
-        return not self._waiting
+        self._missed.watch(self._sampler.grid.missed, self._index)
 
     def _silence(self, name: str, source: SignalSource, now: float) -> str:
         """The report on a signal that is silent; empty if it is not, or if silence is allowed."""

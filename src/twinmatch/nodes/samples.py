@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
@@ -9,16 +10,13 @@ from typing import Any
 
 from rclpy.publisher import Publisher
 
-from twinmatch.nodes.node import Level, NodeHealth, Report, TwinmatchNode, Worker
+from twinmatch.nodes.node import Background, Level, NodeHealth, Report, TwinmatchNode, Worker
 from twinmatch.nodes.past import CatchingUp, Stream
-from twinmatch.nodes.sample_messages import sample_from
-from twinmatch.nodes.standstill import Standstill
 from twinmatch.nodes.topics import EVERYTHING
 from twinmatch.parameters.declared import Setting
 from twinmatch.parameters.twin import settings_from, understood
-from twinmatch.signals import Sample, SignalError
+from twinmatch.signals import Sample
 from twinmatch.twin import TwinSettings
-from twinmatch_msgs.msg import LoopSample
 from twinmatch_msgs.srv import Past
 
 AHEAD = 5
@@ -62,6 +60,51 @@ class SampleWatch:
         self._health.flag_if(down, "silence", Level.WARN, f"no sample for {silent:.0f} s")
 
 
+class Standstill(Background):
+    """Detects a suspension of the process from gaps in its own heartbeat, and lets publishing wait after it.
+
+    DDS forgets a participant that has sent nothing for its lease, 5 s here. A process that was suspended
+    longer (SIGSTOP, a swap storm) continues where it was, but its first messages reach no reader, because
+    readers have to discover it again. A verdict that was being computed at that moment would be lost.
+    """
+
+    BEAT = 0.25
+    """Period of the heartbeat, wall s."""
+    LONG = 4.0
+    """Time without a heartbeat after which others may have dropped this process, wall s: below the lease."""
+    REDISCOVERY = 2.0
+    """Time until all others have rediscovered it, wall s: it announces itself every 0.5 s."""
+
+    def __init__(self) -> None:
+        """The heartbeat has its own thread, from `start` to `close`."""
+        super().__init__("standstill", self._watch)
+        self._lock = threading.Lock()
+        self._last: float | None = None
+        self._until = 0.0
+
+    def beat(self, now: float) -> None:
+        """Take a heartbeat at `now`, in s of a clock that continues while the process is suspended."""
+        with self._lock:
+            if self._last is not None and now - self._last > self.LONG:
+                self._until = now + self.REDISCOVERY
+            self._last = now
+
+    def remaining(self, now: float) -> float:
+        """Time to wait before publishing, s. The call counts as a heartbeat: it may be the first since."""
+        self.beat(now)
+        return max(0.0, self._until - now)
+
+    def wait(self) -> None:
+        """Wait until readers are connected again; returns at once unless the process was suspended."""
+        while not self.ending.is_set() and (left := self.remaining(time.monotonic())) > 0.0:
+            self.ending.wait(left)
+
+    def _watch(self) -> None:
+        self.beat(time.monotonic())
+        while not self.ending.wait(self.BEAT):
+            self.beat(time.monotonic())
+
+
 class TwinNode(TwinmatchNode):
     """A node of the twin: its settings, and a worker for long computations."""
 
@@ -86,6 +129,7 @@ class TwinNode(TwinmatchNode):
         self._standstill = Standstill()
         self._standstill.start()
         self.worker = Worker(self.work, self.health)
+        self.beside += [self._standstill, self.worker]  # a wait for readers ends first
         if self.step is not None:
             self.step.wait_for(lambda: self.worker is not None and self.worker.depth > AHEAD)
         self.report_on()
@@ -110,17 +154,6 @@ class TwinNode(TwinmatchNode):
             self.worker.watch()
         return super().report()
 
-    @property
-    def failure(self) -> Exception | None:
-        """The error that ended the worker, if any."""
-        return None if self.worker is None else self.worker.failure
-
-    def close(self) -> bool:
-        """End the worker."""
-        if self.worker is not None:
-            self._standstill.end()
-        return self.worker is None or self.worker.close()
-
 
 class SampleNode(TwinNode):
     """A node that processes every sample in its worker.
@@ -139,7 +172,7 @@ class SampleNode(TwinNode):
         super().open()
         self._stream = Stream(self._on_next)
         self._catching_up = CatchingUp(self, self._stream, self._depth, self.learn)
-        self.create_subscription(LoopSample, "plant/sample", self._on_sample, EVERYTHING)
+        self.hear_samples(self._on_sample, EVERYTHING)
 
     def learn(self, said: Past.Response) -> None:
         """Take the results published before this node started; called before its first sample."""
@@ -152,14 +185,7 @@ class SampleNode(TwinNode):
     def _depth(self) -> int:
         return 0 if self.worker is None else self.worker.depth
 
-    def _on_sample(self, message: LoopSample) -> None:
-        try:
-            sample: Sample = sample_from(message)
-        except SignalError as error:
-            self.health.count("refused")
-            self.health.flag("sample", Level.ERROR, f"plant/sample: {error}")
-            return
-        self.health.withdraw("sample")
+    def _on_sample(self, sample: Sample) -> None:
         self._stream.push(sample)
         if self._stream.missing is not None:
             self._catching_up.request()

@@ -2,25 +2,68 @@
 
 from __future__ import annotations
 
+import time
 from typing import ClassVar
 
 from rclpy.qos import qos_profile_sensor_data
 
-from twinmatch.links.kit_link import KitLink, KitReading
-from twinmatch.nodes.driver import KitDriver
-from twinmatch.nodes.gated import NAN, GatedNode, fault_text
-from twinmatch.nodes.output_gate import gate_table
+from twinmatch.links.kit_link import KitAbsentError, KitError, KitLink, KitReading, KitSilentError
+from twinmatch.nodes.gated import NAN, Decision, DriverThread, GatedNode, fault_text, gate_table
 from twinmatch.nodes.runner import program
 from twinmatch.nodes.sample_messages import nanoseconds
 from twinmatch.nodes.topics import RELIABLE
 from twinmatch.parameters.declared import Setting
 from twinmatch.parameters.loop import unit_of
 from twinmatch.plants import TCLab
-from twinmatch.safety import GuardLimits, RunawayLimits
+from twinmatch.safety import FaultKind, GuardLimits, RunawayLimits
 from twinmatch_msgs.msg import PlantApplied, PlantCommand, PlantReading
 
 _PORT = "Serial port of the kit, such as /dev/ttyACM0; empty: the first on the USB bus."
 _DEADLINE = "Zero after this time without a command from this node, by the wall clock."
+
+
+LONGEST = 0.3
+"""Longest time between two commands to a kit, wall s: well within the deadline of the process at its port."""
+
+
+class KitDriver(DriverThread[KitLink]):
+    """The one thread that talks to a Temperature Control Lab.
+
+    Several times a second it sets the command that the gate passes, or zero, and forwards the kit's readings.
+    """
+
+    NAME = "kit driver"
+    CLOSING = 5.0
+    ERRORS = KitError
+
+    other = 0.0
+    """Power of the second heater while commands pass, %."""
+    _sent = (0.0, 0.0)
+    _said_at = 0.0
+
+    def _refusal(self, error: KitError) -> FaultKind | None:
+        if isinstance(error, KitAbsentError) and not self._known:
+            raise error  # a kit that was never there is not waited for
+        return FaultKind.BOARD if isinstance(error, KitSilentError) else None
+
+    def _connect(self) -> None:
+        self.link.open()
+        self._health.set("port", self.link.port)
+        self._health.set("firmware", self.link.firmware)
+
+    def _zero(self) -> None:
+        self._tell(self.link.drive(0.0, 0.0), 0)
+
+    def _serve(self, decision: Decision) -> None:
+        wanted = (decision.input, self.other) if decision.armed else (0.0, 0.0)
+        # By the wall clock too: a slow or stopped plant clock must not look like the end of this process.
+        due = decision.time - self._sent_at >= self._pace.repeat or not self.connected
+        if due or wanted != self._sent or time.monotonic() - self._said_at >= LONGEST:
+            reading = self.link.drive(*wanted)
+            self._sent, self._sent_at, self._said_at = wanted, decision.time, time.monotonic()
+            self._driving, self.connected = wanted != (0.0, 0.0), True
+            self._tell(reading, decision.sample)
+        self._gate.wait(self._pace.poll)
 
 
 class TCLabBridge(GatedNode):
