@@ -28,7 +28,7 @@ from twinmatch.offline.verification import verify_session
 from twinmatch.sessions import Session, SessionError, read_session
 from twinmatch.sessions.messages import SAMPLE
 from twinmatch.sessions.metadata import CANDIDATES, parameters_of
-from twinmatch.sessions.repair import repair_session
+from twinmatch.sessions.recording import repair_session
 from twinmatch.signals import Sample
 from twinmatch_msgs.msg import LoopSample, ModelScore
 

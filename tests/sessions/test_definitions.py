@@ -11,8 +11,8 @@ import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from tests.support.schemas import bare
-from twinmatch.sessions import SessionError, definitions
-from twinmatch.sessions.definitions import (
+from twinmatch.sessions import SessionError, messages
+from twinmatch.sessions.messages import (
     FLOAT64,
     HEADER,
     LOOP_SAMPLE,
@@ -23,7 +23,7 @@ from twinmatch.sessions.definitions import (
 )
 
 TYPES = (LOOP_SAMPLE, HEADER, TIME, TEMPERATURE, FLOAT64)
-SOURCE = Path(definitions.__file__).parents[2] / "twinmatch_msgs" / "msg"
+SOURCE = Path(messages.__file__).parents[2] / "twinmatch_msgs" / "msg"
 
 
 def share_folders() -> list[Path]:

@@ -19,9 +19,8 @@ from twinmatch.offline.judging import recorded_terms
 from twinmatch.offline.verification import verify_session
 from twinmatch.plants import Peltier
 from twinmatch.sessions import read_session
-from twinmatch.sessions.definitions import LOOP_SAMPLE
-from twinmatch.sessions.messages import decode_sample
-from twinmatch.sessions.repair import repair_session
+from twinmatch.sessions.messages import LOOP_SAMPLE, decode_sample
+from twinmatch.sessions.recording import repair_session
 
 SESSION = Path(__file__).parent / "first_form"
 

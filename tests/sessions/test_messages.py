@@ -12,8 +12,13 @@ from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from twinmatch.sessions import SessionError
-from twinmatch.sessions.definitions import LOOP_SAMPLE
-from twinmatch.sessions.messages import decode_sample, encode_float64, encode_sample, encode_temperature
+from twinmatch.sessions.messages import (
+    LOOP_SAMPLE,
+    decode_sample,
+    encode_float64,
+    encode_sample,
+    encode_temperature,
+)
 from twinmatch.signals import Sample
 
 STORE = get_typestore(Stores.ROS2_KILTED)

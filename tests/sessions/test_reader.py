@@ -9,8 +9,7 @@ import pytest
 import yaml
 
 from twinmatch.sessions import Qos, SessionError, SessionWriter, Topic, read_session, write_session
-from twinmatch.sessions.definitions import FLOAT64
-from twinmatch.sessions.messages import REFERENCE, SAMPLE, encode_float64, encode_sample
+from twinmatch.sessions.messages import FLOAT64, REFERENCE, SAMPLE, encode_float64, encode_sample
 from twinmatch.sessions.metadata import Part, Summary, files_listed, parse_qos, qos_text
 from twinmatch.signals import Sample, SignalError
 

@@ -22,8 +22,7 @@ from rosbags.interfaces import QosDurability, QosReliability
 from rosbags.rosbag2 import Reader
 
 from twinmatch.sessions import EPOCH, SessionError, SessionWriter, read_session, samples_of, write_session
-from twinmatch.sessions.definitions import FLOAT64, LOOP_SAMPLE, TEMPERATURE
-from twinmatch.sessions.messages import SAMPLE, encode_sample
+from twinmatch.sessions.messages import FLOAT64, LOOP_SAMPLE, SAMPLE, TEMPERATURE, encode_sample
 from twinmatch.sessions.recording import DiskFullError, Recording, RecordingLimits
 from twinmatch.signals import Sample, Window
 

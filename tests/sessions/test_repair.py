@@ -12,9 +12,9 @@ from rosbags.rosbag2 import Reader
 
 from twinmatch.cli import main
 from twinmatch.sessions import Qos, SessionError, SessionWriter, Topic, read_session
-from twinmatch.sessions import repair as repairing
+from twinmatch.sessions import recording as repairing
 from twinmatch.sessions.messages import SAMPLE, encode_sample
-from twinmatch.sessions.repair import repair_session
+from twinmatch.sessions.recording import repair_session
 from twinmatch.signals import Sample
 
 SECOND = 10**9
@@ -188,14 +188,14 @@ def test_what_is_not_a_session_is_said(tmp_path, prepare, message):
 def test_a_copy_that_differs_does_not_take_the_place(tmp_path, monkeypatch):
     folder = record(tmp_path / "run")
     before = content(folder)
-    real = repairing._write
+    real = repairing._rewrite
 
     def write_less(copy, files, distro):
         real(copy, files, distro)
         shutil.rmtree(copy)
         record(copy, 59, finish=True)
 
-    monkeypatch.setattr(repairing, "_write", write_less)
+    monkeypatch.setattr(repairing, "_rewrite", write_less)
     with pytest.raises(
         SessionError, match="the repaired copy differs from the original; nothing was changed"
     ):
@@ -206,13 +206,13 @@ def test_a_copy_that_differs_does_not_take_the_place(tmp_path, monkeypatch):
 def test_a_copy_that_is_not_whole_does_not_take_the_place(tmp_path, monkeypatch):
     folder = record(tmp_path / "run")
     before = content(folder)
-    real = repairing._write
+    real = repairing._rewrite
 
     def write_no_metadata(copy, files, distro):
         real(copy, files, distro)
         (copy / "metadata.yaml").unlink()
 
-    monkeypatch.setattr(repairing, "_write", write_no_metadata)
+    monkeypatch.setattr(repairing, "_rewrite", write_no_metadata)
     with pytest.raises(SessionError, match=r"the repaired copy has faults \(metadata.yaml is missing"):
         repair_session(folder)
     assert content(folder) == before

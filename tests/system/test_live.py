@@ -26,7 +26,7 @@ from tests.support.waiting import PATIENCE
 from twinmatch.emulation.faults import tell
 from twinmatch.offline.verification import verify_session
 from twinmatch.sessions import Session, read_session
-from twinmatch.sessions.repair import repair_session
+from twinmatch.sessions.recording import repair_session
 from twinmatch_msgs.msg import Forecast
 
 LIVE = PROJECT / "launch_scripts" / "live.py"

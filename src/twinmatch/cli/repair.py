@@ -14,7 +14,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Repair; returns the exit code."""
-    from twinmatch.sessions.repair import repair_session  # noqa: PLC0415 — keeps --help fast
+    from twinmatch.sessions.recording import repair_session  # noqa: PLC0415 — keeps --help fast
 
     found = repair_session(options.session)
     held = f"{found.messages} messages over {found.duration:.1f} s"

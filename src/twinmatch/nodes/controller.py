@@ -153,11 +153,7 @@ class ControllerNode(TwinmatchNode):
             raise ParameterError(f"{cls.NAME}: {error}") from error
 
     def read_parameters(self) -> None:
-        """Create profile and loop.
-
-        Raises:
-            TwinmatchError: the profile cannot be run, or the gains cannot be used.
-        """
+        """Create profile and loop."""
         values = self.values
         self._plant: type[Plant] = find_plant(values["plant"])
         self._profile: Profile | None = profile_from(values)

@@ -129,11 +129,7 @@ class DiscriminatorNode(SampleNode):
     NAME = "discriminator"
 
     def open(self) -> None:
-        """Start to judge samples and matches.
-
-        Raises:
-            CandidateFileError: the file of initial candidates cannot be used.
-        """
+        """Start to judge samples and matches."""
         path = self.values["candidates"]
         given = read_candidates(Path(path)) if path else []
         self._discriminator = Discriminator(self.settings, given, self._followed)

@@ -369,7 +369,11 @@ class TwinmatchNode(Node):
         return cls.PARAMETERS, given
 
     def read_parameters(self) -> None:
-        """Derive what the node needs from `self.values`; after an error here there is no node."""
+        """Derive what the node needs from `self.values`; after an error here there is no node.
+
+        Raises:
+            TwinmatchError: parameters contradict each other, or name what does not exist.
+        """
 
     def change(self, values: Values) -> None:
         """Adopt values of changeable parameters that were set while the node runs.
@@ -379,7 +383,11 @@ class TwinmatchNode(Node):
         """
 
     def open(self) -> None:
-        """Create publishers, subscriptions and threads."""
+        """Create publishers, subscriptions and threads.
+
+        Raises:
+            TwinmatchError: what the parameters name cannot be used: a session, a folder, an address.
+        """
 
     @property
     def failure(self) -> Exception | None:

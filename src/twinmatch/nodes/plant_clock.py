@@ -27,11 +27,7 @@ class PlantClock(TwinmatchNode):
     )
 
     def read_parameters(self) -> None:
-        """Parse the address.
-
-        Raises:
-            ClockError: it is not an address.
-        """
+        """Parse the address."""
         self._stillness = Stillness(self.values["patience"])
         self._client = ClockClient(parse_address(self.values["address"]), self._on_time)
 

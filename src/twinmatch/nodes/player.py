@@ -130,11 +130,7 @@ class Player(TwinmatchNode):
         self.beside.append(self._thread)
 
     def open(self) -> None:
-        """Read the session and start to wait for readers.
-
-        Raises:
-            TwinmatchError: the session cannot be read, or has message types that are not installed.
-        """
+        """Read the session and start to wait for readers."""
         if not self.values["session"]:
             raise PlayerError("player: the session is missing; give --ros-args -p session:=path/to/session")
         self._session = read_session(Path(self.values["session"]), self.values["topic"] or None)

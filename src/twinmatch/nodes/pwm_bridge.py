@@ -149,11 +149,7 @@ class PwmBridge(GatedNode):
     CLOSING: ClassVar = 3
 
     def read_parameters(self) -> None:
-        """Derive the link's settings and the guard's limits.
-
-        Raises:
-            TwinmatchError: parameters contradict each other.
-        """
+        """Derive the link's settings and the guard's limits."""
         values = self.values
         self._link = PwmLink(values["port"], LinkSettings(values["timeout"], values["retries"]))
         self.make_gate()

@@ -24,8 +24,8 @@ from twinmatch.nodes.runner import program
 from twinmatch.nodes.topics import message_class, offered, profile_of, wanted
 from twinmatch.parameters.declared import Setting
 from twinmatch.sessions import Recording, RecordingLimits, SessionError, Topic
-from twinmatch.sessions.definitions import schema_of
 from twinmatch.sessions.documents import DocumentError, read_text
+from twinmatch.sessions.messages import schema_of
 from twinmatch.sessions.metadata import CANDIDATES, parameters_record
 
 RHYTHM = 10
@@ -195,11 +195,7 @@ class RecorderNode(TwinmatchNode):
     worker: Worker[Job] | None = None
 
     def open(self) -> None:
-        """Start the session and the search for topics.
-
-        Raises:
-            SessionError: the folder exists or cannot be created, or the disk has too little free space.
-        """
+        """Start the session and the search for topics."""
         values = self.values
         name = values["name"] or time.strftime("rig_%Y-%m-%d_%H-%M-%S")
         limits = RecordingLimits(values["min_free_mb"], values["split_mb"], values["split_s"])

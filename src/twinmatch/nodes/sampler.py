@@ -167,11 +167,7 @@ class SamplerNode(TwinmatchNode):
         return understood(cls.NAME, given), given
 
     def read_parameters(self) -> None:
-        """Create the sampler and its sources.
-
-        Raises:
-            TwinmatchError: parameters contradict each other.
-        """
+        """Create the sampler and its sources."""
         values = self.values
         self._plant = find_plant(values["plant"])
         self._sources = sources_of(self.NAME, values)

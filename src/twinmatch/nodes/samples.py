@@ -117,11 +117,7 @@ class TwinNode(TwinmatchNode):
         return understood(cls.NAME, given)
 
     def read_parameters(self) -> None:
-        """Create the settings of the twin.
-
-        Raises:
-            TwinmatchError: parameters contradict each other.
-        """
+        """Create the settings of the twin."""
         self.settings: TwinSettings = settings_from(self.values)
 
     def open(self) -> None:

@@ -96,11 +96,7 @@ class TCLabBridge(GatedNode):
     CLOSING: ClassVar = 6
 
     def read_parameters(self) -> None:
-        """Create the link and the gate.
-
-        Raises:
-            TwinmatchError: parameters contradict each other, or the package `tclab` is missing.
-        """
+        """Create the link and the gate."""
         values = self.values
         self._link = KitLink(values["port"], values["deadline"])
         self.make_gate()

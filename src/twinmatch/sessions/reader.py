@@ -10,9 +10,16 @@ from dataclasses import dataclass, field
 from itertools import chain, pairwise
 from pathlib import Path
 
-from twinmatch.sessions.definitions import LOOP_SAMPLE, fields_of
 from twinmatch.sessions.files import ProgressCallback, SessionError
-from twinmatch.sessions.messages import Message, Topic, current, current_topic, decode_sample
+from twinmatch.sessions.messages import (
+    LOOP_SAMPLE,
+    Message,
+    Topic,
+    current,
+    current_topic,
+    decode_sample,
+    fields_of,
+)
 from twinmatch.sessions.metadata import METADATA, files_listed, has_reference, mcap_files, plant_of
 from twinmatch.sessions.resampling import rounded_period
 from twinmatch.sessions.scan import Scan

@@ -1,22 +1,29 @@
-"""Recording samples or messages as a session.
+"""Recording samples or messages as a session, and repairing one after its recorder was killed.
 
 `write_session` writes samples atomically: the session exists completely or not at all. A live `Recording`
 writes messages as they arrive and is flushed regularly; files are split, and recording stops before the disk
 is full. It depends on neither ROS nor threads; a recorder calls it from its writing thread.
+
+`repair_session` writes the readable messages to a copy beside the session, which replaces the original only
+after it has been compared with it. The original is kept as `<session>.broken` if it was damaged in the
+middle, where another tool may recover more; one that is merely truncated contains nothing more and is removed.
 """
 
 from __future__ import annotations
 
 import shutil
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from itertools import chain, zip_longest
 from pathlib import Path
 from typing import NamedTuple
 
 from twinmatch.sessions.files import ProgressCallback, SessionError
-from twinmatch.sessions.messages import PLANT_TOPICS, SAMPLE, Topic, plant_messages
-from twinmatch.sessions.metadata import METADATA
+from twinmatch.sessions.messages import PLANT_TOPICS, SAMPLE, Message, Topic, plant_messages
+from twinmatch.sessions.metadata import METADATA, distro_of, files_listed, mcap_files
 from twinmatch.sessions.reader import check_samples, gaps_of
+from twinmatch.sessions.scan import Scan
 from twinmatch.sessions.writer import SessionWriter, sync_folder
 from twinmatch.signals import Sample, Window
 
@@ -166,20 +173,26 @@ def write_session(
     check_samples(samples, f"session {target.name}")
     _check_gaps(samples, target, allowed=gaps)
     _check_target(target, overwrite)
+    what = "written"
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
-        scratch = Path(tempfile.mkdtemp(prefix=f".{target.name}.", suffix=".partial", dir=target.parent))
+        with _scratch(target) as scratch:
+            what = "moved to its destination"
+            _write(scratch / target.name, samples, topics, progress, records or {})
+            _move(scratch / target.name, target, scratch / "replaced")
     except OSError as error:
-        raise SessionError(f"session {target}: cannot be written ({error.strerror})") from error
+        raise SessionError(f"session {target}: cannot be {what} ({error.strerror})") from error
+    return target
+
+
+@contextmanager
+def _scratch(target: Path) -> Iterator[Path]:
+    """A hidden folder beside a session, for what will take its place; it is removed at the end."""
+    scratch = Path(tempfile.mkdtemp(prefix=f".{target.name}.", suffix=".partial", dir=target.parent))
     try:
-        _write(scratch / target.name, samples, topics, progress, records or {})
-        _move(scratch, target)
-    except OSError as error:
-        msg = f"session {target}: cannot be moved to its destination ({error.strerror})"
-        raise SessionError(msg) from error
+        yield scratch
     finally:
         shutil.rmtree(scratch, ignore_errors=True)
-    return target
 
 
 def _check_gaps(samples: Sequence[Sample], target: Path, *, allowed: bool) -> None:
@@ -211,16 +224,15 @@ def _write(
             writer.write(message.topic.name, message.data, message.log_time, message.publish_time)
 
 
-def _move(scratch: Path, target: Path) -> None:
-    """Move the finished session to its destination; an existing one is restored if that fails."""
-    old = scratch / "replaced"
+def _move(made: Path, target: Path, aside: Path) -> None:
+    """Move a finished session to its destination; an existing one goes aside, and back if that fails."""
     if target.exists():
-        target.rename(old)
+        target.rename(aside)
     try:
-        (scratch / target.name).rename(target)
+        made.rename(target)
     except OSError:
-        if old.exists():
-            old.rename(target)
+        if aside.exists():
+            aside.rename(target)
         raise
     sync_folder(target.parent)
 
@@ -243,3 +255,137 @@ def _is_session(folder: Path) -> bool:
         return False
     names = [path.name for path in folder.iterdir()]
     return bool(names) and all(name == METADATA or name.endswith(".mcap") for name in names)
+
+
+BROKEN = ".broken"
+"""Suffix appended to the name of the original."""
+
+TORN = "truncated"
+
+
+class Repair(NamedTuple):
+    """Result of a repair."""
+
+    folder: Path
+    """The session, now complete."""
+    faults: tuple[str, ...]
+    """What was wrong; empty: nothing, and nothing was changed."""
+    messages: int
+    """Number of messages."""
+    start: int
+    """Log time of the earliest, ns."""
+    end: int
+    """Log time of the latest, ns."""
+    original: Path | None
+    """Where the original was kept; None if it was not."""
+
+    @property
+    def duration(self) -> float:
+        """Seconds from the earliest to the latest message."""
+        return (self.end - self.start) / 1e9
+
+
+def repair_session(folder: Path | str) -> Repair:
+    """Repair a session; a complete one is left unchanged.
+
+    Args:
+        folder: the session's folder. If a repair was interrupted just before its end, only
+            `<folder>.broken` may exist; the repair is then repeated.
+
+    Raises:
+        SessionError: there is no session, no message can be read, the original of an earlier repair exists,
+            or writing fails.
+    """
+    folder = Path(folder).absolute()
+    broken = folder.with_name(folder.name + BROKEN)
+    try:
+        if not folder.exists() and broken.is_dir():
+            broken.rename(folder)
+        files = _files(folder)
+        found = _examine(folder, files)
+        if found.faults:
+            found = _rebuild(folder, broken, files, found)
+    except OSError as error:
+        raise SessionError(f"session {folder}: cannot be repaired ({error.strerror or error})") from error
+    return found
+
+
+def _files(folder: Path) -> list[Path]:
+    if not folder.is_dir():
+        what = "is a file; give its folder" if folder.is_file() else "does not exist"
+        raise SessionError(f"session {folder}: {what}")
+    return mcap_files(folder)
+
+
+def _examine(folder: Path, files: list[Path]) -> Repair:
+    """Read all messages; collect faults and counts."""
+    faults: list[str] = []
+    count, start, end = 0, 2**64, 0
+    for file in files:
+        if file.stat().st_size == 0:
+            faults.append(f"{file.name} is empty")
+            continue
+        scan = Scan(file)
+        for message in scan:
+            count += 1
+            start, end = min(start, message.log_time), max(end, message.log_time)
+        if scan.fault:
+            faults.append(f"{file.name}: {scan.fault}")
+    listed = files_listed(folder)
+    if not listed:
+        faults.append(f"{METADATA} is missing or unreadable")
+    elif sorted(listed) != sorted(file.name for file in files):
+        faults.append(f"{METADATA} does not list the files that exist")
+    return Repair(folder, tuple(faults), count, start if count else 0, end, None)
+
+
+def _rebuild(folder: Path, broken: Path, files: list[Path], found: Repair) -> Repair:
+    if found.messages == 0:
+        msg = f"session {folder}: {'; '.join(found.faults)}; no message can be read, nothing was changed"
+        raise SessionError(msg)
+    if broken.exists():
+        raise SessionError(f"session {folder}: {broken} of an earlier repair exists; move or remove it first")
+    readable = [file for file in files if file.stat().st_size]
+    with _scratch(folder) as scratch:
+        copy = scratch / folder.name
+        _rewrite(copy, readable, distro_of(folder))
+        _compare(copy, readable)
+        _move(copy, folder, broken)
+    if all(TORN in fault or METADATA in fault or "empty" in fault for fault in found.faults):
+        shutil.rmtree(broken, ignore_errors=True)
+        return found
+    return found._replace(original=broken)
+
+
+def _rewrite(copy: Path, files: list[Path], ros_distro: str) -> None:
+    """Write the same messages and records, in as many files."""
+    with SessionWriter(copy, ros_distro=ros_distro) as writer:
+        for number, file in enumerate(files):
+            if number:
+                writer.split()
+            scan = Scan(file)
+            for message in scan:
+                writer.add_topic(message.topic)
+                writer.write(message.topic.name, message.data, message.log_time, message.publish_time)
+            for topic in scan.topics:  # those without messages
+                writer.add_topic(topic)
+            for name, values in scan.records.items():
+                if name != "rosbag2":
+                    writer.add_record(name, values)
+
+
+def _compare(copy: Path, files: list[Path]) -> None:
+    """Check that the copy is complete and has the messages of the original."""
+    written = _files(copy)
+    for new, old in zip_longest(_messages(written), _messages(files)):
+        if new is None or old is None or new[1:] != old[1:] or new.topic.name != old.topic.name:
+            msg = f"session {copy.name}: the repaired copy differs from the original; nothing was changed"
+            raise SessionError(msg)
+    faults = _examine(copy, written).faults
+    if faults:
+        msg = f"session {copy.name}: the repaired copy has faults ({'; '.join(faults)}); nothing was changed"
+        raise SessionError(msg)
+
+
+def _messages(files: list[Path]) -> Iterator[Message]:
+    return chain.from_iterable(Scan(file) for file in files)

@@ -15,8 +15,16 @@ from twinmatch.sessions.sampling.channels import (
     parse_channel,
     usual_unit,
 )
-from twinmatch.sessions.sampling.sampler import INPUT, OUTPUT, REFERENCE, TIMER, Limits, Sampler
-from twinmatch.sessions.sampling.ticks import Grid, Rate
+from twinmatch.sessions.sampling.sampler import (
+    INPUT,
+    OUTPUT,
+    REFERENCE,
+    TIMER,
+    Grid,
+    Limits,
+    Rate,
+    Sampler,
+)
 
 __all__ = [
     "INPUT",

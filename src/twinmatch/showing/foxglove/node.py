@@ -18,7 +18,7 @@ from twinmatch.nodes.plant_clock import CLOCK
 from twinmatch.nodes.topics import LATCHED, offered, profile_of, wanted
 from twinmatch.parameters.declared import Setting
 from twinmatch.sessions import Qos, SessionError
-from twinmatch.sessions.definitions import schema_of
+from twinmatch.sessions.messages import schema_of
 from twinmatch.showing.foxglove.layout import APPLIED, IMAGE, OUTSIDE, TOPICS, layout, write_layout
 from twinmatch.showing.foxglove.server import GraphServer, StreamTime
 from twinmatch.showing.serving import ServingError, place_settings, warn_if_open
