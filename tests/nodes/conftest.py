@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -12,8 +12,9 @@ pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
 pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup")
 
 from tests.support.processes import Process, Processes, Start
-from tests.support.ros import Listener, listening
+from tests.support.ros import Inside, Listener, listening
 from tests.support.steps import quarter_of_an_hour
+from twinmatch.nodes.runner import EXIT_DEFECT
 from twinmatch.sessions import write_session
 from twinmatch.signals import Sample
 
@@ -33,8 +34,22 @@ def processes(tmp_path: Path) -> Iterator[Processes]:
 
 
 @pytest.fixture
-def start(processes: Processes) -> Start:
-    """Start a node: `start("matcher", "-p", "seed:=3")`."""
+def start() -> Iterator[Callable[..., Inside]]:
+    """Start a program of nodes in this process: `start("matcher", "-p", "seed:=3")`."""
+    made: list[Inside] = []
+
+    def start_inside(name: str, *ros_arguments: str) -> Inside:
+        made.append(Inside(name, *ros_arguments))
+        return made[-1]
+
+    yield start_inside
+    codes = [one.end() for one in reversed(made)]
+    assert EXIT_DEFECT not in codes, [one.text for one in made]
+
+
+@pytest.fixture
+def start_process(processes: Processes) -> Start:
+    """The same in a process of its own, which can be sent signals."""
 
     def start_node(name: str, *ros_arguments: str) -> Process:
         words = ["--ros-args", *ros_arguments] if ros_arguments else []

@@ -97,8 +97,10 @@ def stamp_of(message: Any) -> float:
     return message.header.stamp.sec + message.header.stamp.nanosec / 1e9
 
 
-def test_an_emulated_lepton_is_seen(start: Start, camera: Camera, ears: Ears) -> None:
-    bridge = start("camera_bridge", "-p", f"port:={camera('--plate', '60').port}", "-p", "image_rate:=0.0")
+def test_an_emulated_lepton_is_seen(start_process: Start, camera: Camera, ears: Ears) -> None:
+    bridge = start_process(
+        "camera_bridge", "-p", f"port:={camera('--plate', '60').port}", "-p", "image_rate:=0.0"
+    )
     ears.until(lambda: len(ears.temperatures) > 20 and ears.level == b"\x00", "temperatures and health")
     newest = ears.temperatures[-1]
     # The plate's middle loses a thousandth of its excess over 23 °C; the noise all pixels share is 0.08 K.

@@ -149,8 +149,8 @@ class Run:
 
 
 @pytest.fixture
-def begin(start: Start, listener: Listener, session: Path, tmp_path: Path) -> Callable[[float], Run]:
-    return lambda rate: Run(start, listener, session, tmp_path, rate)
+def begin(start_process: Start, listener: Listener, session: Path, tmp_path: Path) -> Callable[[float], Run]:
+    return lambda rate: Run(start_process, listener, session, tmp_path, rate)
 
 
 def test_a_twin_that_is_killed_again_and_again_comes_back(

@@ -139,8 +139,8 @@ def test_an_old_stamp_is_an_old_temperature(start: Start, bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_the_last_word_is_zero(start: Start, bench: Bench, number: signal.Signals) -> None:
-    process = start("controller", *FAST)
+def test_the_last_word_is_zero(start_process: Start, bench: Bench, number: signal.Signals) -> None:
+    process = start_process("controller", *FAST)
     bench.feed(lambda: any(m.pwm for m in bench.commands), "a command")
     assert process.end(number) == 0
     bench.listener.spin_until(bench.zero_last, "zero")

@@ -120,15 +120,15 @@ def test_every_sample_has_the_offline_forecast(
 
 
 def test_questions_are_answered_while_a_match_is_awaited(
-    start: Start, listener: Listener, ask: Asker, steps: list[Sample], offline: Offline
+    start_process: Start, listener: Listener, ask: Asker, steps: list[Sample], offline: Offline
 ) -> None:
     """Matching stops after the first match: verdicts wait, answers do not."""
     samples = listener.node.create_publisher(LoopSample, "plant/sample", EVERYTHING)
     requests = listener.hear(MatchRequest, "twin/match_request", EVERYTHING)
     matches = listener.hear(Match, "twin/match", EVERYTHING)
     scores = listener.hear(ModelScore, "twin/model_score", EVERYTHING)
-    start("discriminator")
-    matcher = start("matcher")
+    start_process("discriminator")
+    matcher = start_process("matcher")
     topics = ("twin/match", "twin/match_request", "twin/model_score")
     listener.spin_until(
         lambda: samples.get_subscription_count() and all(map(listener.node.count_publishers, topics)),
@@ -154,17 +154,17 @@ def test_questions_are_answered_while_a_match_is_awaited(
 
 
 def test_a_discriminator_that_was_killed_answers_again(
-    start: Start, listener: Listener, ask: Asker, steps: list[Sample], offline: Offline
+    start_process: Start, listener: Listener, ask: Asker, steps: list[Sample], offline: Offline
 ) -> None:
     samples = listener.node.create_publisher(LoopSample, "plant/sample", EVERYTHING)
     forecasts = listener.hear(Forecast, "twin/forecast", EVERYTHING)
-    start("matcher")
-    first = start("discriminator")
+    start_process("matcher")
+    first = start_process("discriminator")
     listener.spin_until(ask.found, "the service")
     assert ask().message.startswith("forecast: there is no candidate yet; the first comes with")
     first.kill()
     listener.spin_until(lambda: not ask.found() and not samples.get_subscription_count(), "its end")
-    start("discriminator")
+    start_process("discriminator")
     listener.spin_until(lambda: ask.found() and samples.get_subscription_count(), "the next one")
     listener.spin_until(lambda: listener.node.count_publishers("twin/forecast"), "its forecasts")
     for sample in steps:

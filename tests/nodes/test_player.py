@@ -35,11 +35,11 @@ def counted(number: int, period: float) -> list[Sample]:
     return [Sample(k, EPOCH + round(k * period * 1e9), 50.0, 20.0 + k, 0.0) for k in range(number)]
 
 
-def test_every_byte_arrives(start: Start, listener: Listener, session: Path) -> None:
+def test_every_byte_arrives(start_process: Start, listener: Listener, session: Path) -> None:
     recorded = [message.data for message in read_session(session).messages(["/plant/sample"])]
     heard: list[bytes] = []
     listener.node.create_subscription(LoopSample, "plant/sample", heard.append, EVERYTHING, raw=True)
-    player = start("player", "-p", f"session:={session}", "-p", "rate:=0.0")
+    player = start_process("player", "-p", f"session:={session}", "-p", "rate:=0.0")
     listener.spin_until(lambda: len(heard) == len(recorded), "the last sample")
     assert heard == recorded
     assert player.wait() == 0

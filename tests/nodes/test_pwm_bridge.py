@@ -155,9 +155,9 @@ def rig(listener: Listener) -> Iterator[Rig]:
 
 
 def test_commands_reach_the_pins_and_what_was_applied_is_reported(
-    start: Start, rig: Rig, any_board: Any
+    start_process: Start, rig: Rig, any_board: Any
 ) -> None:
-    bridge = start("pwm_bridge", "-p", f"port:={any_board.port}", *QUIET)
+    bridge = start_process("pwm_bridge", "-p", f"port:={any_board.port}", *QUIET)
     rig.until(lambda: rig.applied, "a report")
     assert (rig.applied[0].pwm, rig.applied[0].fault) == (0.0, "")
     rig.drive(120.0, any_board)
@@ -189,8 +189,8 @@ def test_a_killed_bridge_costs_at_most_the_boards_deadline(
     assert after.time - before.time == pytest.approx(1.05, abs=0.005)
 
 
-def test_a_frozen_bridge_lets_go_and_stays_off(start: Start, rig: Rig, any_board: Any) -> None:
-    bridge = start("pwm_bridge", "-p", f"port:={any_board.port}", *QUIET)
+def test_a_frozen_bridge_lets_go_and_stays_off(start_process: Start, rig: Rig, any_board: Any) -> None:
+    bridge = start_process("pwm_bridge", "-p", f"port:={any_board.port}", *QUIET)
     rig.drive(200.0, any_board)
     bridge.freeze()
     rig.until(lambda: not any_board.drive().enabled, "the board's deadline")
@@ -202,9 +202,9 @@ def test_a_frozen_bridge_lets_go_and_stays_off(start: Start, rig: Rig, any_board
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_a_signal_ends_it_with_zero(
-    start: Start, rig: Rig, board: StandInArduino, number: signal.Signals
+    start_process: Start, rig: Rig, board: StandInArduino, number: signal.Signals
 ) -> None:
-    bridge = start("pwm_bridge", "-p", f"port:={board.port}", *QUIET)
+    bridge = start_process("pwm_bridge", "-p", f"port:={board.port}", *QUIET)
     rig.drive(200.0, board)
     board.run(SLOW)
     assert bridge.end(number) == 0

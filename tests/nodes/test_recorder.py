@@ -67,12 +67,14 @@ def rig(listener: Listener) -> Rig:
     return Rig(listener)
 
 
+def into(folder: Path) -> list[str]:
+    return ["-p", f"folder:={folder}", "-p", "name:=run", "-p", "min_free_mb:=1.0"]
+
+
 @pytest.fixture
 def record(start: Start, tmp_path: Path) -> Start:
     """Start a recorder; it records into `run` in the test's folder."""
-    return lambda *arguments: start(
-        "recorder", "-p", f"folder:={tmp_path}", "-p", "name:=run", "-p", "min_free_mb:=1.0", *arguments
-    )
+    return lambda *arguments: start("recorder", *into(tmp_path), *arguments)
 
 
 def messages_of(session: Session, topic: str, kind: Any) -> list[Any]:
@@ -120,7 +122,7 @@ def test_everything_is_recorded_as_it_was_sent(record: Start, rig: Rig, tmp_path
     rig.listener.spin_until(late.get_subscription_count, "the recorder at the new topic")
     late.publish(String(data="seen"))
     wait_for_recorded(tmp_path / "run", notes=1, plant__sample=300, plant__temperature=300)
-    assert process.well(process.end())
+    assert process.end() == 0
     session = read_session(tmp_path / "run")
     assert session.notes == []
     assert messages_of(session, "/plant/sample", LoopSample) == sent["sample"]
@@ -151,7 +153,7 @@ def test_at_the_rates_of_a_fast_rig_nothing_is_lost(record: Start, rig: Rig, tmp
             rig.sample(k // 9)
         time.sleep(max(0.0, begun + (k + 1) / 180 - time.monotonic()))
     wait_for_recorded(tmp_path / "run", plant__sample=100, plant__temperature=900)
-    assert process.well(process.end())
+    assert process.end() == 0
     session = read_session(tmp_path / "run")
     assert session.counts["/thermal/image_raw"] == session.counts["/plant/temperature"] == 900
     assert [s.index for s in session.samples] == list(range(100))
@@ -159,9 +161,9 @@ def test_at_the_rates_of_a_fast_rig_nothing_is_lost(record: Start, rig: Rig, tmp
 
 @pytest.mark.parametrize("after", [0.7, 1.5])
 def test_a_killed_recorder_loses_less_than_a_second(
-    record: Start, rig: Rig, tmp_path: Path, after: float
+    start_process: Start, rig: Rig, tmp_path: Path, after: float
 ) -> None:
-    process = record()
+    process = start_process("recorder", *into(tmp_path))
     rig.wait_for_reader()
     sent = []
     deadline = time.monotonic() + after
@@ -197,7 +199,7 @@ def test_names_of_other_rigs_and_what_is_left_out_are_not_recorded(
     wait_for_recorded(tmp_path / "run", weather=1, one__plant__sample=1)
     assert mine.images.get_subscription_count() == 0
     assert other.samples.get_subscription_count() == 0
-    assert process.well(process.end())
+    assert process.end() == 0
     session = read_session(tmp_path / "run")
     assert session.topic == "/one/plant/sample"
     assert {"/weather", "/one/plant/temperature"} < set(session.counts)
@@ -219,7 +221,7 @@ def test_a_publisher_that_offers_less_is_received_too(
     listener.spin_until(second.get_subscription_count, "the recorder")
     second.publish(Float64(data=2.0))
     wait_for_recorded(tmp_path / "run", extra=2, plant__sample=1)
-    assert process.well(process.end())
+    assert process.end() == 0
     extra = messages_of(read_session(tmp_path / "run"), "/extra", Float64)
     assert extra == [Float64(data=1.0), Float64(data=2.0)]
 
@@ -241,7 +243,7 @@ def test_parameters_of_the_nodes_are_in_the_session(
     rig.wait_for_reader()
     rig.sample(0)
     rig.listener.spin_until(recorded, "the parameters")
-    assert process.well(process.end())
+    assert process.end() == 0
     records = read_session(tmp_path / "run").records
     parameters = parameters_of(records, "/matcher")
     assert parameters["seed"] == 7
@@ -252,17 +254,17 @@ def test_parameters_of_the_nodes_are_in_the_session(
 
 
 def test_a_node_that_was_killed_before_it_answered_is_asked_again(
-    record: Start, start: Start, rig: Rig, tmp_path: Path
+    record: Start, start_process: Start, rig: Rig, tmp_path: Path
 ) -> None:
     graph = rig.listener.node
-    lost = start("matcher", "-p", "seed:=6")
+    lost = start_process("matcher", "-p", "seed:=6")
     rig.listener.spin_until(lambda: "matcher" in graph.get_node_names(), "the matcher")
     lost.freeze()
     record()
     rig.wait_for_reader()
     time.sleep(1.0)
     lost.kill()
-    start("matcher", "-p", "seed:=7")
+    start_process("matcher", "-p", "seed:=7")
 
     def seed() -> object:
         session = written(tmp_path / "run")
@@ -290,7 +292,7 @@ def test_a_recorded_run_of_the_twin_verifies(
     scores = listener.hear(ModelScore, "twin/model_score", EVERYTHING)
     listener.spin_until(lambda: scores and scores[-1].sample >= 910 - 60, "the verdicts")
     wait_for_recorded(tmp_path / "run", twin__model_score=len(scores), plant__sample=920)
-    assert process.well(process.end())
+    assert process.end() == 0
     found = verify_session(tmp_path / "run")
     assert found.identical, found.difference
     assert (found.samples, found.matches) == (920, 3)
@@ -306,7 +308,7 @@ def test_files_are_split(record: Start, rig: Rig, tmp_path: Path) -> None:
     for k in range(100):
         rig.sample(k)
         time.sleep(0.02)
-    assert process.well(process.end())
+    assert process.end() == 0
     assert len(list((tmp_path / "run").glob("run_*.mcap"))) >= 2
     session = read_session(tmp_path / "run")
     assert [s.index for s in session.samples] == list(range(100))
@@ -452,6 +454,6 @@ def test_with_simulated_time_the_times_are_those_of_the_clock(
     rig.listener.spin_until(tick, "the recorder at the samples")
     rig.sample(0)
     wait_for_recorded(tmp_path / "run", plant__sample=1)
-    assert process.well(process.end())
+    assert process.end() == 0
     (message,) = read_session(tmp_path / "run").messages(["/plant/sample"])
     assert message.log_time == 5000 * 10**9

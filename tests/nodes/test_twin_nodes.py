@@ -84,15 +84,15 @@ def test_live_verdicts_are_the_offline_ones(
 
 
 def test_a_matcher_that_dies_costs_time_and_nothing_else(
-    start: Callable[..., Any], listener: Any, steps: list[Sample], offline: list[Outcome]
+    start_process: Start, listener: Any, steps: list[Sample], offline: list[Outcome]
 ) -> None:
     """Killed while it works on a match: another one is asked again, and the verdicts are the same."""
     samples = listener.node.create_publisher(LoopSample, "plant/sample", EVERYTHING)
     heard = listener.hear(ModelScore, "twin/model_score", EVERYTHING)
     requests = listener.hear(MatchRequest, "twin/match_request", EVERYTHING)
     health = listener.hear(DiagnosticArray, "/diagnostics", QoSProfile(depth=10))
-    start("discriminator")
-    first = start("matcher")
+    start_process("discriminator")
+    first = start_process("matcher")
     topics = ("twin/match", "twin/match_request", "twin/model_score")
     listener.spin_until(
         lambda: samples.get_subscription_count() and all(map(listener.node.count_publishers, topics)),
@@ -108,7 +108,7 @@ def test_a_matcher_that_dies_costs_time_and_nothing_else(
     )
     assert {request.sample for request in requests} == {requests[0].sample}
     assert len(requests) > 1
-    start("matcher")
+    start_process("matcher")
     verdicts = [verdict for outcome in offline for verdict in outcome.verdicts]
     listener.spin_until(lambda: len(heard) == len(verdicts), "the last verdict")
     assert [repr(verdict_from(m)) for m in heard] == [repr(v) for v in verdicts]
@@ -194,8 +194,8 @@ def test_wrong_parameters_are_one_line_and_exit_code_2(
     assert len(process.text.splitlines()) == 1
 
 
-def test_three_in_one_process_have_nothing_to_say(start: Start, listener: Listener) -> None:
-    process = start("twin")
+def test_three_in_one_process_have_nothing_to_say(start_process: Start, listener: Listener) -> None:
+    process = start_process("twin")
     names = {"matcher", "discriminator", "twin_simulator"}
     listener.spin_until(lambda: names <= set(listener.node.get_node_names()), "the nodes")
     assert process.well(process.end())

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import importlib
+import threading
+import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, TypeVar
@@ -13,6 +16,8 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from tests.support.waiting import PATIENCE, wait_for
+from twinmatch.errors import EXIT_USER_ERROR, TwinmatchError
+from twinmatch.nodes.runner import EXIT_DEFECT, Nodes
 
 T = TypeVar("T")
 
@@ -56,3 +61,55 @@ def listening() -> Iterator[Listener]:
     finally:
         made.close()
         rclpy.try_shutdown(context=context)
+
+
+class Inside:
+    """A program of nodes in the test's own process, with what a test asks of a process of its own."""
+
+    def __init__(self, name: str, *ros_arguments: str) -> None:
+        """Start it with ROS arguments; a mistake in them ends it as it would end the program."""
+        self.text = ""
+        """The line or the traceback with which it ended."""
+        self._name, self._code = name, 0
+        self._nodes, self._stop = Nodes(Context()), threading.Event()
+        self._thread = threading.Thread(target=self._guarded, args=(self._spin,), daemon=True)
+        (kinds,) = importlib.import_module(f"twinmatch.nodes.{name}").main.args
+        arguments = [name, *(["--ros-args", *ros_arguments] if ros_arguments else [])]
+        self._guarded(lambda: self._nodes.start(kinds, arguments))
+        if self._code:
+            self._nodes.close()
+        else:
+            self._thread.start()
+
+    @property
+    def running(self) -> bool:
+        return self._thread.is_alive()
+
+    def wait(self, patience: float = PATIENCE) -> int:
+        """Its exit code, once it has ended by itself."""
+        if self._thread.ident is not None:
+            self._thread.join(patience)
+        assert not self.running, f"still running after {patience:g} s: {self._name}"
+        return self._code
+
+    def end(self) -> int:
+        """End it as a signal does, and return the exit code."""
+        self._stop.set()
+        return self.wait()
+
+    def _spin(self) -> None:
+        try:
+            code = None
+            while code is None and not self._stop.is_set():
+                code = self._nodes.spin_once()
+            self._code = code or 0
+        finally:
+            assert self._nodes.close(), "a thread continues"
+
+    def _guarded(self, work: Callable[[], None]) -> None:
+        try:
+            work()
+        except TwinmatchError as error:
+            self.text, self._code = f"{error}\n", EXIT_USER_ERROR
+        except Exception:
+            self.text, self._code = traceback.format_exc(), EXIT_DEFECT

@@ -17,6 +17,7 @@ from typing import Any, ClassVar, Generic, NamedTuple, Protocol, TypeVar
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.clock import Clock, ClockType
+from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.timer import Timer
@@ -296,15 +297,15 @@ class TwinmatchNode(Node):
     """Set by a node that cannot continue: the process then ends with it."""
     _diagnostics: Any = None
 
-    def __init__(self) -> None:
-        """Read the parameters into `self.values`.
+    def __init__(self, context: Context | None = None) -> None:
+        """Read the parameters into `self.values`; by default in the context of the process.
 
         Raises:
             ParameterError: a parameter does not exist, has the wrong type or is out of range.
             TwinmatchError: parameters contradict each other.
         """
         try:
-            super().__init__(self.NAME, automatically_declare_parameters_from_overrides=True)
+            super().__init__(self.NAME, context=context, automatically_declare_parameters_from_overrides=True)
         except ValueError as error:  # an empty list or null has no type in ROS 2
             msg = f"{self.NAME}: a parameter is empty ([] or null); leave it out or give it a value"
             raise ParameterError(msg) from error

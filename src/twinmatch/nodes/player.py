@@ -10,6 +10,7 @@ import time
 from pathlib import Path
 from typing import Any, ClassVar
 
+from rclpy.context import Context
 from rclpy.duration import Duration
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.time import Time
@@ -119,9 +120,9 @@ class Player(TwinmatchNode):
         Setting("wait_timeout", 10.0, _TIMEOUT, "s", 0.1, 3600.0),
     )
 
-    def __init__(self) -> None:
+    def __init__(self, context: Context | None = None) -> None:
         """Read the parameters."""
-        super().__init__()
+        super().__init__(context)
         self._change = threading.Condition()
         self._paused: bool = self.values["paused"]
         self._played = 0

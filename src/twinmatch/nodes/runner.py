@@ -17,11 +17,14 @@ import sys
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
+from threading import Event
 from typing import Any
 
 import rclpy
+from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
@@ -67,94 +70,111 @@ def run(kinds: Sequence[type[TwinmatchNode]], arguments: Sequence[str] | None = 
         `TwinmatchError` (its one line is on stderr), `EXIT_DEFECT` after any other error.
     """
     arguments = list(sys.argv if arguments is None else arguments)
-    process = _Process()
+    stop = Event()
+    _on_signals(lambda *_: stop.set())
+    nodes = Nodes()
+    code: int | None = None
     try:
         _check_files(arguments)
         extra = _extra(arguments)
         if {"-h", "--help"} & set(extra):
             print(_help(kinds))
             return 0
-        process.start(kinds, arguments, extra)
-        code = process.keep_going()
+        if extra:
+            raise RunnerError(f"{_program(arguments)}: unknown argument {extra[0]}; see --help")
+        nodes.start(kinds, arguments)
+        while code is None and not stop.is_set():
+            code = nodes.spin_once()
     except TwinmatchError as error:
         print(error, file=sys.stderr, flush=True)
         code = EXIT_USER_ERROR
     except Exception:
         traceback.print_exc()
         code = EXIT_DEFECT
-    process.end(code)
-    return code
+    _on_signals(signal.SIG_IGN)
+    signal.signal(signal.SIGALRM, signal.SIG_DFL)
+    signal.alarm(TEARDOWN + nodes.closing)
+    if not nodes.close():  # a thread still computing would be torn down with the interpreter
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code or 0)
+    signal.alarm(0)
+    return code or 0
 
 
 def program(*kinds: type[TwinmatchNode]) -> Callable[[], None]:
     """The console script of nodes that run together in one process."""
-    return lambda: sys.exit(run(kinds))
+    return partial(_exit, kinds)
 
 
-class _Process:
-    """The nodes of this process, their executor, and the flag that SIGINT and SIGTERM set."""
+def _exit(kinds: Sequence[type[TwinmatchNode]]) -> None:
+    sys.exit(run(kinds))
 
-    def __init__(self) -> None:
-        self.nodes: list[TwinmatchNode] = []
-        self.executor: Any = None  # created once ROS has started
-        self.step: InStep | None = None
-        self.stop_requested = False
-        _on_signals(self._request_stop)
 
-    def _request_stop(self, *_: object) -> None:
-        self.stop_requested = True
+class Nodes:
+    """Nodes that run together, and their executor."""
 
-    def start(self, kinds: Sequence[type[TwinmatchNode]], arguments: list[str], extra: list[str]) -> None:
-        if extra:
-            msg = f"{_program(arguments)}: unknown argument {extra[0]}; see --help"
-            raise RunnerError(msg)
+    def __init__(self, context: Context | None = None) -> None:
+        """Nothing is created before `start`; without a `context` it is that of the process."""
+        self._context = context
+        self._nodes: list[TwinmatchNode] = []
+        self._executor: Any = None  # created once ROS has started
+        self._step: InStep | None = None
+
+    @property
+    def closing(self) -> int:
+        """Time that `close` may take besides `TEARDOWN`, s."""
+        return max((node.CLOSING for node in self._nodes), default=0)
+
+    def start(self, kinds: Sequence[type[TwinmatchNode]], arguments: Sequence[str]) -> None:
+        """Start ROS with a command line, and create and open the nodes.
+
+        Raises:
+            TwinmatchError: the nodes cannot run like this.
+        """
         reach = network.prepare()
         with _clear_errors(arguments):
-            rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
-        self.executor = EventsExecutor()
+            options = SignalHandlerOptions.NO
+            rclpy.init(args=list(arguments), context=self._context, signal_handler_options=options)
+        self._executor = EventsExecutor(context=self._context)
         for kind in kinds:
-            node = kind()
-            self.nodes.append(node)
-            self.step = self.step or step_of(node)
-            node.step = self.step
+            node = kind(self._context)
+            self._nodes.append(node)
+            self._step = self._step or step_of(node)
+            node.step = self._step
             node.open()
-            self.executor.add_node(node)
+            self._executor.add_node(node)
         if reach is network.Network.LOOPBACK:
             network.check_sockets()
 
-    def keep_going(self) -> int:
-        while not self.stop_requested:
-            self.executor.spin_once(timeout_sec=STEP)
-            for node in self.nodes:
-                if node.failure is not None:
-                    raise node.failure
-            ended = [node.exit_code for node in self.nodes if node.exit_code is not None]
-            if ended and not any(node.busy for node in self.nodes):
-                return ended[0]
-        return 0
+    def spin_once(self) -> int | None:
+        """Let the nodes work for a moment; returns the exit code once one of them has finished.
 
-    def end(self, code: int) -> None:
-        """Close everything; on return nothing of ROS is left in the process."""
-        _on_signals(signal.SIG_IGN)
-        signal.signal(signal.SIGALRM, signal.SIG_DFL)
-        signal.alarm(TEARDOWN + max((node.CLOSING for node in self.nodes), default=0))
-        ended = [] if self.step is None else [self.step.close()]
-        ended += [node.close() for node in self.nodes]
-        if self.executor is not None:
-            for node in self.nodes:
-                self.executor.remove_node(node)
-            self.executor.shutdown(timeout_sec=1.0)
-            self.executor = None
-        for node in self.nodes:
+        Raises:
+            Exception: what ended a node.
+        """
+        self._executor.spin_once(timeout_sec=STEP)
+        for node in self._nodes:
+            if node.failure is not None:
+                raise node.failure
+        ended = [node.exit_code for node in self._nodes if node.exit_code is not None]
+        return ended[0] if ended and not any(node.busy for node in self._nodes) else None
+
+    def close(self) -> bool:
+        """Close everything; nothing of ROS is left then. Returns whether all threads ended."""
+        ended = [] if self._step is None else [self._step.close()]
+        ended += [node.close() for node in self._nodes]
+        if self._executor is not None:
+            for node in self._nodes:
+                self._executor.remove_node(node)
+            self._executor.shutdown(timeout_sec=1.0)
+            self._executor = None
+        for node in self._nodes:
             node.destroy_node()
-        self.nodes.clear()
-        rclpy.try_shutdown()
+        self._nodes.clear()
+        rclpy.try_shutdown(context=self._context)
         gc.collect()  # remaining references to a node would hold shared memory
-        if not all(ended):  # a thread still computing would be torn down with the interpreter
-            sys.stdout.flush()
-            sys.stderr.flush()
-            os._exit(code)
-        signal.alarm(0)
+        return all(ended)
 
 
 def _on_signals(handler: Any) -> None:
@@ -180,7 +200,7 @@ def _check_files(arguments: list[str]) -> None:
 
 
 @contextmanager
-def _clear_errors(arguments: list[str]) -> Iterator[None]:
+def _clear_errors(arguments: Sequence[str]) -> Iterator[None]:
     """Turn rcl's argument errors into `RunnerError`, without positions in rcl's sources."""
     try:
         yield
@@ -191,7 +211,7 @@ def _clear_errors(arguments: list[str]) -> Iterator[None]:
         raise RunnerError(msg) from error
 
 
-def _program(arguments: list[str]) -> str:
+def _program(arguments: Sequence[str]) -> str:
     return Path(arguments[0]).stem if arguments else "twinmatch"
 
 

@@ -6,7 +6,7 @@ is full. It depends on neither ROS nor threads; a recorder calls it from its wri
 
 `repair_session` writes the readable messages to a copy beside the session, which replaces the original only
 after it has been compared with it. The original is kept as `<session>.broken` if it was damaged in the
-middle, where another tool may recover more; one that is merely truncated contains nothing more and is removed.
+middle, where another tool may recover more; a merely truncated one contains nothing more and is removed.
 """
 
 from __future__ import annotations
