@@ -36,6 +36,7 @@ from twinmatch.links.pwm_protocol import (
     Reply,
     Verb,
 )
+from twinmatch.settings import setting
 
 
 class PwmLinkError(TwinmatchError):
@@ -109,10 +110,10 @@ class LinkSettings:
         PwmRangeError: a time is not positive, or `retries` is negative.
     """
 
-    timeout: float = 0.2
-    """Longest wait for a reply, s. With all retries it must stay below the board's deadline."""
-    retries: int = 2
-    """Retries of an unanswered request."""
+    timeout: float = setting(
+        0.2, "Longest wait for an answer of the board, by the wall clock.", "s", 0.01, 2.0
+    )  # with all retries it must stay below the board's deadline
+    retries: int = setting(2, "Retries of an unanswered request.", "", 0, 10)
     first_pause: float = 0.1
     """Pause before the second attempt to reopen a lost port, s; doubled each time."""
     longest_pause: float = 2.0

@@ -31,6 +31,7 @@ from twinmatch.links.thermal_frame import (
     ThermalStallError,
     read_frame,
 )
+from twinmatch.settings import setting
 from twinmatch.signals import KELVIN, FloatArray
 
 CLOCK_MEMORY = 30_000_000_000
@@ -76,8 +77,9 @@ class ClientSettings:
     """
 
     connect_timeout: float = 2.0
-    stall_timeout: float = 2.0
-    """Time without a complete message after which a connection is dropped."""
+    stall_timeout: float = setting(
+        2.0, "A connection without a frame for this long is dropped.", "s", 0.1, 60.0
+    )
     first_wait: float = 0.1
     """Pause before the first retry; doubles with each further attempt that yields no frame."""
     longest_wait: float = 5.0

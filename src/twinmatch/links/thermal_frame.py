@@ -219,42 +219,30 @@ _ARRAY_TAG: Final = 40
 _UINT16_LE_TAG: Final = 69
 _CRC_LENGTH: Final = 4
 _CRC_KEY: Final = b"\x63crc\x44"
-_KEYS: Final = (
-    "v",
-    "seq",
-    "t_ns",
-    "boot_id",
-    "res_k",
-    "img",
-    "ffc",
-    "ffc_age_ms",
-    "fpa_ck",
-    "frame_counter",
-    "flags",
-    "crc",
-)
+_FIELDS: Final = {
+    "seq": "sequence",
+    "t_ns": "stamp",
+    "boot_id": "boot_id",
+    "res_k": "resolution",
+    "img": "image",
+    "ffc": "flat_field",
+    "ffc_age_ms": "flat_field_age",
+    "fpa_ck": "sensor_temperature",
+    "frame_counter": "frame_counter",
+    "flags": "flags",
+}
+"""The fields of a frame by their keys in the map, in its order; `v` precedes and `crc` follows them."""
+_KEYS: Final = ("v", *_FIELDS, "crc")
 
 
 def encode_frame(frame: ThermalFrame) -> bytes:
     """The frame as one CBOR item."""
-    rows, columns = frame.image.shape
     pixels = frame.image.astype("<u2", copy=False).tobytes()
-    item: bytes = cbor2.dumps(
-        {
-            "v": WIRE_VERSION,
-            "seq": frame.sequence,
-            "t_ns": frame.stamp,
-            "boot_id": frame.boot_id,
-            "res_k": frame.resolution,
-            "img": cbor2.CBORTag(_ARRAY_TAG, [[rows, columns], cbor2.CBORTag(_UINT16_LE_TAG, pixels)]),
-            "ffc": None if frame.flat_field is None else int(frame.flat_field),
-            "ffc_age_ms": frame.flat_field_age,
-            "fpa_ck": frame.sensor_temperature,
-            "frame_counter": frame.frame_counter,
-            "flags": int(frame.flags),
-            "crc": bytes(_CRC_LENGTH),
-        }
-    )
+    values = {key: getattr(frame, name) for key, name in _FIELDS.items()}
+    values["img"] = cbor2.CBORTag(_ARRAY_TAG, [[*frame.image.shape], cbor2.CBORTag(_UINT16_LE_TAG, pixels)])
+    values["ffc"] = None if frame.flat_field is None else int(frame.flat_field)
+    values["flags"] = int(frame.flags)
+    item: bytes = cbor2.dumps({"v": WIRE_VERSION, **values, "crc": bytes(_CRC_LENGTH)})
     body = item[:-_CRC_LENGTH]
     return body + zlib.crc32(body).to_bytes(_CRC_LENGTH, "big")
 
@@ -356,18 +344,10 @@ def _frame(value: object, raw: bytes) -> ThermalFrame:
     if type(flags) is not int or not 0 <= flags < 2**16:
         msg = f"thermal frame: flags is {flags!r:.40}; it must be an integer below 65536"
         raise FrameFieldError(msg)
-    return ThermalFrame(
-        sequence=value["seq"],
-        boot_id=value["boot_id"],
-        stamp=value["t_ns"],
-        resolution=value["res_k"],
-        image=_image(value["img"]),
-        flat_field=None if flat_field is None else FlatField(flat_field),
-        flat_field_age=value["ffc_age_ms"],
-        sensor_temperature=value["fpa_ck"],
-        frame_counter=value["frame_counter"],
-        flags=FrameFlags(flags),
-    )
+    values = {name: value[key] for key, name in _FIELDS.items()}
+    values["flat_field"] = None if flat_field is None else FlatField(flat_field)
+    values |= {"image": _image(value["img"]), "flags": FrameFlags(flags)}
+    return ThermalFrame(**values)
 
 
 def _check_crc(crc: object, raw: bytes) -> None:

@@ -26,7 +26,7 @@ from twinmatch.links.thermal_frame import DEFAULT_PORT, Exposure, ThermalFrame
 from twinmatch.nodes.node import Background, Level, Report, TwinmatchNode
 from twinmatch.nodes.runner import program
 from twinmatch.nodes.sample_messages import time_message
-from twinmatch.parameters.declared import Setting
+from twinmatch.parameters.declared import Setting, given_to, parameters_of
 from twinmatch.signals import KELVIN
 
 FASTEST = 1000.0
@@ -95,7 +95,6 @@ def _image(encoding: str, pixels: NDArray[Any], header: Header) -> Image:
     return message
 
 
-_STALL = "A connection without a frame for this long is dropped."
 _IMAGES = "Highest rate of images, by the wall clock; 0: all."
 _TEMPERATURES = "Highest rate of temperatures; 0: every new image."
 PATIENCE = 0.2
@@ -127,7 +126,7 @@ class CameraBridge(TwinmatchNode):
     PARAMETERS: ClassVar = (
         Setting("host", "127.0.0.1", "Computer on which the camera server runs."),
         Setting("port", DEFAULT_PORT, "Its TCP port.", "", 1, 65535),
-        Setting("stall_timeout", 2.0, _STALL, "s", 0.1, 60.0),
+        *parameters_of(ClientSettings()),
         Setting("stale_after", 3.0, "Age of the newest image that is an error.", "s", 0.1, 60.0),
         *_region_parameters("roi", "Region whose mean is the temperature: first column.", (34, 24, 12, 12)),
         *_region_parameters(
@@ -145,8 +144,7 @@ class CameraBridge(TwinmatchNode):
         self._roi, self._plate = _region_from(values, "roi"), _region_from(values, "plate")
         self._temperature_gap = 1e9 / values["temperature_rate"] if values["temperature_rate"] else 0.0
         self._image_gap = 1e9 / values["image_rate"] if values["image_rate"] else 0.0
-        settings = ClientSettings(stall_timeout=values["stall_timeout"])
-        self._camera = ThermalClient(values["host"], values["port"], settings)
+        self._camera = ThermalClient(values["host"], values["port"], given_to(ClientSettings(), values))
         self._past = WallToRos()
         self._thread = Background("camera", self._run)
         self.beside.append(self._thread)

@@ -24,7 +24,7 @@ from twinmatch.links.pwm_link import PwmLink
 from twinmatch.nodes.node import Background, Level, NodeHealth, Report, TwinmatchNode
 from twinmatch.nodes.step import FOREVER, InStep
 from twinmatch.nodes.topics import RELIABLE
-from twinmatch.parameters.declared import Setting, group, parameters_of
+from twinmatch.parameters.declared import Setting, given_to, parameters_of
 from twinmatch.safety import (
     ClockLimits,
     FaultKind,
@@ -176,8 +176,7 @@ def gate_limits(usual: GuardLimits, values: Mapping[str, Any]) -> GuardLimits:
     Raises:
         SafetyError: values contradict each other.
     """
-    own = {parameter.name: values[parameter.name] for parameter in parameters_of(usual)}
-    return replace(usual, **own, runaway=replace(usual.runaway, **group(values, "runaway.")))
+    return replace(given_to(usual, values), runaway=given_to(usual.runaway, values, "runaway."))
 
 
 Link = TypeVar("Link", PwmLink, KitLink)

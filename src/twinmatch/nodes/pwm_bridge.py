@@ -23,14 +23,11 @@ from twinmatch.nodes.node import Level, Report
 from twinmatch.nodes.runner import program
 from twinmatch.nodes.sample_messages import nanoseconds
 from twinmatch.nodes.topics import RELIABLE
-from twinmatch.parameters.declared import Setting
+from twinmatch.parameters.declared import Setting, given_to, parameters_of
 from twinmatch.parameters.loop import unit_of
 from twinmatch.plants import Peltier
 from twinmatch.safety import FaultKind, GuardLimits
 from twinmatch_msgs.msg import PwmApplied, PwmCommand
-
-_TIMEOUT = "Longest wait for an answer of the board, by the wall clock."
-
 
 IDLE = 0.25
 """Interval between two queries to a board that is not driven, wall s."""
@@ -140,8 +137,7 @@ class PwmBridge(GatedNode):
     LIMITS: ClassVar = GuardLimits(unit=Peltier.output.unit, drive_unit=unit_of(Peltier.drive))
     PARAMETERS: ClassVar = (
         Setting("port", "/dev/ttyACM0", "Serial port of the PWM board."),
-        Setting("timeout", LinkSettings().timeout, _TIMEOUT, "s", 0.01, 2.0),
-        Setting("retries", LinkSettings().retries, "Retries of an unanswered request.", "", 0, 10),
+        *parameters_of(LinkSettings()),
         Setting("repeat", 0.1, "Interval at which the command is repeated.", "s", 0.02, 0.2),
         Setting("frame_id", "driver", "Frame of plant/pwm_applied."),
         *gate_table(LIMITS, "; a flat-field correction takes 1 s"),
@@ -150,8 +146,7 @@ class PwmBridge(GatedNode):
 
     def read_parameters(self) -> None:
         """Derive the link's settings and the guard's limits."""
-        values = self.values
-        self._link = PwmLink(values["port"], LinkSettings(values["timeout"], values["retries"]))
+        self._link = PwmLink(self.values["port"], given_to(LinkSettings(), self.values))
         self.make_gate()
 
     def open(self) -> None:

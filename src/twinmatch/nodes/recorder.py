@@ -22,7 +22,7 @@ from twinmatch.nodes.node import Level, Report, TwinmatchNode, Worker
 from twinmatch.nodes.past import RecorderPast
 from twinmatch.nodes.runner import program
 from twinmatch.nodes.topics import message_class, offered, profile_of, wanted
-from twinmatch.parameters.declared import Setting
+from twinmatch.parameters.declared import Setting, given_to, parameters_of
 from twinmatch.sessions import Recording, RecordingLimits, SessionError, Topic
 from twinmatch.sessions.documents import DocumentError, read_text
 from twinmatch.sessions.messages import schema_of
@@ -187,9 +187,7 @@ class RecorderNode(TwinmatchNode):
         Setting("name", "", "Name of the session; empty: rig_ and the date and time of the start."),
         Setting("also", ["/diagnostics"], "Topics to record outside the namespace, such as /rosout."),
         Setting("leave_out", ["parameter_events"], "Prefixes of relative topic names not to record."),
-        Setting("min_free_mb", 200.0, "Free disk space below which recording stops.", "MB", 0.0, 1e9),
-        Setting("split_mb", 0.0, "Size at which a new file is started; 0: never.", "MB", 0.0, 1e6),
-        Setting("split_s", 0.0, "Time after which a new file is started; 0: never.", "s", 0.0, 1e7),
+        *parameters_of(RecordingLimits()),
     )
 
     worker: Worker[Job] | None = None
@@ -198,7 +196,7 @@ class RecorderNode(TwinmatchNode):
         """Start the session and the search for topics."""
         values = self.values
         name = values["name"] or time.strftime("rig_%Y-%m-%d_%H-%M-%S")
-        limits = RecordingLimits(values["min_free_mb"], values["split_mb"], values["split_s"])
+        limits = given_to(RecordingLimits(), values)
         distro = os.environ.get("ROS_DISTRO", "unknown")
         self._recording = Recording(Path(values["folder"]) / name, limits, ros_distro=distro)
         self._readers: dict[str, tuple[Topic, Any]] = {}

@@ -11,14 +11,16 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
-from typing import Any
+from dataclasses import dataclass, fields, replace
+from typing import Any, TypeVar
 
 from twinmatch.errors import TwinmatchError
 from twinmatch.sessions.documents import shown
 
 Value = bool | int | float | str | list[float] | list[str]
 Values = dict[str, Any]
+Record = TypeVar("Record", bound=Any)
+"""An object of a dataclass."""
 
 KINDS = {bool: "true or false", int: "a whole number", float: "a number", str: "text", list: "a list"}
 BUILT_IN = ("use_sim_time", "start_type_description_service", "qos_overrides./clock.")
@@ -114,6 +116,12 @@ def parameters_of(record: Any, prefix: str = "", **names: str) -> tuple[Setting,
         for it in fields(record)
         if "text" in it.metadata
     )
+
+
+def given_to(record: Record, values: Mapping[str, Any], prefix: str = "") -> Record:
+    """An object of a dataclass with checked values for the settings that it declares."""
+    names = [it.name for it in fields(record) if "text" in it.metadata]
+    return replace(record, **{name: values[prefix + name] for name in names})
 
 
 def group(values: Mapping[str, Any], prefix: str) -> Values:

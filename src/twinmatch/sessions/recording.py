@@ -15,6 +15,7 @@ import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from itertools import chain, zip_longest
 from pathlib import Path
 from typing import NamedTuple
@@ -25,6 +26,7 @@ from twinmatch.sessions.metadata import METADATA, distro_of, files_listed, mcap_
 from twinmatch.sessions.reader import check_samples, gaps_of
 from twinmatch.sessions.scan import Scan
 from twinmatch.sessions.writer import SessionWriter, sync_folder
+from twinmatch.settings import setting
 from twinmatch.signals import Sample, Window
 
 MEGABYTE = 1_000_000
@@ -35,15 +37,13 @@ class DiskFullError(SessionError):
     """There is too little disk space to start or continue recording."""
 
 
-class RecordingLimits(NamedTuple):
-    """When to split a file and when to stop."""
+@dataclass(frozen=True)
+class RecordingLimits:
+    """When to split a file and when to stop; finishing a session needs some disk space."""
 
-    min_free_mb: float = 200.0
-    """Disk space that must stay free, MB; finishing a session needs some."""
-    split_mb: float = 0.0
-    """Size at which the next file is started, MB; 0: never."""
-    split_s: float = 0.0
-    """Time span of the messages at which the next file is started, s; 0: never."""
+    min_free_mb: float = setting(200.0, "Free disk space below which recording stops.", "MB", 0.0, 1e9)
+    split_mb: float = setting(0.0, "Size at which a new file is started; 0: never.", "MB", 0.0, 1e6)
+    split_s: float = setting(0.0, "Time after which a new file is started; 0: never.", "s", 0.0, 1e7)
 
 
 class Recording(SessionWriter):
