@@ -11,9 +11,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-
-pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup")
-
 from rclpy.serialization import deserialize_message, serialize_message
 
 from twinmatch.comparing import ADMITTED, REFUSED, Criteria, OrderScore, TrustLevel, Verdict

@@ -6,8 +6,6 @@ import threading
 
 import pytest
 
-pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
-
 from tests.support.waiting import wait_for
 from twinmatch.errors import TwinmatchError
 from twinmatch.nodes.node import Level, NodeHealth, Report, Worker, status_message

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,18 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.support.places import PROJECT
 from tests.support.plant_files import plant_file
+from twinmatch.control import Profile
+from twinmatch.errors import TwinmatchError
+from twinmatch.nodes.camera_bridge import CameraBridge
+from twinmatch.nodes.controller import controller_table, profile_from
+from twinmatch.nodes.gated import gate_limits, gate_table
+from twinmatch.nodes.player import Player
+from twinmatch.nodes.pwm_bridge import PwmBridge
+from twinmatch.nodes.recorder import RecorderNode
+from twinmatch.nodes.sampler import SamplerNode, limits_of, sampler_table, sources_of, types_of, understood
+from twinmatch.nodes.tclab_bridge import TCLabBridge
 from twinmatch.parameters.declared import ParameterError, Setting, check, render
 from twinmatch.parameters.twin import (
     read_settings,
@@ -21,10 +33,11 @@ from twinmatch.parameters.twin import (
     twin_values,
     values_of,
 )
-from twinmatch.plants import Peltier, TCLab
+from twinmatch.plants import PLANTS, Peltier, TCLab, find_plant
+from twinmatch.safety import GuardLimits, OutputGuard, RunawayLimits, SafetyError
 from twinmatch.twin import TwinSettings
 
-CONFIG = Path(__file__).resolve().parents[2] / "config"
+CONFIG = PROJECT / "config"
 
 TABLE = (
     Setting("rate", 1.0, "How fast.", "Hz", 0.5, 10.0),
@@ -106,26 +119,44 @@ def test_rendered_section_reads_back() -> None:
     assert check("node", TABLE, section) == check("node", TABLE, values)
 
 
-# Every parameter file, its section and the table it must agree with.
-def files() -> list[tuple[str, str, Any]]:
-    found = [("twin.yaml", "/**", twin_table()), ("tclab_twin.yaml", "/**", twin_table(TCLab))]
-    try:
-        from twinmatch.nodes.player import Player
-    except ImportError:
-        return found
-    return [*found, ("player.yaml", "player", Player.PARAMETERS)]
+EXAMPLE = {
+    "map.reference": "/rig/set_point:data",
+    "map.output": "/rig/temperature:temperature",
+    "map.input": "/rig/command:data",
+}
+FILES: dict[tuple[str, str], tuple[Setting, ...]] = {
+    ("twin.yaml", "/**"): twin_table(),
+    ("tclab_twin.yaml", "/**"): twin_table(TCLab),
+    ("player.yaml", "player"): Player.PARAMETERS,
+    ("rig.yaml", "controller"): controller_table(),
+    ("rig.yaml", "recorder"): RecorderNode.PARAMETERS,
+    ("rig.yaml", "camera_bridge"): CameraBridge.PARAMETERS,
+    ("rig.yaml", "pwm_bridge"): PwmBridge.PARAMETERS,
+    ("attach.yaml", "sampler"): SamplerNode.PARAMETERS,
+    ("attach.yaml", "recorder"): RecorderNode.PARAMETERS,
+    ("tclab.yaml", "tclab_bridge"): TCLabBridge.PARAMETERS,
+    ("tclab.yaml", "recorder"): RecorderNode.PARAMETERS,
+}
+"""By parameter file and section, the table that it must agree with."""
 
 
-@pytest.mark.parametrize(("name", "section", "table"), files(), ids=lambda value: str(value)[:12])
-def test_file_agrees_with_its_table(name: str, section: str, table: tuple[Setting, ...]) -> None:
-    """Every parameter is in the file with its description, unit and range, and its value is allowed."""
-    text = (CONFIG / name).read_text(encoding="utf-8")
+@pytest.mark.parametrize(("name", "section"), FILES)
+def test_section_is_what_its_table_renders(name: str, section: str) -> None:
+    """Every parameter is in the file with its description, unit and range, and has its default."""
+    table, text = FILES[name, section], (CONFIG / name).read_text(encoding="utf-8")
+    example = EXAMPLE if section == "sampler" else {}
+    assert render(section, table, example) in text
     values = yaml.safe_load(text)[section]["ros__parameters"]
     assert list(values) == [parameter.name for parameter in table]
-    checked = check(name, table, values)
-    assert text.endswith(render(section, table, checked)), (
-        f"write it again:\n{render(section, table, checked)}"
-    )
+    assert check(name, table, values) == check(name, table, {}) | example
+
+
+def test_the_kits_controller_differs_in_its_profile_alone() -> None:
+    table = controller_table(TCLab)
+    given = yaml.safe_load((CONFIG / "tclab.yaml").read_text("utf-8"))["controller"]["ros__parameters"]
+    values, usual = check("controller", table, given), check("controller", table, {})
+    assert isinstance(profile_from(values), Profile)
+    assert {n for n in values if values[n] != usual[n]} == {"profile.levels", "profile.holds"}
 
 
 def test_twin_file_holds_the_defaults() -> None:
@@ -222,3 +253,112 @@ def test_a_plant_in_a_file_is_run_for_a_configuration_and_not_for_a_recording(tm
     assert values_of(settings)["plant"] == str(path)
     with pytest.raises(ParameterError, match="is for plant block_configured, but the data are of"):
         read_settings(twin_file(tmp_path, f'plant: "{path}"'), "peltier")
+
+
+@pytest.mark.parametrize("kind", [PwmBridge, TCLabBridge])
+def test_the_defaults_are_those_of_the_guard(kind: Any) -> None:
+    assert gate_limits(kind.LIMITS, check("node", kind.PARAMETERS, {})) == kind.LIMITS
+    assert GuardLimits() == PwmBridge.LIMITS
+
+
+def test_each_limit_has_its_parameter() -> None:
+    given = {"command_timeout": 0.5, "temperature_timeout": 2.0, "highest": 90.0, "lowest": 5.0}
+    runaway = {"hysteresis": 1.0, "patience": 2.0, "gain": 3.0, "gain_time": 4.0, "wrong_way": 5.0}
+    prefixed = {f"runaway.{name}": value for name, value in (runaway | {"full_drive": 99.0}).items()}
+    limits = gate_limits(PwmBridge.LIMITS, check("node", PwmBridge.PARAMETERS, {**given, **prefixed}))
+    assert {name: getattr(limits, name) for name in given} == given
+    assert limits.runaway == RunawayLimits(**runaway, full_drive=99.0)
+
+
+def test_limits_that_contradict_each_other_are_refused() -> None:
+    values = check("node", PwmBridge.PARAMETERS, {"highest": 10.0, "lowest": 20.0})
+    with pytest.raises(SafetyError, match="must be below"):
+        gate_limits(PwmBridge.LIMITS, values)
+
+
+def test_units_are_those_of_the_plant() -> None:
+    """A motor has no degrees: neither in its parameters nor in its faults."""
+    limits = GuardLimits(highest=90.0, lowest=-90.0, thing="shaft", unit="rad/s", drive_unit="V")
+    table = {parameter.name: parameter for parameter in gate_table(limits)}
+    assert table["highest"].unit == table["runaway.gain"].unit == "rad/s"
+    assert table["runaway.patience"].unit == "rad/s·s"
+    assert table["runaway.full_drive"].unit == "V"
+    guard = OutputGuard(limits)
+    guard.temperature(95.0, 0.0)
+    assert guard.fault is not None
+    assert guard.fault.message.startswith("the shaft is at 95.0 rad/s, above 90 rad/s")
+    with pytest.raises(SafetyError, match=r"100\.0 rad/s must be below"):
+        replace(limits, lowest=100.0)
+
+
+def test_the_twin_knows_the_running_pid() -> None:
+    twin = {p.name: p.default for p in twin_table()}
+    shared = {
+        p.name: p.default for p in controller_table() if p.name.startswith("pid.") or p.name == "period"
+    }
+    assert len(shared) == 8
+    assert shared.items() <= twin.items()
+
+
+def test_the_defaults_make_a_profile_and_suit_the_guard() -> None:
+    values = check("controller", controller_table(), {})
+    profile = profile_from(values)
+    assert profile is not None
+    assert profile.reference(0.0) == 30.0
+    # The controller has to switch off, and to say so, before the bridge has to latch.
+    assert values["max_age"] < GuardLimits().temperature_timeout
+    assert 2 * values["command_period"] < GuardLimits().command_timeout
+
+
+@pytest.mark.parametrize("name", sorted(PLANTS))
+def test_every_plant_has_a_table_with_its_own_signals(name: str) -> None:
+    plant = PLANTS[name]
+    names = {parameter.name for parameter in sampler_table(plant)}
+    signals = {"reference", "output", "input", *plant.disturbances}
+    assert {n for n in names if n.startswith("map.")} == {f"map.{signal}" for signal in signals}
+    assert {n for n in names if n.startswith("max_age.")} == {f"max_age.{signal}" for signal in signals}
+
+
+def test_a_plant_in_a_file_has_its_disturbances_and_ages_follow_the_period(tmp_path: Path) -> None:
+    path = str(plant_file(tmp_path, "attached_block"))
+    given = {"plant": path, "period": 0.1, "map.output": "/t", "map.input": "/u", "map.room": "/room; unit=K"}
+    values = check("sampler", understood("sampler", given), given)
+    sources = sources_of("sampler", values)
+    assert list(sources) == ["output", "input", "room"]
+    limits = limits_of(values, sources)
+    assert limits["output"].max_age == pytest.approx(0.3)
+    assert (limits["input"].low, limits["input"].high) == pytest.approx((0.0, 100.0), abs=1e-6)
+    assert sources["room"].to("°C", ["std_msgs/msg/Float64"], ["data"]).value([300.0]) == pytest.approx(26.85)
+    assert find_plant(path).disturbances.keys() == {"room"}
+
+
+def test_several_topics_give_their_mean() -> None:
+    given = {"map.output": "/t2:data, /t3:data; scale=0.1; offset=-4", "map.input": "/u"}
+    source = sources_of("sampler", check("sampler", understood("sampler", given), given))["output"]
+    assert [channel.text for channel in source.channels] == ["/t2:data", "/t3:data"]
+    assert source.value([200.0, 300.0]) == pytest.approx(21.0)
+
+
+def test_units_that_messages_have_by_their_definition_are_known() -> None:
+    given = {"map.output": "/t", "map.input": "/u"}
+    source = sources_of("sampler", check("sampler", understood("sampler", given), given))["output"]
+    kinds = ["sensor_msgs/msg/Temperature"]
+    assert source.to("K", kinds, ["temperature"]).value([20.0]) == pytest.approx(293.15)
+    assert source.to("°C", kinds, ["temperature"]).value([20.0]) == 20.0
+    with pytest.raises(TwinmatchError, match=r"in Pa \(according to sensor_msgs/msg/FluidPressure\)"):
+        source.to("°C", ["sensor_msgs/msg/FluidPressure"], ["fluid_pressure"])
+
+
+def test_types_are_read_as_they_are_written() -> None:
+    text = "/cmd std_msgs/msg/Float64, /t sensor_msgs/msg/Temperature"
+    assert types_of("sampler", text) == {
+        "/cmd": "std_msgs/msg/Float64",
+        "/t": "sensor_msgs/msg/Temperature",
+    }
+    with pytest.raises(TwinmatchError, match="write TOPIC TYPE"):
+        types_of("sampler", "/cmd")
+
+
+def test_the_files_map_names_the_signals_in_their_order() -> None:
+    values = check("sampler", SamplerNode.PARAMETERS, EXAMPLE)
+    assert list(sources_of("sampler", values)) == ["reference", "output", "input"]

@@ -11,8 +11,6 @@ from typing import Any
 
 import pytest
 
-pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
-
 from tests.support import boards
 from tests.support.waiting import wait_for
 from twinmatch.emulation import arduino_model

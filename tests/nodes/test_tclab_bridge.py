@@ -12,23 +12,16 @@ from typing import Any
 
 import pytest
 
-pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
-pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup")
 pytest.importorskip("tclab", reason="pip install 'twinmatch[tclab]'")
 
-import yaml
 from rclpy.qos import QoSProfile, qos_profile_sensor_data
 from std_srvs.srv import Trigger
 
 from tests.support.kits import BenchKit
-from tests.support.places import PROJECT
 from tests.support.processes import Process, Start
 from tests.support.ros import Listener
 from tests.support.waiting import wait_for
-from twinmatch.control import Profile
-from twinmatch.nodes.controller import controller_table, profile_from
 from twinmatch.nodes.tclab_bridge import TCLabBridge
-from twinmatch.parameters.declared import check, render
 from twinmatch.plants import TCLab
 from twinmatch_msgs.msg import PlantApplied, PlantCommand, PlantReading
 
@@ -36,16 +29,6 @@ pytestmark = pytest.mark.ros
 
 PATIENT = ("-p", "command_timeout:=3.0", "-p", "temperature_timeout:=8.0", "-p", "deadline:=4.0")
 """For tests that are not about time, on a busy machine."""
-
-
-def test_the_file_is_what_the_tables_render_but_for_the_profile() -> None:
-    text = (PROJECT / "config" / "tclab.yaml").read_text(encoding="utf-8")
-    sections = yaml.safe_load(text)
-    assert render("tclab_bridge", TCLabBridge.PARAMETERS) in text
-    values = check("controller", controller_table(TCLab), sections["controller"]["ros__parameters"])
-    assert isinstance(profile_from(values), Profile)
-    usual = check("controller", controller_table(TCLab), {})
-    assert {n for n in values if values[n] != usual[n]} == {"profile.levels", "profile.holds"}
 
 
 def test_the_heaters_go_off_between_the_highest_set_point_and_what_the_kit_bears() -> None:
