@@ -15,9 +15,9 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.qos import QoSProfile, qos_profile_sensor_data
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Temperature
-from std_srvs.srv import Trigger
 
 from tests.support import boards
+from tests.support.heaters import HeaterRig
 from tests.support.processes import Start
 from tests.support.ros import Listener
 from twinmatch.emulation.arduino import StandInArduino
@@ -58,37 +58,27 @@ def board() -> Iterator[StandInArduino]:
     board.close()
 
 
-class Rig:
+class Rig(HeaterRig):
     """Controller and camera as the bridge sees them, and what it says."""
 
     def __init__(self, listener: Listener) -> None:
-        self.listener = listener
+        super().__init__(listener, "pwm_bridge")
         node = listener.node
         self.applied = listener.hear(PwmApplied, "plant/pwm_applied", QoSProfile(depth=100))
         self.health = listener.hear(DiagnosticArray, "/diagnostics", QoSProfile(depth=10))
         self._commands = node.create_publisher(PwmCommand, "plant/pwm_command", 10)
         self._temperatures = node.create_publisher(Temperature, "plant/temperature", qos_profile_sensor_data)
         self._samples = node.create_publisher(LoopSample, "plant/sample", 100)
-        self._services = {n: node.create_client(Trigger, f"pwm_bridge/{n}") for n in ("clear_fault", "stop")}
         self.pwm: float | None = None
         self.celsius: float | None = 25.0
         self.reference: float | None = None
         self.age = 0.0
         self.stamp: Callable[[], int] = time.time_ns
-        self._ending = threading.Event()
-        self._thread = threading.Thread(target=self._feed, daemon=True)
-        self._thread.start()
+        self.begin()
 
     def drive(self, pwm: float, board: Any) -> None:
         self.pwm = pwm
         self.until(lambda: board.drive().pwm == pytest.approx(pwm, abs=0.16), f"PWM {pwm}")
-
-    def until(self, condition: Callable[[], Any], what: str) -> None:
-        self.listener.spin_until(condition, what)
-
-    @property
-    def fault(self) -> str:
-        return self.applied[-1].fault if self.applied else ""
 
     def wait_for_fault(self, kind: str, board: Any) -> None:
         """Until the bridge tells the fault and the board is at zero."""
@@ -106,37 +96,25 @@ class Rig:
 
         self.until(look, "reports")
 
-    def call(self, name: str) -> Trigger.Response:
-        client = self._services[name]
-        self.until(client.service_is_ready, name)
-        future = client.call_async(Trigger.Request())
-        self.until(future.done, name)
-        return future.result()
-
     def warnings(self) -> str:
         """What the newest report of the bridge says."""
         statuses = [status for message in self.health for status in message.status]
         messages = [status.message for status in statuses if status.name == "pwm_bridge: health"]
         return messages[-1] if messages else ""
 
-    def close(self) -> None:
-        self._ending.set()
-        self._thread.join()
-
-    def _feed(self) -> None:
-        while not self._ending.wait(0.05):
-            now = self.stamp()
-            if self.pwm is not None:
-                command = PwmCommand(index=7, pwm=float(self.pwm))
-                command.header.stamp = stamp(now)
-                self._commands.publish(command)
-            if self.celsius is not None:
-                temperature = Temperature(temperature=float(self.celsius))
-                temperature.header.stamp = stamp(now - round(self.age * 1e9))
-                self._temperatures.publish(temperature)
-            if self.reference is not None and self.celsius is not None and self.pwm is not None:
-                sample = LoopSample(reference=[self.reference], output=[self.celsius], input=[self.pwm])
-                self._samples.publish(sample)
+    def feed(self) -> None:
+        now = self.stamp()
+        if self.pwm is not None:
+            command = PwmCommand(index=7, pwm=float(self.pwm))
+            command.header.stamp = stamp(now)
+            self._commands.publish(command)
+        if self.celsius is not None:
+            temperature = Temperature(temperature=float(self.celsius))
+            temperature.header.stamp = stamp(now - round(self.age * 1e9))
+            self._temperatures.publish(temperature)
+        if self.reference is not None and self.celsius is not None and self.pwm is not None:
+            sample = LoopSample(reference=[self.reference], output=[self.celsius], input=[self.pwm])
+            self._samples.publish(sample)
 
 
 def stamp(nanoseconds: int) -> Time:

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 import signal
-import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +14,8 @@ import pytest
 pytest.importorskip("tclab", reason="pip install 'twinmatch[tclab]'")
 
 from rclpy.qos import QoSProfile, qos_profile_sensor_data
-from std_srvs.srv import Trigger
 
+from tests.support.heaters import HeaterRig
 from tests.support.kits import BenchKit
 from tests.support.processes import Process, Start
 from tests.support.ros import Listener
@@ -35,27 +34,16 @@ def test_the_heaters_go_off_between_the_highest_set_point_and_what_the_kit_bears
     assert TCLab.output.safe[1] < TCLabBridge.LIMITS.highest < 100.0
 
 
-class Rig:
+class Rig(HeaterRig):
     """A controller as the bridge sees it, and what it says."""
 
     def __init__(self, listener: Listener) -> None:
-        self.listener = listener
+        super().__init__(listener, "plant")
         self.applied = listener.hear(PlantApplied, "plant/applied", QoSProfile(depth=100))
         self.readings = listener.hear(PlantReading, "plant/reading", qos_profile_sensor_data)
         self._commands = listener.node.create_publisher(PlantCommand, "plant/command", 10)
-        names = ("clear_fault", "stop")
-        self._services = {n: listener.node.create_client(Trigger, f"plant/{n}") for n in names}
         self.power: float | None = None
-        self._ending = threading.Event()
-        self._thread = threading.Thread(target=self._feed, daemon=True)
-        self._thread.start()
-
-    def until(self, condition: Callable[[], Any], what: str) -> None:
-        self.listener.spin_until(condition, what)
-
-    @property
-    def fault(self) -> str:
-        return self.applied[-1].fault if self.applied else ""
+        self.begin()
 
     def drive(self, power: float, kit: BenchKit) -> None:
         self.power = power
@@ -65,23 +53,11 @@ class Rig:
         self.until(lambda: self.fault.startswith(f"{kind}: "), kind)
         self.until(lambda: kit.heaters == [0.0, 0.0], "zero")
 
-    def call(self, name: str) -> Trigger.Response:
-        client = self._services[name]
-        self.until(client.service_is_ready, name)
-        future = client.call_async(Trigger.Request())
-        self.until(future.done, name)
-        return future.result()
-
-    def close(self) -> None:
-        self._ending.set()
-        self._thread.join()
-
-    def _feed(self) -> None:
-        while not self._ending.wait(0.05):
-            if self.power is not None:
-                message = PlantCommand(index=7, input=self.power)
-                message.header.stamp.sec, message.header.stamp.nanosec = divmod(time.time_ns(), 10**9)
-                self._commands.publish(message)
+    def feed(self) -> None:
+        if self.power is not None:
+            message = PlantCommand(index=7, input=self.power)
+            message.header.stamp.sec, message.header.stamp.nanosec = divmod(time.time_ns(), 10**9)
+            self._commands.publish(message)
 
 
 @pytest.fixture
@@ -131,26 +107,20 @@ def test_faults_latch_until_they_are_cleared(start: Start, rig: Rig, kit: BenchK
     rig.faulted("stopped", kit)
 
 
-def test_a_command_that_is_not_a_number(start: Start, rig: Rig, kit: BenchKit) -> None:
+@pytest.mark.parametrize(
+    ("kind", "spoil"),
+    [
+        ("command_invalid", lambda rig, _: setattr(rig, "power", math.nan)),
+        ("command_silent", lambda rig, _: setattr(rig, "power", None)),
+        ("under_temperature", lambda _, kit: kit.shown.update({1: -50.0})),  # a wire off its sensor
+    ],
+)
+def test_doubt_is_zero(start: Start, rig: Rig, kit: BenchKit, kind: str, spoil: Any) -> None:
     bridge(start, kit)
     rig.drive(50.0, kit)
-    rig.power = math.nan
-    rig.faulted("command_invalid", kit)
+    spoil(rig, kit)
+    rig.faulted(kind, kit)
     assert kit.highest == 50.0
-
-
-def test_a_controller_that_falls_silent(start: Start, rig: Rig, kit: BenchKit) -> None:
-    bridge(start, kit)
-    rig.drive(50.0, kit)
-    rig.power = None
-    rig.faulted("command_silent", kit)
-
-
-def test_a_wire_off_its_sensor(start: Start, rig: Rig, kit: BenchKit) -> None:
-    bridge(start, kit)
-    rig.drive(50.0, kit)
-    kit.shown[1] = -50.0
-    rig.faulted("under_temperature", kit)
 
 
 @pytest.mark.parametrize("stopped", [False, True])
