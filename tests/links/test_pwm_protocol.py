@@ -68,24 +68,33 @@ def test_seal_refuses_other_alphabets() -> None:
         seal("P 1 −5")
 
 
-def test_noise_between_frames_is_skipped() -> None:
-    assert FrameReader().feed(b"\x00noise\n*\n" + seal("Q 1") + b"\r\nmore") == [b"Q 1"]
+def framed(body: bytes) -> bytes:
+    """A line with a right check sum, whatever its body."""
+    return b":%b*%04X\n" % (body, crc16(body))
 
 
-def test_a_serial_monitors_carriage_return_is_allowed() -> None:
-    assert FrameReader().feed(seal("Q 1")[:-1] + b"\r\n") == [b"Q 1"]
-
-
-def test_a_colon_starts_the_frame_over() -> None:
-    assert FrameReader().feed(b":P 7 25" + seal("Q 1")) == [b"Q 1"]
+LONGEST = "x" * MAX_PAYLOAD
 
 
 @pytest.mark.parametrize(
-    "line",
-    [b":\n", b":*FFFF\n", b":Q 1\n", b":Q 1*0000\n", b":Q 1*12345\n"],
+    ("stream", "events"),
+    [
+        (b"\x00noise\n*\n" + seal("Q 1") + b"\r\nmore", [b"Q 1"]),
+        (seal("Q 1")[:-1] + b"\r\n", [b"Q 1"]),  # as a serial monitor sends it
+        (b":P 7 25" + seal("Q 1"), [b"Q 1"]),  # a colon starts the frame over
+        (seal("P 1 25")[:-1] + seal("P 2 30") + seal("P 3 35"), [b"P 2 30", b"P 3 35"]),  # a lost line end
+        *(
+            (line, [Damage.CHECKSUM])
+            for line in (b":\n", b":*FFFF\n", b":Q 1\n", b":Q 1*0000\n", b":Q 1*12345\n")
+        ),
+        (framed(b"Q 1\x00"), [Damage.CHECKSUM]),  # control characters, even under a right check sum
+        (seal(LONGEST)[:-1] + b"\r\n", [LONGEST.encode()]),
+        (framed(b"x" + LONGEST.encode()), [Damage.LENGTH]),
+        (b":" + b"x" * 10_000 + b"\n" + seal("Q 2"), [Damage.LENGTH, b"Q 2"]),
+    ],
 )
-def test_a_line_without_its_check_sum_is_damage(line: bytes) -> None:
-    assert FrameReader().feed(line) == [Damage.CHECKSUM]
+def test_what_a_stream_holds(stream: bytes, events: list[bytes | Damage]) -> None:
+    assert FrameReader().feed(stream) == events
 
 
 def test_lower_case_digits_are_damage() -> None:
@@ -94,22 +103,6 @@ def test_lower_case_digits_are_damage() -> None:
     changed = [low for low, line in zip(lowered, lines, strict=True) if low != line]
     assert changed
     assert all(FrameReader().feed(line) == [Damage.CHECKSUM] for line in changed)
-
-
-def test_control_characters_are_damage_even_under_a_right_check_sum() -> None:
-    body = b"Q 1\x00"
-    assert FrameReader().feed(b":%b*%04X\n" % (body, crc16(body))) == [Damage.CHECKSUM]
-
-
-def test_longest_frame_passes_and_a_longer_one_does_not() -> None:
-    longest = "x" * MAX_PAYLOAD
-    assert FrameReader().feed(seal(longest)[:-1] + b"\r\n") == [longest.encode()]
-    body = b"x" * (MAX_PAYLOAD + 1)
-    assert FrameReader().feed(b":%b*%04X\n" % (body, crc16(body))) == [Damage.LENGTH]
-
-
-def test_an_endless_line_is_one_damage_and_then_over() -> None:
-    assert FrameReader().feed(b":" + b"x" * 10_000 + b"\n" + seal("Q 2")) == [Damage.LENGTH, b"Q 2"]
 
 
 def test_reset_forgets_a_begun_frame() -> None:
@@ -205,11 +198,6 @@ def test_no_damaged_frame_is_acted_on_with_a_changed_meaning_and_the_next_one_al
                 request = parse_request(event)
                 assert not isinstance(request, Request) or str(request) == payload, (payload, line)
     assert found_damage > 50_000
-
-
-def test_a_lost_line_end_costs_one_frame() -> None:
-    reader = FrameReader()
-    assert reader.feed(seal("P 1 25")[:-1] + seal("P 2 30") + seal("P 3 35")) == [b"P 2 30", b"P 3 35"]
 
 
 def status(sequence: int, applied: int = 0) -> bytes:
