@@ -68,10 +68,6 @@ def whole(tmp_path_factory) -> bytes:
     return flushed_file(tmp_path_factory.mktemp("scan") / "run")
 
 
-def test_a_whole_file_has_no_fault(tmp_path, whole):
-    assert scan(tmp_path / "x.mcap", whole) == (COUNT, "")
-
-
 def test_every_cut_gives_the_messages_before_it(tmp_path, whole):
     ends = [whole.index(encode_sample(sample)) + len(encode_sample(sample)) for sample in SAMPLES]
     # A stride that meets every place within a record, for their length is not a multiple of it.
@@ -87,8 +83,31 @@ def test_a_cut_within_the_first_bytes_is_not_a_session(tmp_path, whole):
             scan(tmp_path / "x.mcap", whole[:cut])
 
 
-def test_a_cut_behind_the_messages_is_distinguished(tmp_path, whole):
-    assert scan(tmp_path / "x.mcap", whole[:-1]) == (COUNT, "the file is truncated after its last message")
+LOST = "the file is damaged: only 40 of 60 messages are left"
+
+
+def taken_for_something_else(whole: bytes) -> bytes:
+    at = chunk_before(whole, whole.index(encode_sample(SAMPLES[45])))
+    return whole[:at] + b"\x86" + whole[at + 1 :]
+
+
+def with_a_wrong_bit(whole: bytes) -> bytes:
+    at = whole.index(encode_sample(SAMPLES[45])) + 30
+    return whole[:at] + bytes([whole[at] ^ 1]) + whole[at + 1 :]
+
+
+@pytest.mark.parametrize(
+    ("spoil", "count", "fault"),
+    [
+        (bytes, COUNT, ""),
+        (lambda whole: whole[:-1], COUNT, "the file is truncated after its last message"),
+        (taken_for_something_else, 40, LOST),
+        (with_a_wrong_bit, 40, "the file is damaged: the checksum of a chunk is wrong"),
+        (lambda whole: MAGIC + struct.pack("<BQ", 6, 2**63) + whole[8:], 0, "the file is truncated"),
+    ],
+)
+def test_what_comes_before_the_damage_is_read(tmp_path, whole, spoil, count, fault):
+    assert scan(tmp_path / "x.mcap", spoil(whole)) == (count, fault)
 
 
 @given(st.data())
@@ -117,36 +136,11 @@ def test_garbage_is_refused_or_read_as_nothing(tmp_path_factory, garbage):
         read_session(path)
 
 
-def test_a_chunk_that_is_taken_for_something_else_is_missed(tmp_path, whole):
-    wrong = bytearray(whole)
-    wrong[chunk_before(whole, whole.index(encode_sample(SAMPLES[45])))] = 0x86
-    assert scan(tmp_path / "x.mcap", bytes(wrong)) == (
-        40,
-        "the file is damaged: only 40 of 60 messages are left",
-    )
-
-
-def test_a_wrong_checksum_ends_the_reading(tmp_path, whole):
-    wrong = bytearray(whole)
-    wrong[whole.index(encode_sample(SAMPLES[45])) + 30] ^= 1
-    assert scan(tmp_path / "x.mcap", bytes(wrong)) == (
-        40,
-        "the file is damaged: the checksum of a chunk is wrong",
-    )
-
-
 def test_zeros_where_a_record_should_begin_are_said(tmp_path, whole):
     head = whole[: chunk_before(whole, whole.index(encode_sample(SAMPLES[20])))]
     count, fault = scan(tmp_path / "x.mcap", head + bytes(500))
     assert count == 20
     assert fault == f"the file is damaged at byte {len(head)}: no record begins there"
-
-
-def test_a_length_beyond_the_file_is_a_torn_record(tmp_path, whole):
-    assert scan(tmp_path / "x.mcap", MAGIC + struct.pack("<BQ", 6, 2**63) + whole[8:]) == (
-        0,
-        "the file is truncated",
-    )
 
 
 @pytest.mark.parametrize("compression", list(CompressionType))

@@ -174,17 +174,26 @@ def test_a_damaged_mat_file_gives_our_error_or_numbers(tmp_path_factory, damage,
         assert np.isfinite(window.output).all()
 
 
-@pytest.mark.parametrize("content", [b"", b"garbage", bytes(500), b"MATLAB 5", os.urandom(0) + b"\xff" * 900])
-def test_a_file_that_is_not_a_mat_file_is_refused(tmp_path, content):
-    (tmp_path / "run.mat").write_bytes(content)
-    with pytest.raises(RecordingError, match="is not a MATLAB file of version 5"):
-        read_recording(tmp_path / "run.mat")
+OLD = "is not a MATLAB file of version 5"
+NEW = b"MATLAB 7.3 MAT-file, Platform: GLNXA64"
 
 
-def test_a_newer_mat_file_says_how_to_save_it(tmp_path):
-    (tmp_path / "run.mat").write_bytes(b"MATLAB 7.3 MAT-file, Platform: GLNXA64" + bytes(500))
-    with pytest.raises(RecordingError, match="save it again with the option -v7"):
-        read_recording(tmp_path / "run.mat")
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        *(("run.mat", c, OLD) for c in (b"", b"garbage", bytes(500), b"MATLAB 5", b"\xff" * 900)),
+        ("run.mat", NEW + bytes(500), "save it again with the option -v7"),
+        ("run.csv", bytes(range(256)), "is not text in a known encoding; save it as UTF-8"),
+        ("run.txt", CSV.encode(), r"has the suffix '\.txt'; a recording has \.mat or \.csv"),
+        ("run.mat", None, "does not exist"),
+        (".", None, "is a folder"),
+    ],
+)
+def test_what_is_no_recording_is_refused(tmp_path, name, content, message):
+    if content is not None:
+        (tmp_path / name).write_bytes(content)
+    with pytest.raises(RecordingError, match=message):
+        read_recording(tmp_path / name)
 
 
 @pytest.mark.parametrize(
@@ -224,21 +233,6 @@ def test_a_newer_mat_file_says_how_to_save_it(tmp_path):
 def test_tables_that_cannot_be_used_are_explained(tmp_path, text, message):
     with pytest.raises(RecordingError, match=message):
         read_recording(table(tmp_path / "run.csv", text))
-
-
-def test_a_csv_that_is_not_text_is_refused(tmp_path):
-    (tmp_path / "run.csv").write_bytes(bytes(range(256)))
-    with pytest.raises(RecordingError, match="is not text in a known encoding; save it as UTF-8"):
-        read_recording(tmp_path / "run.csv")
-
-
-def test_paths_that_are_not_recordings_are_refused(tmp_path):
-    with pytest.raises(RecordingError, match="does not exist"):
-        read_recording(tmp_path / "run.mat")
-    with pytest.raises(RecordingError, match="is a folder"):
-        read_recording(tmp_path)
-    with pytest.raises(RecordingError, match=r"has the suffix '\.txt'; a recording has \.mat or \.csv"):
-        read_recording(table(tmp_path / "run.txt", CSV))
 
 
 def test_a_file_that_cannot_be_read_is_named(tmp_path, monkeypatch):

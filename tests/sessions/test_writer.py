@@ -104,36 +104,22 @@ def test_adding_a_topic_again_is_harmless_but_not_as_another(tmp_path):
             writer.add_topic(SAMPLE._replace(qos=Qos("best_effort")))
 
 
-def test_topics_have_to_be_added(tmp_path):
-    with (
-        SessionWriter(tmp_path / "live") as writer,
-        pytest.raises(SessionError, match="was not added before"),
-    ):
-        writer.write("/plant/sample", b"", 0)
-
-
-@pytest.mark.parametrize(("logged", "published"), [(-1, 0), (0, -1)])
-def test_negative_times_are_refused(tmp_path, logged, published):
+@pytest.mark.parametrize(
+    ("write", "message"),
+    [
+        (lambda w: w.write("/other", b"", 0), "was not added before"),
+        (lambda w: w.write(SAMPLE.name, b"", -1, 0), "negative time"),
+        (lambda w: w.write(SAMPLE.name, b"", 0, -1), "negative time"),
+        (lambda w: SessionWriter(w.folder), "exists already"),
+        (lambda w: SessionWriter(w.folder / "live_0.mcap" / "run"), "the folder cannot be created"),
+        (lambda _: SessionWriter("/"), "a folder with a name"),
+    ],
+)
+def test_what_cannot_be_written_is_refused(tmp_path, write, message):
     with SessionWriter(tmp_path / "live") as writer:
         writer.add_topic(SAMPLE)
-        with pytest.raises(SessionError, match="negative time"):
-            writer.write(SAMPLE.name, b"", logged, published)
-
-
-def test_an_existing_folder_is_refused(tmp_path):
-    with pytest.raises(SessionError, match="exists already"):
-        SessionWriter(tmp_path)
-
-
-def test_a_folder_that_cannot_be_made_is_named(tmp_path):
-    (tmp_path / "file").write_text("x")
-    with pytest.raises(SessionError, match="the folder cannot be created"):
-        SessionWriter(tmp_path / "file" / "run")
-
-
-def test_a_session_needs_a_name():
-    with pytest.raises(SessionError, match="a folder with a name"):
-        SessionWriter("/")
+        with pytest.raises(SessionError, match=message):
+            write(writer)
 
 
 def test_closing_twice_does_nothing_more(tmp_path):
