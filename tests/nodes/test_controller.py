@@ -25,6 +25,7 @@ from tests.support.processes import Start
 from tests.support.rig import GAINS
 from tests.support.ros import Listener
 from twinmatch.dynamics import Pid
+from twinmatch.nodes.controller import ControllerNode
 from twinmatch.nodes.sample_messages import sample_from
 from twinmatch.nodes.topics import EVERYTHING, LATCHED, RELIABLE
 from twinmatch_msgs.msg import LoopSample, PwmCommand
@@ -149,21 +150,16 @@ def test_the_last_word_is_zero(start_process: Start, bench: Bench, number: signa
     assert len(bench.commands) == heard
 
 
-def test_a_defect_commands_zero_first(start_script: Start, bench: Bench) -> None:
-    process = start_script("""
-import sys
-from twinmatch.nodes import controller
-from twinmatch.nodes.runner import run
+def test_a_defect_commands_zero_first(start: Start, bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    tick = ControllerNode._on_tick
 
-class Defect(controller.ControllerNode):
-    def _on_tick(self):
-        super()._on_tick()
-        if self._loop.time > 3:
+    def defect(node: ControllerNode) -> None:
+        tick(node)
+        if node._loop.time > 3:
             raise RuntimeError("fell over")
 
-sys.argv = ["controller", "--ros-args", "-p", "period:=0.2"]
-sys.exit(run([Defect]))
-""")
+    monkeypatch.setattr(ControllerNode, "_on_tick", defect)
+    process = start("controller", "-p", "period:=0.2")
     bench.feed(lambda: any(m.pwm for m in bench.commands), "a command")
     bench.feed(lambda: not process.running, "the end")
     bench.listener.spin_until(bench.zero_last, "zero")

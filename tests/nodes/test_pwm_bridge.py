@@ -31,13 +31,6 @@ QUIET = ["-p", "timeout:=0.5", "-p", "command_timeout:=3.0", "-p", "temperature_
 """For tests that are not about time, on a busy machine."""
 SLOW = 0.1
 """Speed of a board whose deadline, a second of its own time, is not to pass before the test has looked."""
-SCRIPT = """
-import sys
-from twinmatch.nodes.pwm_bridge import main
-sys.argv = ["pwm_bridge", "--ros-args", {arguments}]
-main()
-"""
-
 
 KINDS = [kind for kind in boards.KINDS if kind != "real"]
 
@@ -149,13 +142,12 @@ def test_commands_reach_the_pins_and_what_was_applied_is_reported(
 
 
 def test_a_killed_bridge_costs_at_most_the_boards_deadline(
-    start_script: Start, rig: Rig, any_board: Any
+    start_process: Start, rig: Rig, any_board: Any
 ) -> None:
-    arguments = ["-p", f"port:={any_board.port}", *QUIET]
-    bridge = start_script(SCRIPT.format(arguments=", ".join(map(repr, arguments))))
+    bridge = start_process("pwm_bridge", "-p", f"port:={any_board.port}", *QUIET)
     rig.drive(200.0, any_board)
     any_board.pause()
-    bridge.end(signal.SIGKILL)
+    bridge.kill()
     before = any_board.drive()
     assert before.pwm == pytest.approx(200.0, abs=0.16)
     after = any_board.advance(1.05)

@@ -22,11 +22,12 @@ from tests.support.processes import Start
 from tests.support.ros import Listener
 from tests.support.schemas import bare
 from tests.support.waiting import wait_for
+from twinmatch.nodes import recorder
 from twinmatch.nodes.sample_messages import sample_message
 from twinmatch.nodes.topics import EVERYTHING, LATCHED, RELIABLE
 from twinmatch.offline.verification import verify_session
-from twinmatch.sessions import Session, SessionError, read_session
-from twinmatch.sessions.messages import SAMPLE
+from twinmatch.sessions import Session, SessionError, read_session, recording
+from twinmatch.sessions.messages import SAMPLE, schema_of
 from twinmatch.sessions.metadata import CANDIDATES, parameters_of
 from twinmatch.sessions.recording import repair_session
 from twinmatch.signals import Sample
@@ -367,35 +368,22 @@ main()
 
 
 def test_a_disk_that_fills_up_ends_it_with_a_whole_session(
-    start_script: Start, rig: Rig, tmp_path: Path
+    start: Start, rig: Rig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    process = start_script(f"""
-import sys, time
-from twinmatch.nodes.recorder import main
-from twinmatch.sessions import recording
-end = time.monotonic() + 6
-recording._free = lambda _: 20_000_000 if time.monotonic() < end else 9_000_000
-sys.argv = ["recorder", "--ros-args"]
-for given in ("folder:={tmp_path}", "name:=run", "min_free_mb:=10.0"):
-    sys.argv += ["-p", given]
-main()
-""")
+    free = 20_000_000
+    monkeypatch.setattr(recording, "_free", lambda _: free)
+    process = start("recorder", "-p", f"folder:={tmp_path}", "-p", "name:=run", "-p", "min_free_mb:=10.0")
     rig.wait_for_reader()
-    k = 0
-
-    def publish() -> None:
-        nonlocal k
+    for k in range(10):
         rig.sample(k)
-        k += 1
-        time.sleep(0.02)
-
-    wait_for(lambda: not process.running, lambda: f"its end: {process.text}", meanwhile=publish)
+    wait_for_recorded(tmp_path / "run", plant__sample=10)
+    free = 9_000_000
     assert process.wait() == 2
     assert "recording run: stopped after" in process.text
     assert "9 MB are free on the disk, but 10 MB must stay free" in process.text
     session = read_session(tmp_path / "run")
     assert session.notes == []
-    assert len(session.samples) > 5
+    assert len(session.samples) == 10
 
 
 def test_rates_and_silence_are_on_diagnostics(record: Start, rig: Rig) -> None:
@@ -417,20 +405,16 @@ def test_rates_and_silence_are_on_diagnostics(record: Start, rig: Rig) -> None:
     assert 5 < float(rate) < 21
 
 
-def test_a_type_that_is_not_installed_is_named(rig: Rig, start_script: Start, tmp_path: Path) -> None:
-    start_script(f"""
-import sys
-from twinmatch.nodes import recorder
-from twinmatch.sessions import SessionError
-real = recorder.schema_of
-def schema_of(kind):
-    if kind == "std_msgs/msg/String":
-        raise SessionError("session: the definition of std_msgs/msg/String is not installed")
-    return real(kind)
-recorder.schema_of = schema_of
-sys.argv = ["recorder", "--ros-args", "-p", "folder:={tmp_path}", "-p", "name:=run", "-p", "min_free_mb:=1.0"]
-recorder.main()
-""")
+def test_a_type_that_is_not_installed_is_named(
+    record: Start, rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def some(kind: str) -> str:
+        if kind == "std_msgs/msg/String":
+            raise SessionError("session: the definition of std_msgs/msg/String is not installed")
+        return schema_of(kind)
+
+    monkeypatch.setattr(recorder, "schema_of", some)
+    record()
     rig.listener.node.create_publisher(String, "notes", 10)
     rig.listener.spin_until(
         lambda: rig.said("/notes is not recorded: session: the definition"), "the warning"

@@ -4,17 +4,22 @@ from __future__ import annotations
 
 import signal
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from tests.support.processes import Start
+from twinmatch.errors import TwinmatchError
+from twinmatch.nodes.network import PROFILES, sockets_elsewhere
+from twinmatch.nodes.node import TwinmatchNode
+from twinmatch.nodes.player import Player
+from twinmatch.nodes.runner import run
 
 pytestmark = pytest.mark.ros
 
 PROGRAM = """
 import sys, time
-from twinmatch.errors import TwinmatchError
 from twinmatch.nodes import runner
 from twinmatch.nodes.node import TwinmatchNode
 
@@ -22,9 +27,6 @@ class First(TwinmatchNode):
     NAME = "first"
     def open(self):
         self.create_timer(0.2, lambda: print("up", flush=True))
-        {opening}
-    def tick(self):
-        {ticking}
     def close(self):
         {closing}
         return True
@@ -33,20 +35,12 @@ class Second(TwinmatchNode):
     NAME = "second"
 
 {before}
-sys.exit(runner.run([First, Second], {arguments}))
+sys.exit(runner.run([First, Second], ["program"]))
 """
 
 
-def program(
-    opening: str = "pass",
-    ticking: str = "pass",
-    closing: str = "pass",
-    before: str = "",
-    arguments: str = '["program"]',
-) -> str:
-    return PROGRAM.format(
-        opening=opening, ticking=ticking, closing=closing, before=before, arguments=arguments
-    )
+def program(closing: str = "pass", before: str = "") -> str:
+    return PROGRAM.format(closing=closing, before=before)
 
 
 WITHOUT_EVENTS = """
@@ -75,27 +69,56 @@ def test_signal_ends_with_zero_and_leaves_nothing(start_script: Start, number: s
     assert not [name for name in files if Path(name).exists()]
 
 
-def test_node_ends_its_process_with_its_code(start_script: Start) -> None:
-    process = start_script(program(opening="self.exit_code = 7"))
-    assert process.wait() == 7
+class First(TwinmatchNode):
+    NAME = "first"
+
+
+class Second(TwinmatchNode):
+    """It does something when it is opened, or a moment later."""
+
+    NAME = "second"
+
+    def open(self) -> None:
+        self.opening()
+        self.create_timer(0.01, self.ticking)
+
+    def opening(self) -> None: ...
+    def ticking(self) -> None: ...
+
+
+def wrong(_: Second) -> None:
+    raise TwinmatchError("the rig is unplugged; plug it in")
+
+
+def run_here(*words: str, **doing: Callable[[Second], object]) -> int:
+    """The exit code of both nodes in this process, whose own signals come back."""
+    kind = type("Doing", (Second,), doing)
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGALRM)
+    before = [signal.getsignal(number) for number in numbers]
+    try:
+        return run([First, kind], ["program", *words])
+    finally:
+        for number, handler in zip(numbers, before, strict=True):
+            signal.signal(number, handler)
+
+
+def test_node_ends_its_process_with_its_code() -> None:
+    assert run_here(ticking=lambda node: setattr(node, "exit_code", 7)) == 7
 
 
 @pytest.mark.parametrize("place", ["opening", "ticking"])
-def test_users_mistake_is_one_line(start_script: Start, place: str) -> None:
-    wrong = "raise TwinmatchError('the rig is unplugged; plug it in')"
-    opening = wrong if place == "opening" else "self.create_timer(0.01, self.tick)"
-    process = start_script(program(opening=opening, ticking=wrong))
-    assert process.wait() == 2
-    lines = [line for line in process.text.splitlines() if "rig is unplugged" in line]
-    assert "the rig is unplugged; plug it in" in lines
-    assert "Traceback" not in process.text
+def test_users_mistake_is_one_line(capfd: pytest.CaptureFixture[str], place: str) -> None:
+    assert run_here(**{place: wrong}) == 2
+    said = capfd.readouterr().err
+    assert "the rig is unplugged; plug it in" in said.splitlines()
+    assert "Traceback" not in said
 
 
-def test_our_mistake_keeps_its_traceback(start_script: Start) -> None:
-    process = start_script(program(opening="self.create_timer(0.01, self.tick)", ticking="1 / 0"))
-    assert process.wait() == 1
-    assert "Traceback" in process.text
-    assert "ZeroDivisionError" in process.text
+def test_our_mistake_keeps_its_traceback(capfd: pytest.CaptureFixture[str]) -> None:
+    assert run_here(ticking=lambda _: 1 / 0) == 1
+    said = capfd.readouterr().err
+    assert "Traceback" in said
+    assert "ZeroDivisionError" in said
 
 
 def test_end_that_hangs_is_cut_short(start_script: Start) -> None:
@@ -119,35 +142,29 @@ def test_thread_that_continues_does_not_hold_the_end_up(start_script: Start) -> 
 
 
 @pytest.mark.parametrize(
-    ("arguments", "line"),
+    ("words", "line"),
     [
-        ('["program", "fast"]', "program: unknown argument fast; see --help"),
-        ('["program", "--ros-args", "-p"]', "program: Couldn't parse trailing -p flag"),
+        (["fast"], "program: unknown argument fast; see --help"),
+        (["--ros-args", "-p"], "program: Couldn't parse trailing -p flag"),
         (
-            '["program", "--ros-args", "--params-file", "/nowhere.yaml"]',
+            ["--ros-args", "--params-file", "/nowhere.yaml"],
             "program: /nowhere.yaml: cannot be read: No such file or directory",
         ),
     ],
 )
-def test_wrong_command_line(start_script: Start, arguments: str, line: str) -> None:
-    process = start_script(program(arguments=arguments))
-    assert process.wait() == 2
-    assert process.text.splitlines()[-1].startswith(line)
-    assert "Traceback" not in process.text
+def test_wrong_command_line(capfd: pytest.CaptureFixture[str], words: list[str], line: str) -> None:
+    assert run_here(*words) == 2
+    said = capfd.readouterr().err
+    assert said.splitlines()[-1].startswith(line)
+    assert "Traceback" not in said
 
 
-def test_help_shows_the_parameters(start_script: Start) -> None:
-    process = start_script(
-        "import sys; from twinmatch.nodes.player import Player; from twinmatch.nodes.runner import run\n"
-        "sys.exit(run([Player], ['player', '--help']))"
-    )
-    assert process.wait() == 0
-    assert "rate: 1.0" in process.text
+def test_help_shows_the_parameters(capfd: pytest.CaptureFixture[str]) -> None:
+    assert run([Player], ["player", "--help"]) == 0
+    assert "rate: 1.0" in capfd.readouterr().out
 
 
 def test_sockets_are_on_loopback(start_script: Start) -> None:
-    from twinmatch.nodes.network import sockets_elsewhere
-
     process = start_script(program())
     process.said("^up$")
     assert sockets_elsewhere(process.id) == []
@@ -170,8 +187,6 @@ def test_open_network_has_to_be_written_and_is_loud(
     start_script: Start, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With the range of one machine, so that this test sends nothing to the network either."""
-    from twinmatch.nodes.network import PROFILES, sockets_elsewhere
-
     monkeypatch.setenv("TWINMATCH_NETWORK", "open")
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     for name in PROFILES:
