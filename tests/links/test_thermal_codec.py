@@ -320,7 +320,7 @@ WRONG: list[tuple[dict[str, Any], str]] = [
         *((sealed(wire_map(**change)), FrameFieldError, message) for change, message in WRONG),
     ],
 )
-def test_what_is_no_frame_is_refused(data: bytes, error: type[FrameError], message: str) -> None:
+def test_other_bytes_are_refused(data: bytes, error: type[FrameError], message: str) -> None:
     with pytest.raises(error, match=message):
         decode_frame(data)
 

@@ -1,4 +1,7 @@
-"""Nodes as processes, and a listener in the test's own process."""
+"""Nodes in the test's own process and in others, and a listener.
+
+What measures the flow between processes, or computes verdicts while it receives, has processes of its own.
+"""
 
 from __future__ import annotations
 

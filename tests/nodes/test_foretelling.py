@@ -84,7 +84,7 @@ def ask(listener: Listener) -> Asker:
 
 
 def test_every_sample_has_the_offline_forecast(
-    start: Start, listener: Listener, ask: Asker, steps: list[Sample], offline: Offline
+    start_process: Start, listener: Listener, ask: Asker, steps: list[Sample], offline: Offline
 ) -> None:
     """And every leader the offline one; the answers at the end are the core's to the last bit."""
     assert len(offline.forecasts) > len(steps) / 2
@@ -92,7 +92,7 @@ def test_every_sample_has_the_offline_forecast(
     leaders = listener.hear(ForecastScore, "twin/leader", LATCHED)
     samples = listener.node.create_publisher(LoopSample, "plant/sample", EVERYTHING)
     for name in ("matcher", "discriminator"):
-        start(name)
+        start_process(name)
     topics = ("twin/forecast", "twin/leader", "twin/match", "twin/match_request")
     listener.spin_until(
         lambda: samples.get_subscription_count() and all(map(listener.node.count_publishers, topics)),
@@ -174,13 +174,13 @@ def test_a_discriminator_that_was_killed_answers_again(
 
 
 def test_invalid_questions_are_answered_in_one_line(
-    start: Start, listener: Listener, ask: Asker, steps: list[Sample], offline: Offline
+    start_process: Start, listener: Listener, ask: Asker, steps: list[Sample], offline: Offline
 ) -> None:
     """And the next one is answered; what went wrong with a question is not a fault of the node."""
     samples = listener.node.create_publisher(LoopSample, "plant/sample", EVERYTHING)
     health = listener.hear(DiagnosticArray, "/diagnostics", QoSProfile(depth=10))
     for name in ("matcher", "discriminator"):
-        start(name)
+        start_process(name)
     listener.spin_until(lambda: ask.found() and samples.get_subscription_count(), "the discriminator")
     listener.spin_until(lambda: listener.node.count_publishers("twin/match"), "the matcher")
     for sample in steps[: offline.forecasts[0].sample + 2]:

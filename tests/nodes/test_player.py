@@ -53,12 +53,12 @@ def test_a_session_of_the_first_form_is_played_as_one_of_today(start: Start, lis
     assert player.wait() == 0
 
 
-def test_slow_reader_loses_nothing(start: Start, listener: Listener, tmp_path: Path) -> None:
-    """More samples than any queue between holds, to a reader that takes none for a second."""
+def test_slow_reader_loses_nothing(start_process: Start, listener: Listener, tmp_path: Path) -> None:
+    """More samples than any queue between processes holds, to a reader that takes none for a second."""
     samples = counted(7000, 0.1)
     path = write_session(tmp_path / "long", samples)
     heard = listener.hear(LoopSample, "plant/sample", EVERYTHING)
-    player = start("player", "-p", f"session:={path}", "-p", "rate:=0.0")
+    player = start_process("player", "-p", f"session:={path}", "-p", "rate:=0.0")
     listener.spin_until(lambda: len(heard) > 100, "the first samples")
     with pytest.raises(AssertionError, match="still running"):
         player.wait(1.0)

@@ -277,11 +277,11 @@ def test_a_node_that_was_killed_before_it_answered_is_asked_again(
 
 
 def test_a_recorded_run_of_the_twin_verifies(
-    record: Start, start: Start, listener: Listener, session: Path, tmp_path: Path
+    record: Start, start_process: Start, listener: Listener, session: Path, tmp_path: Path
 ) -> None:
     """Everything together: a plant, the twin beside it, the recorder beside both; then the same verdicts."""
     process = record()
-    start("twin")
+    start_process("twin")
     listener.spin_until(
         lambda: all(
             listener.node.count_subscribers(t)
@@ -289,7 +289,7 @@ def test_a_recorded_run_of_the_twin_verifies(
         ),
         "the twin and the recorder",
     )
-    start("player", "-p", f"session:={session}", "-p", "rate:=200.0", "-p", "wait_for:=3")
+    start_process("player", "-p", f"session:={session}", "-p", "rate:=200.0", "-p", "wait_for:=3")
     scores = listener.hear(ModelScore, "twin/model_score", EVERYTHING)
     listener.spin_until(lambda: scores and scores[-1].sample >= 910 - 60, "the verdicts")
     wait_for_recorded(tmp_path / "run", twin__model_score=len(scores), plant__sample=920)

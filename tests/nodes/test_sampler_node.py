@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import time
+from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.qos import QoSProfile
 
 from tests.support.oven import MAP, PERIOD, RIG, oven_file
-from tests.support.processes import Process, Processes
+from tests.support.processes import Process, Processes, no_plant_files
 from tests.support.ros import Inside, Listener
 from twinmatch.nodes.topics import EVERYTHING, MessageTypeError, fields_of, message_class
 from twinmatch.sessions.sampling import Field
@@ -25,10 +26,10 @@ pytestmark = pytest.mark.ros
 class Beside:
     """A rig, a sampler, and what is received of them."""
 
-    def __init__(self, processes: Processes, start: Any, listener: Listener, folder: Path) -> None:
+    def __init__(self, processes: Processes, start: Any, listener: Listener, plant: Path) -> None:
         self.listener = listener
         self._processes, self._start = processes, start
-        self._plant = oven_file(folder)
+        self._plant = plant
         self.samples: list[LoopSample] = listener.hear(LoopSample, "plant/sample", EVERYTHING)
         self.health: list[DiagnosticArray] = listener.hear(
             DiagnosticArray, "/diagnostics", QoSProfile(depth=10)
@@ -64,9 +65,15 @@ class Beside:
         return [b - a for a, b in pairwise(indices) if b != a + 1]
 
 
+@pytest.fixture(scope="module")
+def plant(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    with no_plant_files():
+        yield oven_file(tmp_path_factory.mktemp("plant"))
+
+
 @pytest.fixture
-def beside(processes: Processes, start: Any, listener: Listener, tmp_path: Path) -> Beside:
-    return Beside(processes, start, listener, tmp_path)
+def beside(processes: Processes, start: Any, listener: Listener, plant: Path) -> Beside:
+    return Beside(processes, start, listener, plant)
 
 
 def taken(messages: list[LoopSample]) -> list[tuple[float, float, float]]:
@@ -159,7 +166,7 @@ def test_stamps_of_a_clock_that_is_behind_are_reported(beside: Beside) -> None:
     [
         (
             {"output": "/oven/temp"},
-            "no publisher on /oven/temp for 2 s; topics with a publisher: .*/oven/temperature",
+            "no publisher on /oven/temp for 5 s; topics with a publisher: .*/oven/temperature",
         ),
         (
             {"output": "/oven/temperature:value"},
@@ -183,8 +190,9 @@ def test_stamps_of_a_clock_that_is_behind_are_reported(beside: Beside) -> None:
 def test_what_does_not_fit_is_one_line_and_exit_code_2(
     beside: Beside, given: dict[str, str], words: str
 ) -> None:
-    beside.rig()
-    sampler = beside.sampler(wait_timeout="2.0", **given)
+    rig = beside.rig()
+    rig.wait_until(lambda: rig.json, "its first samples")
+    sampler = beside.sampler(wait_timeout="5.0", **given)
     assert sampler.wait() == 2
     assert re.search(words, sampler.text)
     assert sampler.text.count("\n") == 1

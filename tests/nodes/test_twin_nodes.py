@@ -50,7 +50,7 @@ def offline(steps: list[Sample]) -> list[Outcome]:
 
 
 def test_live_verdicts_are_the_offline_ones(
-    start: Start,
+    start_process: Start,
     listener: Listener,
     session: Path,
     steps: list[Sample],
@@ -64,11 +64,11 @@ def test_live_verdicts_are_the_offline_ones(
     states = listener.hear(TwinState, "twin/state", EVERYTHING)
     nominals = listener.hear(Candidate, "twin/nominal", LATCHED)
     for name in ("discriminator", "twin_simulator", "matcher"):
-        start(name)
+        start_process(name)
     requests = listener.hear(MatchRequest, "twin/match_request", EVERYTHING)
     topics = ("twin/match", "twin/match_request", "twin/model_score", "twin/state")
     listener.spin_until(lambda: all(map(listener.node.count_publishers, topics)), "the nodes")
-    start("player", "-p", f"session:={session}", "-p", "rate:=0.0", "-p", "wait_for:=2")
+    start_process("player", "-p", f"session:={session}", "-p", "rate:=0.0", "-p", "wait_for:=2")
     listener.spin_until(lambda: len(heard) == len(verdicts) and len(states) == len(steps), "the last verdict")
     stamps = {sample.index: sample.stamp for sample in steps}
     expected: list[Any] = [score_message(verdict, stamps[verdict.sample]) for verdict in verdicts]

@@ -170,7 +170,7 @@ def standing_still(folder: Path) -> None:
         (standing_still, "the stamps do not advance between samples 0 and 29"),
     ],
 )
-def test_what_is_no_session_is_refused_in_words(tmp_path, make, message):
+def test_what_cannot_be_read_is_refused_in_words(tmp_path, make, message):
     make(tmp_path / "run")
     with pytest.raises(SessionError, match=message):
         read_session(tmp_path / "run")

@@ -189,7 +189,7 @@ NEW = b"MATLAB 7.3 MAT-file, Platform: GLNXA64"
         (".", None, "is a folder"),
     ],
 )
-def test_what_is_no_recording_is_refused(tmp_path, name, content, message):
+def test_other_files_are_refused(tmp_path, name, content, message):
     if content is not None:
         (tmp_path / name).write_bytes(content)
     with pytest.raises(RecordingError, match=message):

@@ -327,7 +327,7 @@ class TwinmatchNode(Node):
         return self.create_timer(period, call, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def hear_samples(self, take: Callable[[Sample], None], qos: QoSProfile) -> None:
-        """Subscribe to `plant/sample`; a message that is no sample of one loop is refused and reported."""
+        """Subscribe to `plant/sample`; what is not a sample of one loop is refused and reported."""
 
         def on_sample(message: LoopSample) -> None:
             try:
