@@ -11,8 +11,7 @@ from rclpy.serialization import serialize_message
 
 from twinmatch.nodes.messages import match_message, score_message
 from twinmatch.sessions import Qos, SessionWriter, Topic
-from twinmatch.sessions.messages import schema_of
-from twinmatch.sessions.messages import SAMPLE, encode_sample
+from twinmatch.sessions.messages import SAMPLE, encode_sample, schema_of
 from twinmatch.sessions.metadata import CANDIDATES, parameters_record
 from twinmatch.signals import Sample
 from twinmatch.twin import Outcome
