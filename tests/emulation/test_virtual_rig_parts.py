@@ -281,6 +281,11 @@ def test_the_slowest_reader_that_keeps_step_limits_the_plant() -> None:
     assert server.limit(60) == 70
     twin.say(server, "follow 300")
     assert server.limit(60) == 100
+    assert not server.breathing
+    rig.say(server, "breathe 105")
+    assert (server.limit(60), server.breathing, server.driven) == (105, True, True)
+    rig.say(server, "drive 110")
+    assert (server.limit(60), server.breathing) == (110, False)
     assert not server.lacks(90)
     rig.say(server, "image 80")
     assert server.lacks(90)

@@ -20,7 +20,7 @@ pytest.importorskip("bokeh", reason="bokeh is not installed; it is in the extra 
 from tests.support.places import LAUNCH_SCRIPTS
 from tests.support.processes import Process
 from tests.support.waiting import wait_for
-from twinmatch.launching.page import Page, add_page_options, page_of
+from twinmatch.launching.processes import Page, add_page_options, page_of
 from twinmatch.sessions import write_session
 from twinmatch.signals import Sample
 

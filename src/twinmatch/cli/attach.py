@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from twinmatch.cli.shared import add_options, session_to_record
-from twinmatch.launching.page import add_page_options, page_of
+from twinmatch.launching.processes import add_page_options, page_of
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -31,8 +31,8 @@ def run(options: argparse.Namespace) -> int:
     """Run until Ctrl-C; returns the exit code: 3 if a process could not be kept running."""
     if not (options.config or options.map or options.map_file):
         options.parser.error("map topics to signals with --config FILE, --map-file FILE or --map …")
-    from twinmatch.launching.attach import attach_plan  # noqa: PLC0415 — needs ROS
-    from twinmatch.launching.live import Live, run_live  # noqa: PLC0415
+    from twinmatch.launching.live import Live, run_live  # noqa: PLC0415 — needs ROS
+    from twinmatch.launching.plan import attach_plan  # noqa: PLC0415
     from twinmatch.sessions.column_map import ColumnMap, parse_map, read_map  # noqa: PLC0415
 
     session = session_to_record(options)

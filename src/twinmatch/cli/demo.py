@@ -9,7 +9,7 @@ from pathlib import Path
 
 from twinmatch.cli.shared import Progress, add_options
 from twinmatch.cli.virtual_rig import speed
-from twinmatch.launching.page import add_page_options, page_of
+from twinmatch.launching.processes import add_page_options, page_of
 from twinmatch.shipped import shipped
 
 LONGEST = 60.0

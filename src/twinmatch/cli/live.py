@@ -6,7 +6,7 @@ import argparse
 
 from twinmatch.cli.shared import add_options, session_to_record
 from twinmatch.cli.virtual_rig import speed
-from twinmatch.launching.page import add_page_options, page_of
+from twinmatch.launching.processes import add_page_options, page_of
 from twinmatch.shipped import shipped
 
 CONFIGS = {"peltier": ("rig.yaml", None), "tclab": ("tclab.yaml", "tclab_twin.yaml")}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from twinmatch.cli.shared import Progress, add_options
-from twinmatch.launching.page import add_page_options, page_of
+from twinmatch.launching.processes import add_page_options, page_of
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -386,8 +386,10 @@ class StandInArduino(Board):
         """Advance by this time."""
         if self._thread is not None:
             raise ArduinoError(f"stand-in at {self.port}: it is running; pause() it before advance()")
+        received = True
         for _ in range(round(seconds * 1000)):
-            self._millisecond()
+            # What a host sends during this call, which takes no time, is read at the next one.
+            received = self._millisecond(read=received)
         return self.drive()
 
     def run(self, speed: float = 1.0) -> None:
@@ -443,10 +445,12 @@ class StandInArduino(Board):
         self.unplug()
         super().close()
 
-    def _millisecond(self) -> None:
+    def _millisecond(self, *, read: bool = True) -> bool:
+        """Advance by one millisecond; returns whether anything was received in it."""
         with self._lock:
             restarts = self.model.restarts
-            reply = self.model.tick(self._line.read(256))
+            data = self._line.read(256) if read else b""
+            reply = self.model.tick(data)
             self._elapsed_ms += 1
             self._away_ms = max(0, self._away_ms - 1)
             if self.model.restarts != restarts and self._line.plugged:
@@ -456,6 +460,7 @@ class StandInArduino(Board):
                 self.plug()
             elif reply:
                 self._line.write(reply)
+            return bool(data)
 
     def _pace(self, speed: float) -> None:
         due = time.monotonic()

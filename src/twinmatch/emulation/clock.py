@@ -4,6 +4,7 @@ The rig sends plant time; a slow reader misses updates. A reader keeps only the 
 answers with lines, and a plant faster than real time waits for it:
 
     drive NS     the process that commands the plant lets it continue up to this time
+    breathe NS   the same, while it waits for an answer of the plant's board and not for the time
     follow NS    another process does
     image NS     the newest image that was taken from the camera
 """
@@ -50,6 +51,7 @@ class _ClockReader:
     """One connection, and what it lets the plant do."""
 
     drives: bool = False
+    breathes: bool = False
     until: int | None = None
     """Time up to which the plant may go, ns; None: it does not keep step."""
     image: int | None = None
@@ -64,8 +66,9 @@ class _ClockReader:
             return
         if kind == b"image":
             self.image = int(number)
-        elif kind in (b"drive", b"follow"):
-            self.drives, self.until = kind == b"drive", int(number)
+        elif kind in (b"drive", b"breathe", b"follow"):
+            self.drives, self.breathes = kind != b"follow", kind == b"breathe"
+            self.until = int(number)
         self.awaited, self.given_up = None, False
 
     def awaits(self, now: float) -> bool:
@@ -117,6 +120,11 @@ class ClockServer:
     def driven(self) -> bool:
         """Whether a process that commands the plant keeps step."""
         return any(reader.drives and not reader.given_up for reader in self._clients.values())
+
+    @property
+    def breathing(self) -> bool:
+        """Whether the process that commands the plant waits for its board, and not for the time."""
+        return any(reader.breathes for reader in self._clients.values())
 
     def limit(self, stamp: int) -> float:
         """The time, ns, up to which all readers that keep step let the plant go, which is at `stamp` now."""
@@ -193,7 +201,7 @@ class ClockClient:
         return not self._thread.is_alive()
 
     def say(self, kind: str, stamp: int) -> None:
-        """Tell the rig: `drive`, `follow` or `image`, and a plant time, ns; repeated after a reconnection."""
+        """Tell the rig one of the words above, and a plant time, ns; repeated after a reconnection."""
         with self._lock:
             self._said[kind] = stamp
             self._send(kind)

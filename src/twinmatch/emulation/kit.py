@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from twinmatch.emulation.arduino import SerialPort
+from twinmatch.emulation.clock import ClockServer
 from twinmatch.emulation.plant_time import VirtualPlantTime, VirtualRigError
 
 __all__ = ["KitBoard", "VirtualKit"]
@@ -115,6 +116,7 @@ class VirtualKit(VirtualPlantTime):
         VirtualRigError: the package `tclab` is not installed.
     """
 
+    STANDING = 0.002  # its host waits for answers meanwhile
     KINDS: ClassVar = frozenset(
         {"drive-lost", "sensor-frozen", "cable-pulled", "garbage-serial", "ambient-step", "board-hung"}
     )
@@ -140,6 +142,11 @@ class VirtualKit(VirtualPlantTime):
     def rest(self, seconds: float) -> None:
         """Answer the host while waiting."""
         self.board.wait(seconds)
+
+    def settled(self, clock: ClockServer) -> bool:  # noqa: ARG002
+        """Answer the host; there are no images."""
+        self.board.attend()
+        return True
 
     def advance(self) -> None:
         """Advance by one slice of plant time."""

@@ -38,8 +38,12 @@ _Own = TypeVar("_Own", bound="VirtualPlantTime")
 
 _CLOCK_EVERY = 0.005
 """Longest wall time between two updates of the clock, s."""
+_ATTEND_EVERY = 0.01
+"""Interval at which commands are obeyed, wall s."""
 _REPEAT = 0.05
-"""Interval at which a plant that waits repeats its time or the newest image, wall s: either may get lost."""
+"""Interval at which a plant that waits repeats its time, which may get lost, wall s."""
+_BREATH = 0.02
+"""The same where only the board's answer is awaited, which usually comes without the time."""
 _SLICE = 20
 """Longest slice, ms of plant time."""
 _MOST_LATE = 0.2
@@ -101,6 +105,8 @@ class VirtualPlantTime(ABC):
     """Kind of its board, in a word."""
     board_remark: str
     """Remark on its board."""
+    STANDING: ClassVar = 0.01
+    """Longest wait for the readers of the clock, wall s; one that speaks ends it."""
     KINDS: ClassVar[frozenset[str] | None] = None
     """Faults of this plant; None: all."""
 
@@ -120,7 +126,7 @@ class VirtualPlantTime(ABC):
         """Plant time of one step, ms."""
         self._clock_sent = 0.0
         self._told = 0
-        self._shown_at = 0.0
+        self._attended = 0.0
         with ExitStack() as stack:
             self.folder = stack.enter_context(_private_folder())
             self._own = self.make(stack)
@@ -192,13 +198,12 @@ class VirtualPlantTime(ABC):
             TwinmatchError: a part has ended unexpectedly.
         """
         self.pace = RigPace(self.settings.speed)
+        limit = 0.0
         while not self._stop and self.elapsed < self.settings.duration:
-            self._control.attend()
-            self._clock.listen()
-            limit = self._limit()
-            if self.stamp >= limit:
+            if self.stamp >= limit and self.stamp >= (limit := self._listen()):
                 self._stand()
-                watch()
+                self._attend(watch)
+                limit = self._listen(self.STANDING)
                 continue
             self.slice = self._longest
             if limit < math.inf:
@@ -208,11 +213,11 @@ class VirtualPlantTime(ABC):
                 self.rest(wait)
             self.step()
             now = time.monotonic()
-            if now - self._clock_sent >= _CLOCK_EVERY * (10 if self._clock.driven else 1) or self.slice >= (
-                5 * self.settings.speed
-            ):
+            every = _CLOCK_EVERY * (10 if self._clock.driven else 1)
+            if now - self._clock_sent >= every or self.slice >= 5 * self.settings.speed:
                 self._send_clock(now)
-                watch()
+                self._attend(watch)
+                limit = self._listen()
 
     def step(self) -> None:
         """Advance by one slice of plant time, with the faults that start or end in it."""
@@ -225,33 +230,40 @@ class VirtualPlantTime(ABC):
         """End children, sockets, port and folder."""
         self._stack.close()
 
-    def lacks_image(self, clock: ClockServer) -> bool:  # noqa: ARG002
-        """Whether the newest image has not been taken yet by a reader that takes images."""
-        return False
+    def settled(self, clock: ClockServer) -> bool:  # noqa: ARG002
+        """Whether everything that it shows was taken; called again and again while the plant stands."""
+        return True
 
-    def show_again(self) -> None:  # noqa: B027 — most plants have no camera
-        """Repeat the newest image."""
+    def _attend(self, watch: Callable[[], object]) -> None:
+        """Obey commands, and call `watch`."""
+        now = time.monotonic()
+        if now - self._attended >= _ATTEND_EVERY:
+            self._attended = now
+            self._control.attend()
+            watch()
 
-    def _limit(self) -> float:
-        """The time, ns, at which the plant has to wait; up to real time it never waits."""
+    def _listen(self, seconds: float = 0.0) -> float:
+        """Listen to the readers of the clock, at most this long, until one speaks.
+
+        Returns:
+            The time, ns, at which the plant has to wait for them; up to real time it never waits.
+        """
         speed = self.settings.speed
         if speed <= 1:
             return math.inf
+        self._clock.listen(seconds)
         if self.settings.in_step:
             self.pace.limit(speed if self._clock.driven else 1.0, self.elapsed)
         return self._clock.limit(self.stamp)
 
     def _stand(self) -> None:
-        """Wait a moment for the readers, to which the time is sent once they have every image."""
+        """Tell the readers the time once they have every image."""
         now = time.monotonic()
-        if self.lacks_image(self._clock):
-            if now - self._shown_at >= _REPEAT:
-                self._shown_at = now
-                self.show_again()
-        elif self._told != self.stamp or now - self._clock_sent >= _REPEAT:
+        pause = _BREATH if self._clock.breathing else 0.0
+        if self._told == self.stamp:
+            pause = _REPEAT
+        if self.settled(self._clock) and now - self._clock_sent >= pause:
             self._send_clock(now)
-        self.rest(0.0)
-        self._clock.listen(0.002)
 
     def _send_clock(self, now: float) -> None:
         self._clock.send(self.stamp)

@@ -25,6 +25,8 @@ _RATE = 9.0
 """New images per second of plant time, as of a Lepton."""
 _PATIENCE = 30.0
 """Longest start of the camera program, s."""
+_REPEAT = 0.05
+"""Interval at which an image that nobody has taken is sent again, wall s."""
 _GARBAGE = 512
 """Bytes of noise in place of an image."""
 
@@ -58,6 +60,7 @@ class VirtualCamera:
         self._starts = 0
         self._tick = -1
         self._line = b""
+        self._shown_at = 0.0
         self.stamp = 0
         """Plant time of the newest image, ns."""
         self._serving = Serving.CAMERA
@@ -91,17 +94,17 @@ class VirtualCamera:
         if self._garbage is not None:
             self._garbage.send()
         self.stamp = stamp
-        self.show_again()
+        self._show()
 
     @property
     def serves(self) -> bool:
         """Whether there is a camera that takes images."""
         return self._process is not None
 
-    def show_again(self) -> None:
-        """Send the newest image to the program, again if need be."""
-        if self._process is not None and self._line:
-            self._lead(self._process, b"%s %d\n" % (self._line, self.stamp))
+    def repeat(self) -> None:
+        """Send the newest image again, unless it was sent just now: it may get lost."""
+        if time.monotonic() - self._shown_at >= _REPEAT:
+            self._show()
 
     def serve(self, who: Serving) -> None:
         """Change the program at the camera's address."""
@@ -148,12 +151,13 @@ class VirtualCamera:
             time.sleep(0.01)
         raise VirtualCameraError(f"virtual camera: its program was not ready after {_PATIENCE:g} s")
 
-    def _lead(self, process: subprocess.Popen[bytes], line: bytes) -> None:
-        with contextlib.suppress(
-            BlockingIOError, BrokenPipeError
-        ):  # it is slow, or its end is detected below
-            _pipe(process.stdin).write(line)
-        self._listen()
+    def _show(self) -> None:
+        """Send the newest image to the program."""
+        self._shown_at = time.monotonic()
+        if self._process is not None and self._line:
+            with contextlib.suppress(BlockingIOError, BrokenPipeError):  # it is slow, or its end is noticed
+                _pipe(self._process.stdin).write(b"%s %d\n" % (self._line, self.stamp))
+            self._listen()
 
     def _listen(self) -> None:
         """Read the program's output, and detect its end."""
@@ -163,7 +167,7 @@ class VirtualCamera:
         said = _pipe(process.stderr).read()
         if said:
             self._said.extend(said.decode(errors="replace").splitlines())
-        elif said == b"" or process.poll() is not None:
+        elif said == b"":
             last = " / ".join(list(self._said)[-3:])
             raise VirtualCameraError(f"virtual camera: its program has ended unexpectedly: {last}")
 

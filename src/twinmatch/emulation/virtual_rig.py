@@ -191,13 +191,12 @@ class VirtualRig(VirtualPlantTime):
             self._drive = self._board.advance(0.001)
             self._noise.burst()
 
-    def lacks_image(self, clock: ClockServer) -> bool:
-        """Whether the newest image has not been taken yet by a reader that takes images."""
-        return self._camera.serves and clock.lacks(self._camera.stamp)
-
-    def show_again(self) -> None:
-        """Repeat the newest image."""
-        self._camera.show_again()
+    def settled(self, clock: ClockServer) -> bool:
+        """Whether all readers that take images have the newest one."""
+        if not (self._camera.serves and clock.lacks(self._camera.stamp)):
+            return True
+        self._camera.repeat()
+        return False
 
     def state(self) -> dict[str, object]:
         """Time, temperatures, drive, speed and active faults."""

@@ -8,18 +8,16 @@ import threading
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import ClassVar
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rich.console import Console
 
+from twinmatch.comparing import Verdict
 from twinmatch.launching.plan import LivePlan
-from twinmatch.launching.processes import LaunchError, Processes
-from twinmatch.launching.settled import Settled
-from twinmatch.nodes.messages import match_from, verdict_from
+from twinmatch.launching.processes import LaunchError
+from twinmatch.launching.watch import Supervised, Watch
 from twinmatch.nodes.network import lease
-from twinmatch.nodes.node import Level, TwinmatchNode
-from twinmatch.nodes.runner import run
+from twinmatch.nodes.node import Level
 from twinmatch.nodes.sample_messages import sample_from
 from twinmatch.nodes.step import PATIENCE, VARIABLE, InStep
 from twinmatch.nodes.topics import EVERYTHING
@@ -30,9 +28,9 @@ from twinmatch.showing.lines import Lines
 from twinmatch.showing.summary import closing_lines
 from twinmatch.showing.terminal import Screen, view_on
 from twinmatch.signals import Sample, Window
-from twinmatch_msgs.msg import LoopSample, Match, ModelScore
+from twinmatch_msgs.msg import LoopSample
 
-__all__ = ["EXIT_LOST", "Live", "run_live"]
+__all__ = ["EXIT_LOST", "Live", "refuse_existing", "run_live"]
 
 EXIT_LOST = 3
 """Exit code when a process that cannot be restarted was lost; the output is off then."""
@@ -40,15 +38,12 @@ EXIT_LOST = 3
 READERS = "twin_simulator discriminator keeper live_watch"
 """Nodes that must receive every sample; the recorder too, if there is one."""
 
-POLL = 0.1
 DISCOVERY = 2.0
 """Time to discover a graph that is already running, s."""
 SETTLE = 180.0
 """Longest wait for the verdicts still due when the profile has ended, s."""
 VIRTUAL_RIG_START = 90.0
 """Longest wait for the virtual rig, s; it may have to build firmware and board first."""
-STOP_ORDER = ("rig", "sampler", "twin", "recorder", "plant_clock", "virtual_rig")
-"""Heat off first; the recorder outlives what it records."""
 RESTARTS = 12
 """Most restarts of a process within `SPAN`: one that crashes on its input will do so again."""
 SPAN = 600.0
@@ -66,8 +61,6 @@ class Live:
     verdicts: Tally = field(default_factory=Tally)
     sessions: list[Path] = field(default_factory=list)
     """Folders recorded into; more than one if the recorder had to be restarted."""
-    killed: list[str] = field(default_factory=list)
-    """Processes that did not end on SIGTERM."""
     summary: SessionSummary | None = None
     ending: str = "stopped by the operator"
 
@@ -100,13 +93,8 @@ def run_live(live: Live) -> int:
         )
         raise LaunchError(msg)
     view = view_on(live.console, "live", settings.period)
-    try:
-        with lease(PATIENCE if live.plan.in_step else None):
-            code = run([_watch_class(live, view)], ["live"])
-    finally:
-        view.close()
-    for name in live.killed:
-        view.say(f"{name} did not end in time and was killed")
+    with lease(PATIENCE if live.plan.in_step else None):
+        code = _LiveRun(live, view).run()
     for session in live.sessions:
         view.say(f"recorded: {session}")
     view.say(f"ended: {live.ending}; {len(live.samples)} samples, {live.verdicts.verdicts} verdicts")
@@ -138,33 +126,90 @@ class _Errors:
                 self._view.say(f"{status.name}: {status.message}", "red")
 
 
-class _Supervision:
+class _LiveRun(Supervised):
     """Starts the processes, and restarts one or ends the run when one ends."""
 
+    NAME = "live_watch"
+    STOP_ORDER = ("rig", "sampler", "twin", "recorder", "plant_clock", "virtual_rig")
+    """Heat off first; the recorder outlives what it records."""
+
     def __init__(self, live: Live, view: Screen | Lines) -> None:
+        super().__init__(view)
         self._live = live
-        self._view = view
         self._plan = live.plan
+        self._errors = _Errors(view)
         self._addresses: dict[str, str] = {}
         self._ready = threading.Event()
         self._restarts: dict[str, list[float]] = {}
-        self.processes = Processes(self._show)
+        self._over: tuple[int, str] | None = None
+        self._over_at = 0.0
 
-    def start(self) -> None:
+    def start(self, node: Watch) -> None:
         """Start everything; the rig last, after all subscribers."""
         plan = self._plan
+        node.create_subscription(LoopSample, "plant/sample", self._take_sample, EVERYTHING)
         if plan.virtual is not None:
-            self._view.say("starting the virtual rig")
+            self.view.say("starting the virtual rig")
             command = [sys.executable, "-m", "twinmatch.cli", "virtual-rig", *plan.virtual.arguments]
             self.processes.start("virtual_rig", command)
+        self._refuse_second_graph(node)
+        if plan.virtual is not None:
             self.processes.wait_for_line("virtual_rig", self._ready, VIRTUAL_RIG_START)
             self._start("plant_clock")
         self._start("twin")
         if plan.session is not None:
             self._start("recorder")
         self._start(plan.driver)
+        if plan.in_step:
+            node.step = InStep(node, self._addresses["clock"])
 
-    def look(self) -> tuple[int, str] | None:
+    def check(self, node: Watch) -> int | None:  # noqa: ARG002
+        """Restart processes that may be restarted; over once one is lost, or all samples are judged."""
+        live = self._live
+        self.view.advance(len(live.samples))
+        if self._over is None:
+            self._over, self._over_at = self._lost(), time.monotonic()
+        if self._over is None:
+            return None
+        code, live.ending = self._over
+        last = live.samples.end - 1
+        judged = last < 0 or self.settled.complete(last, live.verdicts.verdicts)
+        return None if code == 0 and not judged and time.monotonic() - self._over_at < SETTLE else code
+
+    def take_verdict(self, verdict: Verdict) -> None:
+        """Count and show it."""
+        self._live.verdicts.push(verdict)
+        self.view.take_verdict(verdict)
+
+    def take_health(self, message: DiagnosticArray) -> None:
+        """Show errors."""
+        super().take_health(message)
+        self._errors.take(message)
+
+    def show(self, line: str) -> None:
+        """Note the virtual rig's addresses."""
+        if line.startswith("[virtual_rig] ") and not self._ready.is_set():
+            key, _, value = line.removeprefix("[virtual_rig] ").partition(": ")
+            if key == "ready":
+                self._ready.set()
+            elif value:
+                self._addresses[key] = value
+        super().show(line)
+
+    def _take_sample(self, message: LoopSample) -> None:
+        self._live.take_sample(sample_from(message))
+
+    def _refuse_second_graph(self, node: Watch) -> None:
+        """Refuse to run beside another controller on the same topics: both would drive the plate."""
+        time.sleep(DISCOVERY)
+        if node.count_publishers("plant/sample"):
+            msg = (
+                f"live: {node.resolve_topic_name('plant/sample')} already has a publisher; end that "
+                "graph first, or set another ROS_DOMAIN_ID or namespace for this one"
+            )
+            raise LaunchError(msg)
+
+    def _lost(self) -> tuple[int, str] | None:
         """Restart processes that may be restarted; returns exit code and reason when the run is over."""
         for name, code in self.processes.ended.items():
             if name == "rig" and code == 0:
@@ -180,132 +225,35 @@ class _Supervision:
             if len(before) >= RESTARTS:
                 return EXIT_LOST, f"{name} was lost (code {code}) after {RESTARTS} restarts in {SPAN:g} s"
             self._restarts[name] = [*before, now]
-            self._view.say(f"{name} ended with code {code}; restarting it", "yellow")
+            self.view.say(f"{name} ended with code {code}; restarting it", "yellow")
             self._start(name)
         return None
-
-    def stop(self) -> None:
-        """End all processes, heat off first."""
-        self._live.killed += self.processes.stop(STOP_ORDER)
-
-    @property
-    def clock(self) -> str:
-        """Address of the virtual rig's clock."""
-        return self._addresses["clock"]
 
     def _start(self, name: str) -> None:
         plan = self._plan
         follows = plan.in_step and name != "plant_clock"
-        self.processes.environment = {VARIABLE: self.clock} if follows else {}
+        self.processes.environment = {VARIABLE: self._addresses["clock"]} if follows else {}
+        if name == "recorder":
+            self._live.sessions.append(self._next_session())
+        module = plan.wiring.module if name == plan.driver else f"twinmatch.nodes.{name}"
+        self.processes.start_module(name, module, *self._arguments(name))
+
+    def _arguments(self, name: str) -> list[str]:
+        """ROS arguments of a process."""
+        plan = self._plan
         if name == "plant_clock":
-            words = ["--ros-args", "-p", f"address:={self.clock}"]
-            if plan.in_step:
-                words += ["-p", f"patience:={PATIENCE}"]
-            self.processes.start_module(name, "twinmatch.nodes.plant_clock", *words)
-        elif name == "twin":
-            self.processes.start_module(name, "twinmatch.nodes.twin", *plan.twin_arguments())
-        elif name == "recorder":
-            session = self._next_session()
-            self._live.sessions.append(session)
-            self.processes.start_module(name, "twinmatch.nodes.recorder", *plan.recorder_arguments(session))
-        elif name == plan.driver:
-            readers = READERS if plan.session is None else f"{READERS} recorder"
-            arguments = plan.rig_arguments(self._addresses)
-            self.processes.start_module(name, plan.wiring.module, *arguments, *plan.wait_for(readers))
+            return plan.clock_arguments(self._addresses)
+        if name == "twin":
+            return plan.twin_arguments()
+        if name == "recorder":
+            return plan.recorder_arguments(self._live.sessions[-1])
+        readers = READERS if plan.session is None else f"{READERS} recorder"
+        return [*plan.rig_arguments(self._addresses), *plan.wait_for(readers)]
 
     def _next_session(self) -> Path:
         first = self._plan.session or Path("session")
         number = len(self._live.sessions)
         return first if number == 0 else first.with_name(f"{first.name}_{number + 1}")
-
-    def _show(self, line: str) -> None:
-        if line.startswith("[virtual_rig] ") and not self._ready.is_set():
-            key, _, value = line.removeprefix("[virtual_rig] ").partition(": ")
-            if key == "ready":
-                self._ready.set()
-            elif value:
-                self._addresses[key] = value
-        self._view.say(line)
-
-
-def _watch_class(live: Live, view: Screen | Lines) -> type[TwinmatchNode]:
-    """The node of this process, bound to one run."""
-
-    class Watch(TwinmatchNode):
-        """Starts the other processes, shows events and verdicts, ends the processes in the safe order."""
-
-        NAME: ClassVar = "live_watch"
-        CLOSING: ClassVar = 90
-
-        def open(self) -> None:
-            """Subscribe, then start the processes."""
-            self._errors = _Errors(view)
-            self._settled = Settled()
-            self._over: tuple[int, str] | None = None
-            self._over_at = 0.0
-            self.create_subscription(LoopSample, "plant/sample", self._on_sample, EVERYTHING)
-            self.create_subscription(Match, "twin/match", self._on_match, EVERYTHING)
-            self.create_subscription(ModelScore, "twin/model_score", self._on_score, EVERYTHING)
-            self.create_subscription(DiagnosticArray, "/diagnostics", self._on_health, 100)
-            self._supervision = _Supervision(live, view)
-            self._refuse_second_graph()
-            self._supervision.start()
-            if live.plan.in_step:
-                self.step = InStep(self, self._supervision.clock)
-            view.open()
-            self.create_timer(POLL, self._look)
-
-        def close(self) -> bool:
-            """End the other processes."""
-            view.close()
-            if self.step is not None:
-                self.step.close()
-            self._supervision.stop()
-            return True
-
-        def _refuse_second_graph(self) -> None:
-            """Refuse to run beside another controller on the same topics: both would drive the plate."""
-            time.sleep(DISCOVERY)
-            if self.count_publishers("plant/sample"):
-                msg = (
-                    f"live: {self.resolve_topic_name('plant/sample')} already has a publisher; end that "
-                    "graph first, or set another ROS_DOMAIN_ID or namespace for this one"
-                )
-                raise LaunchError(msg)
-
-        def _on_sample(self, message: LoopSample) -> None:
-            live.take_sample(sample_from(message))
-
-        def _on_health(self, message: DiagnosticArray) -> None:
-            self._errors.take(message)
-            self._settled.take(message)
-
-        def _on_match(self, message: Match) -> None:
-            view.take_match(match_from(message))
-
-        def _on_score(self, message: ModelScore) -> None:
-            verdict = verdict_from(message)
-            live.verdicts.push(verdict)
-            view.take_verdict(verdict)
-
-        def _look(self) -> None:
-            if self.exit_code is not None:
-                return
-            view.advance(len(live.samples))
-            if self._over is None:
-                self._over = self._supervision.look()
-                self._over_at = time.monotonic()
-            if self._over is None:
-                return
-            code, reason = self._over
-            last = live.samples.end - 1
-            judged = last < 0 or self._settled.complete(last, live.verdicts.verdicts)
-            if code == 0 and not judged and time.monotonic() - self._over_at < SETTLE:
-                return
-            live.ending = reason
-            self.exit_code = code
-
-    return Watch
 
 
 def refuse_existing(session: Path | None) -> None:

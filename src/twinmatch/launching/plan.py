@@ -1,4 +1,7 @@
-"""The parts of a live run: plant, configuration, virtual plant if any, and where to record."""
+"""The parts of a live run: plant, configuration, virtual plant if any, and where to record.
+
+Beside a foreign rig, a sampler takes the place of bridge and controller: see `attach_plan`.
+"""
 
 from __future__ import annotations
 
@@ -6,13 +9,24 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from twinmatch.launching.processes import LaunchError
 from twinmatch.links.kit_link import require_package, require_port
+from twinmatch.nodes.sampler import sources_of, understood
 from twinmatch.nodes.step import PATIENCE
+from twinmatch.parameters.declared import ParameterError, Values, check, flattened, render
+from twinmatch.parameters.loop import closing_of
+from twinmatch.parameters.twin import at_period, read_settings, twin_table, values_of
+from twinmatch.plants import find_plant, written_name
+from twinmatch.sessions.column_map import ColumnMap
+from twinmatch.sessions.documents import DocumentError, read_yaml
+from twinmatch.sessions.mapped import by_signal
+from twinmatch.sessions.sampling import REFERENCE
 
-__all__ = ["WIRINGS", "LivePlan", "VirtualPlan", "Wiring"]
+__all__ = ["WIRINGS", "AttachPlan", "LivePlan", "VirtualPlan", "Wiring", "attach_plan"]
+
+SAMPLER = "sampler"
 
 
 @dataclass(frozen=True)
@@ -146,6 +160,11 @@ class LivePlan:
         patience = 30.0 if self.virtual is None else 180.0
         return ["-p", f"controller:readers:={readers}", "-p", f"controller:wait_timeout:={patience}"]
 
+    def clock_arguments(self, addresses: Mapping[str, str]) -> list[str]:
+        """ROS arguments of the node that publishes the virtual rig's clock."""
+        words = ["--ros-args", "-p", f"address:={addresses['clock']}"]
+        return [*words, "-p", f"patience:={PATIENCE}"] if self.in_step else words
+
     def twin_arguments(self) -> list[str]:
         """ROS arguments of the twin's nodes."""
         words = ["--ros-args"]
@@ -158,13 +177,113 @@ class LivePlan:
     def recorder_arguments(self, session: Path) -> list[str]:
         """ROS arguments of the recorder."""
         words = ["--ros-args", "--params-file", str(self.config)]
-        words += [
-            "-p",
-            f"recorder:folder:={session.absolute().parent}",
-            "-p",
-            f"recorder:name:={session.name}",
-        ]
+        words += ["-p", f"recorder:folder:={session.absolute().parent}"]
+        words += ["-p", f"recorder:name:={session.name}"]
         return [*words, *self._time()]
 
     def _time(self) -> list[str]:
         return ["-p", "use_sim_time:=true"] if self.simulated_time else []
+
+
+@dataclass(frozen=True)
+class AttachPlan(LivePlan):
+    """A run beside a foreign rig: a sampler in place of bridge and controller."""
+
+    sampler: Path = Path()
+    """Parameter file of the sampler."""
+
+    @property
+    def driver(self) -> str:
+        """The sampler: it drives nothing, but is the source of the samples."""
+        return SAMPLER
+
+    @property
+    def wiring(self) -> Wiring:
+        """How it is started."""
+        return Wiring("twinmatch.nodes.sampler", "")
+
+    def rig_arguments(self, addresses: Mapping[str, str]) -> list[str]:  # noqa: ARG002
+        """ROS arguments of the sampler."""
+        return ["--ros-args", "--params-file", str(self.sampler)]
+
+    def wait_for(self, readers: str) -> list[str]:
+        """As for a rig, but longer: a rig that runs on its own is not held up while a twin is compiled."""
+        return ["-p", f"{SAMPLER}:readers:={readers}", "-p", f"{SAMPLER}:readers_timeout:=180.0"]
+
+
+def attach_plan(
+    folder: Path,
+    said: ColumnMap,
+    *,
+    config: Path | None = None,
+    twin_config: Path | None = None,
+    candidates: Path | None = None,
+    session: Path | None = None,
+) -> AttachPlan:
+    """Combine files and command line, and write the parameter files of the processes.
+
+    Args:
+        folder: where the files are written.
+        said: plant, sampling period and map of the command line; they override the file.
+        config: parameter file with a section `sampler`, and perhaps `recorder`.
+        twin_config: parameter file of the twin; plant and sampling period default to those of the sampler.
+        candidates: file of initial candidates.
+        session: folder to record into.
+
+    Raises:
+        TwinmatchError: something does not exist, or parameters contradict each other.
+    """
+    values = _sampler_values(config, said)
+    plant = find_plant(values["plant"])
+    driven = REFERENCE not in sources_of(SAMPLER, values)
+    found = read_settings(twin_config, written_name(plant), driven=driven)
+    if driven and found.gains is not None:
+        msg = (
+            f"{twin_config}: the twin runs in closed loop, but no topic is mapped to its reference; map one, "
+            "or set loop: unknown"
+        )
+        raise LaunchError(msg)
+    settings = at_period(found, values["period"], twin_config)
+    twin_values = values_of(settings)
+    sampler, twin = folder / "sampler.yaml", folder / "twin.yaml"
+    sampler.write_text(render(SAMPLER, understood(SAMPLER, values), values), "utf-8")
+    table = twin_table(plant, twin_values["structure"], closing_of(twin_values))
+    twin.write_text(render("/**", table, twin_values), "utf-8")
+    return AttachPlan(
+        config=config or sampler,
+        session=session,
+        twin_config=twin,
+        candidates=candidates,
+        plant=plant.name,
+        sampler=sampler,
+    )
+
+
+def _sampler_values(config: Path | None, said: ColumnMap) -> Values:
+    """The sampler's parameters, checked."""
+    given = _section(config) if config is not None else {}
+    if said.plant:
+        given["plant"] = said.plant
+    if said.period is not None:
+        given["period"] = said.period
+    place = str(config) if config is not None else "attach"
+    plant = find_plant(str(given.get("plant", "peltier")))
+    for signal, source in by_signal(plant, said.sources).items():
+        given[f"map.{signal}"] = source.text
+    values = check(place, understood(place, given), given)
+    sources_of(place, values)
+    return values
+
+
+def _section(path: Path) -> dict[str, Any]:
+    """The sampler's section of a parameter file."""
+    try:
+        content = read_yaml(path)
+    except DocumentError as error:
+        raise ParameterError(str(error)) from error
+    section = content.get(SAMPLER) if isinstance(content, dict) else None
+    parameters = section.get("ros__parameters") if isinstance(section, dict) else None
+    if not isinstance(parameters, dict):
+        msg = f"{path}: has no section {SAMPLER} with ros__parameters; see config/attach.yaml"
+        raise ParameterError(msg)
+    return flattened(parameters)

@@ -1,11 +1,13 @@
 """Child processes: started, watched, ended in a safe order, never left behind.
 
 Each child gets its own process group, so that Ctrl-C reaches only the parent, which then ends the children
-in the safe order. If the parent is killed (kill -9), the kernel sends each child SIGTERM.
+in the safe order. If the parent is killed (kill -9), the kernel sends each child SIGTERM. The live page is
+such a child too: it starts and ends with the script and cannot make it fail.
 """
 
 from __future__ import annotations
 
+import argparse
 import ctypes
 import os
 import signal
@@ -14,11 +16,17 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import IO
 
 from twinmatch.errors import TwinmatchError
 
-__all__ = ["Child", "LaunchError", "Processes"]
+__all__ = ["Child", "LaunchError", "Page", "Processes", "add_page_options", "page_of"]
+
+PORT = 5006
+"""Usual port of the live page."""
+POLL = 0.2
+"""Interval at which the page is watched once everything else has ended, s."""
 
 PATIENCE = 12.0
 """Time between SIGTERM and SIGKILL, s."""
@@ -159,3 +167,76 @@ class Processes:
             if time.monotonic() > deadline:
                 msg = f"{name} was not ready after {seconds:g} s; see its output above"
                 raise LaunchError(msg)
+
+
+class Page:
+    """The page's process; without a port there is none. Losing it affects nothing else."""
+
+    def __init__(
+        self,
+        port: int | None,
+        *,
+        control: bool = False,
+        config: Path | None = None,
+        show: Callable[[str], None] = print,
+    ) -> None:
+        """Serve on this local port; the page's output, with its address, goes to `show`.
+
+        `config` is the parameter file of the twin's nodes.
+        """
+        self._port, self._show = port, show
+        self._options = ["--control"] if control else []
+        self._options += ["--config", str(config)] if config is not None else []
+        self._processes = Processes(show)
+
+    def __enter__(self) -> Page:
+        if self._port is not None:
+            options = ["--port", str(self._port), *self._options]
+            self._processes.start_module("dashboard", "twinmatch.cli", "dashboard", *options)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._processes.stop()
+
+    def stay(self) -> None:
+        """Keep the page open until Ctrl-C, so that the results can be inspected."""
+        if self._port is None or self._processes.ended:
+            return
+
+        def stop(*_: object) -> None:
+            raise KeyboardInterrupt
+
+        for number in (signal.SIGINT, signal.SIGTERM):  # the nodes' runner leaves them ignored
+            signal.signal(number, stop)
+        self._show("the page stays open until Ctrl-C")
+        try:
+            while not self._processes.ended:
+                time.sleep(POLL)
+        except KeyboardInterrupt:
+            return
+
+
+def add_page_options(parser: argparse.ArgumentParser, *, control: bool = False) -> None:
+    """Declare `--dashboard`, and `--control` where there is something to control."""
+    parser.add_argument(
+        "--dashboard",
+        type=int,
+        nargs="?",
+        const=PORT,
+        metavar="PORT",
+        help=f"serve the live page on this machine (default port: {PORT}; 0: any free port)",
+    )
+    if control:
+        parser.add_argument(
+            "--control", action="store_true", help="let the page change the set-point, clear faults and stop"
+        )
+
+
+def page_of(options: argparse.Namespace, parser: argparse.ArgumentParser, config: Path | None = None) -> Page:
+    """The page that the command line requests; exits with a usage error if the options contradict."""
+    control = bool(getattr(options, "control", False))
+    if control and options.dashboard is None:
+        parser.error("--control needs the page: give --dashboard too")
+    if options.dashboard is not None and not 0 <= options.dashboard <= 65535:
+        parser.error(f"--dashboard is {options.dashboard}; give a port from 0 to 65535")
+    return Page(options.dashboard, control=control, config=config)

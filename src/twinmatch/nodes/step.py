@@ -30,9 +30,8 @@ LEAD: Final = 2_000_000_000
 """Plant time for which a process that commands nothing lets the plant continue, ns."""
 BREATH: Final = 5_000_000
 """Plant time that passes while the board is waited for, per wait, ns."""
-LOOK: Final = 0.002
-"""Interval at which unfinished work is looked at again, wall s."""
-IDLE: Final = 0.2
+SOON, IDLE = 0.002, 0.2
+"""Intervals at which unfinished work is checked again, and a process without any, wall s."""
 NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
@@ -43,7 +42,7 @@ class _Task:
         self.due = 0
         self._period, self._call = period, call
 
-    def look(self, now: int) -> None:
+    def run_if_due(self, now: int) -> None:
         """Do it if it is due; what was missed is not made up for."""
         if now >= self.due:
             self.due = (
@@ -119,7 +118,7 @@ class InStep:
         """Let a moment of plant time pass for the board to answer; returns the time, s (None: at the end)."""
         if self._ending:
             return None
-        self._let(self._now + BREATH)
+        self._let(self._now + BREATH, "breathe")
         return self._now / 1e9
 
     def close(self) -> bool:
@@ -134,19 +133,20 @@ class InStep:
         now = message.clock.sec * 1_000_000_000 + message.clock.nanosec
         self._busy, self._now = True, now
         for task in self._tasks:
-            task.look(now)
+            task.run_if_due(now)
         with self._news:
             self._busy = False
-            self._news.notify()
+            if self._driving or now + LEAD - self._until >= LEAD // 2:
+                self._news.notify()
 
     def _run(self) -> None:
         while not self._ending:
-            settled = self._look()
+            settled = self._let_if_done()
             with self._news:
                 if not self._ending:
-                    self._news.wait(IDLE if settled else LOOK)
+                    self._news.wait(IDLE if settled else SOON)
 
-    def _look(self) -> bool:
+    def _let_if_done(self) -> bool:
         """Let the plant continue if all work is done; returns whether it is."""
         if not self._now:
             return True  # not even the clock has been received
@@ -156,15 +156,15 @@ class InStep:
             until = min(task.due for task in self._tasks) if self._driving else self._now + LEAD
         if any(queued() for queued in self._queues):
             return False
-        if self._driving or until - self._until >= LEAD // 4:
-            self._let(until)
+        if self._driving or until - self._until >= LEAD // 2:
+            self._let(until, "drive")
         return True
 
-    def _let(self, until: int) -> None:
+    def _let(self, until: int, driving: str) -> None:
         with self._news:
             if until > self._until:
                 self._until = until
-                self._client.say("drive" if self._driving else "follow", until)
+                self._client.say(driving if self._driving else "follow", until)
 
 
 FOREVER: Final = math.inf
