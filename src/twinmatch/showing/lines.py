@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import IO, TYPE_CHECKING, Final
 
 from twinmatch.comparing import TrustLevel, Verdict
-from twinmatch.showing.verdicts import COLUMNS, News, row
+from twinmatch.showing.verdicts import News, row
 from twinmatch.twin import MatchReport
 
 if TYPE_CHECKING:
@@ -23,30 +23,34 @@ STYLES: Final = {
 }
 """rich style of each level."""
 
-_NAMES = (*COLUMNS[:3], "decided", *COLUMNS[3:-1])
-_LEADER = 45
-"""Room for the name of a structure with three parts."""
+_WIDTHS: Final = {
+    **{"t / s": 6, "level": 8, "decided": 7, "order": 5, "gain": 5, "ν-gap sum": 9, "to plant": 8},
+    **{"miss y": 6, "miss u": 6, "nominal": 8, "leader": 0},
+}
+"""Columns and their widths; a line with the longest name of two parts has 120 characters."""
+_INDENT = 8
 
 
 def line_text(verdict: Verdict, period: float = 1.0) -> str:
-    """One line: time, level, leader, nominal and figures in columns, then the fault's name and the reason.
+    """Time, level, figures, nominal and leader in columns; below them the fault's name and the reason.
 
-    `period` is the sample time, s.
+    `period` is the sample time, s. Gains are in characters, misses in half widths of the leader's bands.
     """
-    when, level, leader, *figures, why = row(verdict, period)
+    when, level, leader, nominal, *figures, why = row(verdict, period)
     decided = "–" if verdict.leader is None else "yes" if verdict.decided else "no"
     named = f"{verdict.fault}: " if verdict.fault else ""
-    return _columns((when, level, leader, decided, *figures)) + " ".join(f"{named}{why}".split())
+    reason = " ".join(f"{named}{why}".split())
+    return f"{_columns((when, level, decided, *figures, nominal, leader))}\n{'':{_INDENT}}{reason}"
 
 
 def header_text() -> str:
     """The column names with their units."""
-    return _columns(_NAMES) + COLUMNS[-1]
+    return _columns(tuple(_WIDTHS))
 
 
 def _columns(cells: Sequence[str]) -> str:
-    widths = (_LEADER if name == "leader" else max(7, len(name)) for name in _NAMES)
-    return "".join(f"{cell:<{width}}  " for cell, width in zip(cells, widths, strict=True))
+    padded = (f"{cell:<{width}}" for cell, width in zip(cells, _WIDTHS.values(), strict=True))
+    return "  ".join(padded)
 
 
 def redraws(stream: IO[str]) -> bool:
