@@ -13,7 +13,7 @@ import pytest
 
 from tests.support import boards
 from tests.support.waiting import wait_for
-from twinmatch.emulation import arduino_model
+from twinmatch.emulation import arduino
 from twinmatch.emulation.arduino import StandInArduino
 from twinmatch.links.pwm_link import Applied, LinkSettings, PwmLink, PwmVersionError
 from twinmatch.links.pwm_protocol import Flags
@@ -254,7 +254,7 @@ def test_a_missing_port_is_waited_for(tmp_path: Path) -> None:
 
 
 def test_another_protocol_ends_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(arduino_model, "PROTOCOL", 9)
+    monkeypatch.setattr(arduino, "PROTOCOL", 9)
     board = StandInArduino()
     board.run()
     bench = Bench(board).start()
