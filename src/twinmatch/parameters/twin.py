@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, Final
 
@@ -16,7 +17,7 @@ from twinmatch.dynamics import FROM_PLANT_FILE, FromPlantFile, LoopGains, Model,
 from twinmatch.errors import TwinmatchError
 from twinmatch.fitting import Noise
 from twinmatch.fmu import adopt_fmus
-from twinmatch.parameters.declared import ParameterError, Setting, Values, check, flattened
+from twinmatch.parameters.declared import ParameterError, Setting, Values, check, flattened, group
 from twinmatch.parameters.loop import UNKNOWN, closing_of, loop_parameters, pid_gains, unit_of
 from twinmatch.plants import Peltier, find_plant, plant_named, written_name
 from twinmatch.plants.records import structure_of
@@ -58,10 +59,7 @@ def twin_table(
             choices=(FromPlantFile.LOOP.value, UNKNOWN),
         ),
         *loop_parameters(plant, closing),
-        *_schedule(has),
-        *_sensor(has),
-        *_family(has),
-        *_trust(has),
+        *_numbers(has),
         Setting(
             "recent", 60, "Samples over which the live twin's residuals are averaged.", "samples", 1, 100000
         ),
@@ -121,27 +119,24 @@ def recorded_values(place: str, given: Mapping[str, Any]) -> Values:
 def settings_from(values: Mapping[str, Any]) -> TwinSettings:
     """Settings from checked parameter values."""
 
-    def group(prefix: str) -> dict[str, Any]:
-        return {n.removeprefix(prefix): v for n, v in values.items() if n.startswith(prefix)}
-
     plant, period = find_plant(values["plant"]), values["period"]
     usual = TwinSettings.of(plant, values["structure"], period, closing_of(values))
-    sensor = group("sensor.")
+    sensor = group(values, "sensor.")
     sensor["pause_period"] = sensor["pause_period"] or None
     return replace(
         usual,
-        schedule=replace(usual.schedule, **group("schedule.")),
+        schedule=replace(usual.schedule, **group(values, "schedule.")),
         free=tuple(values["free"]),
-        start=usual.start.replace(**group("start.")),
-        noise=Noise(**group("noise.")),
+        start=usual.start.replace(**group(values, "start.")),
+        noise=Noise(**group(values, "noise.")),
         gains=None if usual.gains is None else pid_gains(values),
         sensor=Sensor(**sensor),
         seed=values["seed"],
         decimals=values["decimals"],
         most_candidates=values["most_candidates"],
         regime_width=values["regime_width"],
-        limits=TrustLimits(**group("limits.")),
-        health=replace(usual.health, **group("health.")),
+        limits=TrustLimits(**group(values, "limits.")),
+        health=replace(usual.health, **group(values, "health.")),
     )
 
 
@@ -156,14 +151,14 @@ def values_of(settings: TwinSettings) -> Values:
     }
     groups: dict[str, Any] = {"pid": settings.gains}
     for parameter in twin_table(model.plant, model.structure_name, closing_of(values)):
-        group, _, name = parameter.name.partition(".")
-        if group == "start":
+        owner, _, name = parameter.name.partition(".")
+        if owner == "start":
             values[parameter.name] = settings.start[name]
         elif name:
-            held = groups.get(group) or getattr(settings, group)
+            held = groups.get(owner) or getattr(settings, owner)
             values[parameter.name] = getattr(held, name) or type(parameter.default)()
-        elif hasattr(settings, group):
-            values.setdefault(group, getattr(settings, group))
+        elif hasattr(settings, owner):
+            values.setdefault(owner, getattr(settings, owner))
     return values
 
 
@@ -267,77 +262,47 @@ def _plant(model: Model) -> tuple[Setting, ...]:
     )
 
 
-def _schedule(has: TwinSettings) -> tuple[Setting, ...]:
-    step = ("min_step", "Smallest set-point change that starts a regime.", has.plant.output.unit)
+def _numbers(has: TwinSettings) -> tuple[Setting, ...]:
+    """Schedule, sensor, family, trust and health: the numbers in the settings under the same names."""
+    y, u = has.plant.output.unit, unit_of(has.plant.drive)
+    step = ("schedule.min_step", "Smallest set-point change that starts a regime.", y)
     if has.gains is None:
-        step = ("min_input_step", "Smallest input change that starts a regime.", unit_of(has.plant.drive))
+        step = ("schedule.min_input_step", "Smallest input change that starts a regime.", u)
+    sigma, nats = "Noise of the simulated sensor of the twin (1 σ).", "Log-likelihood gain over"
     return tuple(
-        Setting(f"schedule.{name}", getattr(has.schedule, name), text, unit, low, high)
+        Setting(name, 0.0 if (value := attrgetter(name)(has)) is None else value, text, unit, low, high)
         for name, text, unit, low, high in (
-            ("stride", "Samples between two checks while nothing changes.", "samples", 4, 10000),
+            ("schedule.stride", "Samples between two checks while nothing changes.", "samples", 4, 10000),
             (*step, 1e-6, 1e6),
-            ("min_span", "A shorter regime is merged with the next one.", "samples", 10, 10000),
-            ("span", "A regime is judged this long after its step.", "samples", 20, 10000),
-            ("lead", "Samples kept before the previous regime's step.", "samples", 1, 1000),
-            ("capacity", "Longest window.", "samples", 40, 100000),
-        )
-    )
-
-
-def _sensor(has: TwinSettings) -> tuple[Setting, ...]:
-    unit = has.plant.output.unit
-    return tuple(
-        Setting(f"sensor.{name}", getattr(has.sensor, name) or 0.0, text, unit, 0.0, 1e6)
-        for name, text, unit in (
-            ("noise", "Noise of the simulated sensor of the twin (1 σ).", unit),
-            ("resolution", "Resolution of its readings; 0: continuous.", unit),
+            ("schedule.min_span", "A shorter regime is merged with the next one.", "samples", 10, 10000),
+            ("schedule.span", "A regime is judged this long after its step.", "samples", 20, 10000),
+            ("schedule.lead", "Samples kept before the previous regime's step.", "samples", 1, 1000),
+            ("schedule.capacity", "Longest window.", "samples", 40, 100000),
+            ("sensor.noise", sigma, y, 0.0, 1e6),
+            ("sensor.resolution", "Resolution of its readings; 0: continuous.", y, 0.0, 1e6),
             (
-                "pause_period",
+                "sensor.pause_period",
                 "Time between two pauses, in which its reading stands still; 0: no pauses.",
-                "s",
+                *("s", 0.0, 1e6),
             ),
-            ("pause_duration", "Duration of a pause.", "s"),
-        )
-    )
-
-
-def _family(has: TwinSettings) -> tuple[Setting, ...]:
-    return tuple(
-        Setting(name, getattr(has, name), text, unit, low, high)
-        for name, text, unit, low, high in (
+            ("sensor.pause_duration", "Duration of a pause.", "s", 0.0, 1e6),
             ("seed", "Seed of that sensor's noise.", "", 0, 2**31),
             ("decimals", "Decimal places of the information gain's tables.", "", 0, 9),
             ("most_candidates", "Candidates kept in the family.", "", 1, 64),
+            ("regime_width", "Operating points closer than half of this are one regime.", y, 1e-6, 1e6),
             (
-                "regime_width",
-                "Operating points closer than half of this are one regime.",
-                has.plant.output.unit,
-                1e-6,
-                1e6,
+                "limits.doubtful",
+                "RMS forecast error, in half widths of the band, from which the twin is doubtful.",
+                *("", 1e-6, 1e6),
             ),
+            ("health.lost", "Share of the drive's expected effect below which it is lost.", "", 0.01, 0.99),
+            ("health.weak", "Share below which it is weak, if that lasts.", "", 0.01, 0.99),
+            ("health.jump", "Step of a reading that is physically impossible.", y, 1e-6, 1e6),
+            ("health.frozen", "Time for which one repeated reading means a frozen sensor.", "s", 1.0, 1e4),
+            ("health.change", f"{nats} no change from which a change is reported.", "nats", 0.1, 1e3),
+            ("health.lead", f"{nats} the next best from which it is named.", "nats", 0.1, 1e3),
+            ("health.start", "Time after the first sample without alarms.", "s", 0.1, 1e4),
         )
-    )
-
-
-def _trust(has: TwinSettings) -> tuple[Setting, ...]:
-    """Limits of the trust level and of the plant's health."""
-    y = has.plant.output.unit
-    doubt = "RMS forecast error, in half widths of the band, from which the twin is doubtful."
-    health = (
-        ("lost", "Share of the drive's expected effect below which it is lost.", "", 0.01, 0.99),
-        ("weak", "Share below which it is weak, if that lasts.", "", 0.01, 0.99),
-        ("jump", "Step of a reading that is physically impossible.", y, 1e-6, 1e6),
-        ("frozen", "Time for which one repeated reading means a frozen sensor.", "s", 1.0, 1e4),
-        ("change", "Log-likelihood gain over no change from which a change is reported.", "nats", 0.1, 1e3),
-        ("lead", "Log-likelihood gain over the next best from which it is named.", "nats", 0.1, 1e3),
-        ("start", "Time after the first sample without alarms.", "s", 0.1, 1e4),
-    )
-    return (
-        Setting("limits.doubtful", has.limits.doubtful, doubt, "", 1e-6, 1e6),
-        *(
-            Setting(f"health.{n}", getattr(has.health, n), text, unit, low, high)
-            for n, text, unit, low, high in health
-        ),
     )
 
 

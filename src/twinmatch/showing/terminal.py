@@ -125,7 +125,9 @@ class Screen:
     def _fixed(self, verdict: Verdict | None, width: int) -> list[RenderableType]:
         shown: list[RenderableType] = [self._progress(width), _headline(verdict, self._period)]
         if verdict is not None and verdict.candidates:
-            table = family_table(verdict, _well_determined(self._matches), width)
+            accepted = [report.match for report in self._matches if report.match.accepted]
+            determined = {m.samples: m.believed for m in accepted if m.samples is not None}
+            table = family_table(verdict, determined, width)
             shown += [Text(), table, Text(LEGEND, style="dim")]
         return shown
 
@@ -179,8 +181,11 @@ def _headline(verdict: Verdict | None, period: float) -> RenderableType:
     if verdict is None:
         grid.add_row("verdict", "none yet")
         return grid
-    grid.add_row("leader", _leader(verdict))
-    grid.add_row("nominal", _nominal(verdict))
+    sure = "decided" if verdict.decided else "not decided: the data do not show which twin forecasts best"
+    grid.add_row("leader", Text(leader_words(verdict) + (f"; {sure}" if verdict.leader is not None else "")))
+    chosen = nominal_score(verdict)
+    probable = "" if chosen is None else f"  probability {number(chosen.nominal_probability)}"
+    grid.add_row("nominal", Text.assemble((chosen.name, "bold"), probable) if chosen else Text("none yet"))
     if verdict.fault:
         since = "" if verdict.fault_since is None else f" since {number(verdict.fault_since * period, 0)} s"
         grid.add_row("fault", Text(f"{verdict.fault}{since}", style=STYLES[TrustLevel.FAULT]))
@@ -188,18 +193,6 @@ def _headline(verdict: Verdict | None, period: float) -> RenderableType:
         grid.add_row("forecasts", Text(missed(verdict)))
     grid.add_row("verdict", Text(f"at {number(verdict.sample * period, 0)} s: {verdict.reason}"))
     return grid
-
-
-def _nominal(verdict: Verdict) -> Text:
-    chosen = nominal_score(verdict)
-    if chosen is None:
-        return Text("none yet")
-    return Text.assemble((chosen.name, "bold"), f"  probability {number(chosen.nominal_probability)}")
-
-
-def _leader(verdict: Verdict) -> Text:
-    sure = "decided" if verdict.decided else "not decided: the data do not show which twin forecasts best"
-    return Text(leader_words(verdict) + (f"; {sure}" if verdict.leader is not None else ""))
 
 
 def _event_line(event: Event, period: float) -> RenderableType:
@@ -252,12 +245,6 @@ def family_table(verdict: Verdict, determined: WellDetermined, width: int) -> Ta
     return table
 
 
-def _well_determined(matches: Sequence[MatchReport]) -> dict[tuple[int, int], tuple[str, ...]]:
-    """The well determined parameters of every accepted match, by its window."""
-    found = [report.match for report in matches if report.match.accepted]
-    return {match.samples: match.believed for match in found if match.samples is not None}
-
-
 def _fitting(priorities: Sequence[float], widths: Sequence[int], room: int) -> list[int]:
     """As many columns as have room, chosen by priority, in the order of the table; always at least one."""
     room += _GAP  # there is none after the last column
@@ -275,6 +262,10 @@ def _family_columns(verdict: Verdict) -> tuple[FamilyColumn, ...]:
     def candidate(c: CandidateScore, _: Sequence[str]) -> str:
         marks = ("▶" if c.name == verdict.leader else " ") + ("○" if c.name == verdict.nominal else " ")
         return f"{marks} {c.name}"
+
+    def sum_interval(c: CandidateScore, _: Sequence[str]) -> str:
+        low, high = number(c.nu_gap_sum_low), number(c.nu_gap_sum_high)
+        return low if low == high == number(None) else f"{low}…{high}"
 
     first = FamilyColumn("candidate", 0, candidate)
     if not verdict.modelled:
@@ -299,7 +290,7 @@ def _family_columns(verdict: Verdict) -> tuple[FamilyColumn, ...]:
             )
         ),
         FamilyColumn("ν-gap\nsum", 2, lambda c, _: number(c.nu_gap_sum, 3)),
-        FamilyColumn("90 %\ninterval", 10, lambda c, _: _sum_interval(c)),
+        FamilyColumn("90 %\ninterval", 10, sum_interval),
         FamilyColumn("P\nnominal", 3, lambda c, _: number(c.nominal_probability)),
         FamilyColumn("margin\nb(P, C)", 9, lambda c, _: number(c.margin, 3)),
     )
@@ -323,8 +314,3 @@ def _criterion(name: str, header: str, priority: float) -> FamilyColumn:
         return number(None if chosen is None else getattr(chosen.total, name), decimals)
 
     return FamilyColumn(header, priority, text)
-
-
-def _sum_interval(candidate: CandidateScore) -> str:
-    low, high = number(candidate.nu_gap_sum_low), number(candidate.nu_gap_sum_high)
-    return low if low == high == number(None) else f"{low}…{high}"

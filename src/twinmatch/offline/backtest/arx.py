@@ -20,9 +20,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import ndtr, ndtri
 
-from twinmatch.dynamics import Plant
-from twinmatch.forecasting import CONFIDENCE, Band, Forecast
-from twinmatch.offline.backtest.peer import banded, enough, under_inputs, with_disturbances
+from twinmatch.forecasting import Band, Forecast
+from twinmatch.offline.backtest.peer import Peer, with_disturbances
 from twinmatch.signals import FloatArray, Window
 
 _RIDGE = 1e-4
@@ -135,7 +134,7 @@ class _Loop(NamedTuple):
         return float(np.max(np.abs(np.linalg.eigvals(self.transition))))
 
 
-class Arx:
+class Arx(Peer):
     """Output and input regressed on the past of both, of the set-point and of the measured disturbances,
     refitted to all samples so far.
 
@@ -147,12 +146,9 @@ class Arx:
 
     name = "ARX"
 
-    def __init__(self, plant: type[Plant], confidence: float = CONFIDENCE) -> None:
-        self._plant, self._confidence = plant, confidence
-
     def forecast(self, past: Window, ahead: FloatArray, disturbances: FloatArray | None = None) -> Forecast:
         """Forecast one sample for each set-point ahead; see `Peer`."""
-        enough(self.name, past, LEAST)
+        self._require(past, LEAST)
         noise = np.array([self._plant.output.noise, self._plant.drive.noise])
         level = np.array([past.output.mean(), past.input.mean()])
         reference, output = ((x - level[0]) / noise[0] for x in (past.reference, past.output))
@@ -173,15 +169,7 @@ class Arx:
             Band(*(level[j] + noise[j] * x[:, j] for x in (mean, mean - reach, mean + reach)))
             for j in range(2)
         ]
-        return banded(
-            self.name,
-            past,
-            ahead,
-            output=bands[0],
-            entry=bands[1],
-            plant=self._plant,
-            confidence=self._confidence,
-        )
+        return self._told(past, ahead, *bands)
 
 
 def _chosen(loops: list[_Loop]) -> _Loop:
@@ -230,7 +218,7 @@ def _simulated(
     return means, spreads
 
 
-class InputArx:
+class InputArx(Peer):
     """The output regressed on its past, the input's and the measured disturbances', refitted to all samples
     so far.
 
@@ -240,12 +228,9 @@ class InputArx:
 
     name = "ARX"
 
-    def __init__(self, plant: type[Plant], confidence: float = CONFIDENCE) -> None:
-        self._plant, self._confidence = plant, confidence
-
     def forecast(self, past: Window, ahead: FloatArray, disturbances: FloatArray | None = None) -> Forecast:
         """Forecast one sample for each input ahead; see `Peer`."""
-        enough(self.name, past, LEAST)
+        self._require(past, LEAST)
         noise = self._plant.output.noise
         levels = float(past.output.mean()), float(past.input.mean())
         y, u = (past.output - levels[0]) / noise, (past.input - levels[1]) / self._plant.drive.noise
@@ -258,7 +243,7 @@ class InputArx:
         reach = ndtri((1.0 + self._confidence) / 2.0) * noise * _spread(chosen, ahead.size)
         low, high = self._plant.output.span
         band = Band(np.clip(mean, low, high), mean - reach, mean + reach)
-        return under_inputs(self.name, past, ahead, band, self._confidence)
+        return self._told(past, ahead, band)
 
 
 def _chosen_equation(found: list[Equation]) -> Equation:

@@ -1,14 +1,15 @@
-"""The interface of peers: other forecasters, with the same samples and set-points as the twin."""
+"""What peers have in common: other forecasters, with the same samples and set-points as the twin."""
 
 from __future__ import annotations
 
-from typing import Protocol
+from abc import ABC, abstractmethod
+from typing import ClassVar
 
 import numpy as np
 
 from twinmatch.dynamics import Plant
 from twinmatch.errors import TwinmatchError
-from twinmatch.forecasting import Band, Forecast, ForecastError
+from twinmatch.forecasting import CONFIDENCE, Band, Forecast, ForecastError
 from twinmatch.signals import FloatArray, Window
 
 
@@ -20,14 +21,16 @@ _EQUAL = 1e-9
 """Relative spread up to which values count as equal."""
 
 
-class Peer(Protocol):
-    """A forecaster without a twin."""
+class Peer(ABC):
+    """A forecaster without a twin, for one plant; its bands are to hold this share of the samples."""
 
-    @property
-    def name(self) -> str:
-        """Name in tables and figures."""
-        ...
+    name: ClassVar[str]
+    """Name in tables and figures."""
 
+    def __init__(self, plant: type[Plant], confidence: float = CONFIDENCE) -> None:
+        self._plant, self._confidence = plant, confidence
+
+    @abstractmethod
     def forecast(self, past: Window, ahead: FloatArray, disturbances: FloatArray | None = None) -> Forecast:
         """Forecast the samples after a window.
 
@@ -36,16 +39,39 @@ class Peer(Protocol):
             ahead: future set-points, or inputs if the loop is not known, shape (N,).
             disturbances: those measured at these samples, shape (N, d), as the twin is given them; default:
                 they keep their last value.
+
+        Raises:
+            ForecastError: the past is too short.
         """
-        ...
 
+    def _require(self, past: Window, least: int) -> None:
+        """Raises:
+        ForecastError: the past has fewer samples than this.
+        """
+        if len(past) < least:
+            few = f"{len(past)} samples are too few for a forecast; give at least {least}"
+            raise ForecastError(f"{self.name}: {few}")
 
-def enough(name: str, past: Window, least: int) -> None:
-    """Raises:
-    ForecastError: the past has fewer samples than this.
-    """
-    if len(past) < least:
-        raise ForecastError(f"{name}: {len(past)} samples are too few for a forecast; give at least {least}")
+    def _told(self, past: Window, ahead: FloatArray, output: Band, entry: Band | None = None) -> Forecast:
+        """The forecast with these bands; the input and its band are clipped to the drive's limits.
+
+        Without a band of the input (`entry`), it is one of the output under the inputs `ahead`.
+        """
+        values = np.array(ahead, dtype=np.float64)
+        given = Band(values, values, values)
+        if entry is not None:
+            limits = self._plant.drive.limits
+            given = Band(*(np.clip(a, *limits) for a in (entry.mean, entry.low, entry.high)))
+        return Forecast(
+            sample=past.last,
+            candidate=self.name,
+            structure="",
+            confidence=self._confidence,
+            time=np.asarray(past.period * np.arange(1, values.size + 1), dtype=np.float64),
+            reference=np.full(values.size, np.nan) if entry is None else values,
+            output=output,
+            input=given,
+        )
 
 
 def with_disturbances(past: Window, count: int, ahead: FloatArray | None) -> FloatArray:
@@ -61,41 +87,3 @@ def with_disturbances(past: Window, count: int, ahead: FloatArray | None) -> Flo
     moved = spread > _EQUAL * np.maximum(np.abs(level), 1.0)
     both = np.concatenate([past.disturbances, ahead])[:, moved]
     return np.asarray((both - level[moved]) / spread[moved], dtype=np.float64)
-
-
-def banded(
-    name: str,
-    past: Window,
-    ahead: FloatArray,
-    *,
-    output: Band,
-    entry: Band,
-    plant: type[Plant],
-    confidence: float,
-) -> Forecast:
-    """A peer's forecast; the input and its band are clipped to the drive's limits."""
-    return Forecast(
-        sample=past.last,
-        candidate=name,
-        structure="",
-        confidence=confidence,
-        time=np.asarray(past.period * np.arange(1, ahead.size + 1), dtype=np.float64),
-        reference=np.asarray(ahead, dtype=np.float64),
-        output=output,
-        input=Band(*(np.clip(a, *plant.drive.limits) for a in (entry.mean, entry.low, entry.high))),
-    )
-
-
-def under_inputs(name: str, past: Window, ahead: FloatArray, output: Band, confidence: float) -> Forecast:
-    """A peer's forecast of the output under given inputs."""
-    given = np.array(ahead, dtype=np.float64)
-    return Forecast(
-        sample=past.last,
-        candidate=name,
-        structure="",
-        confidence=confidence,
-        time=np.asarray(past.period * np.arange(1, given.size + 1), dtype=np.float64),
-        reference=np.full(given.size, np.nan),
-        output=output,
-        input=Band(given, given, given),
-    )

@@ -10,9 +10,9 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from twinmatch.dynamics import Plant
-from twinmatch.forecasting import CONFIDENCE, Band, Forecast, ForecastError
+from twinmatch.forecasting import Band, Forecast, ForecastError
 from twinmatch.offline.backtest.arx import Arx, InputArx
-from twinmatch.offline.backtest.peer import BacktestError, Peer, banded, enough, under_inputs
+from twinmatch.offline.backtest.peer import BacktestError, Peer
 from twinmatch.signals import FloatArray, Window
 
 _LEAST = 20
@@ -21,7 +21,7 @@ _LAGS = 25
 """Number of lags at which quantiles are computed; in between they are interpolated."""
 
 
-class Persistence:
+class Persistence(Peer):
     """Output and input keep their newest values.
 
     The band at h samples ahead is given by the quantiles of y[j+h] − y[j] over all past j. A lag for which
@@ -31,9 +31,6 @@ class Persistence:
 
     name = "persistence"
 
-    def __init__(self, plant: type[Plant], confidence: float = CONFIDENCE) -> None:
-        self._plant, self._confidence = plant, confidence
-
     def forecast(
         self,
         past: Window,
@@ -41,16 +38,9 @@ class Persistence:
         disturbances: FloatArray | None = None,  # noqa: ARG002 (a part of the interface that it cannot use)
     ) -> Forecast:
         """Forecast one sample for each set-point ahead; see `Peer`."""
-        enough(self.name, past, _LEAST + 1)
-        return banded(
-            self.name,
-            past,
-            ahead,
-            output=self._band(past.output, ahead.size),
-            entry=self._band(past.input, ahead.size),
-            plant=self._plant,
-            confidence=self._confidence,
-        )
+        self._require(past, _LEAST + 1)
+        bands = (self._band(signal, ahead.size) for signal in (past.output, past.input))
+        return self._told(past, ahead, *bands)
 
     def _band(self, signal: FloatArray, count: int) -> Band:
         longest = min(count, signal.size - _LEAST)
@@ -64,18 +54,12 @@ class Persistence:
         return Band(np.full(count, newest), newest + low, newest + high)
 
 
-class OutputPersistence:
+class OutputPersistence(Persistence):
     """The output keeps its newest value; the band is that of `Persistence`."""
-
-    name = Persistence.name
-
-    def __init__(self, plant: type[Plant], confidence: float = CONFIDENCE) -> None:
-        self._whole = Persistence(plant, confidence)
 
     def forecast(self, past: Window, ahead: FloatArray, disturbances: FloatArray | None = None) -> Forecast:
         """Forecast one sample for each input ahead; see `Peer`."""
-        found = self._whole.forecast(past, ahead, disturbances)
-        return under_inputs(self.name, past, ahead, found.output, found.confidence)
+        return self._told(past, ahead, super().forecast(past, ahead, disturbances).output)
 
 
 _VAR_LEAST = 120
@@ -84,7 +68,7 @@ _SET_POINTS = 8
 """Number of delayed set-points besides the newest."""
 
 
-class VectorAutoregression:
+class VectorAutoregression(Peer):
     """Output and input regressed on their past and on the set-point and its past, by `statsmodels`.
 
     Of the models in `statsmodels`, `VAR` with the set-point as exogenous series fits best. The two signals of
@@ -99,9 +83,6 @@ class VectorAutoregression:
     """
 
     name = "statsmodels VAR"
-
-    def __init__(self, plant: type[Plant], confidence: float = CONFIDENCE) -> None:
-        self._plant, self._confidence = plant, confidence
 
     @staticmethod
     def missing() -> str:
@@ -121,7 +102,7 @@ class VectorAutoregression:
         Raises:
             ForecastError: the past has too few samples, or `statsmodels` cannot be used on it.
         """
-        enough(self.name, past, _VAR_LEAST)
+        self._require(past, _VAR_LEAST)
         if self.missing():
             raise ForecastError(self.missing())
         from statsmodels.tsa.api import VAR  # noqa: PLC0415 — optional, and slow to import
@@ -147,15 +128,7 @@ class VectorAutoregression:
         if not np.all(np.isfinite(found)):
             raise ForecastError(f"{self.name}: the fit to {len(past)} samples diverges; give more samples")
         bands = [Band(*(level[j] + noise[j] * x[:, j] for x in found)) for j in range(2)]
-        return banded(
-            self.name,
-            past,
-            ahead,
-            output=bands[0],
-            entry=bands[1],
-            plant=self._plant,
-            confidence=self._confidence,
-        )
+        return self._told(past, ahead, *bands)
 
 
 def _delayed(reference: FloatArray) -> FloatArray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from bokeh.models import Button, NumericInput, RadioButtonGroup, Row
@@ -20,6 +21,16 @@ RATES = (1.0, 10.0, 50.0, 200.0, 0.0)
 
 
 _AT_END = {"align-items": "flex-end", "flex-wrap": "wrap"}
+
+
+def _button(label: str, width: int, kind: str, on_click: Callable[[], None]) -> Button:
+    made = Button(label=label, width=width, button_type=kind, stylesheets=[BUTTONS])
+    made.on_click(on_click)
+    return made
+
+
+def _entry(title: str, width: int, **limits: float) -> NumericInput:
+    return NumericInput(title=title, mode="float", width=width, stylesheets=[BUTTONS], **limits)
 
 
 class SpanButtons:
@@ -43,8 +54,7 @@ class PlayerButtons:
         """Pass clicks on to `requests`."""
         self._requests = requests
         self._player: PlayerState | None = None
-        self._pause = Button(label="Pause", width=100, button_type="primary", stylesheets=[BUTTONS])
-        self._pause.on_click(self._on_pause)
+        self._pause = _button("Pause", 100, "primary", self._on_pause)
         names = ["max" if rate == 0 else f"{rate:g} ×" for rate in RATES]
         self._rate = RadioButtonGroup(labels=names, active=None, stylesheets=[BUTTONS])
         self._rate.on_change("active", self._on_rate)
@@ -76,12 +86,9 @@ class QuestionForm:
     def __init__(self, requests: Requests, label: str) -> None:
         """Pass questions on to `requests`; `label` names the set-point."""
         self._requests = requests
-        self._level = NumericInput(title=label, mode="float", width=110, stylesheets=[BUTTONS])
-        self._hold = NumericInput(
-            title="for / s (empty: it stays)", mode="float", low=0.001, width=150, stylesheets=[BUTTONS]
-        )
-        ask = Button(label="Ask", width=70, button_type="primary", stylesheets=[BUTTONS])
-        ask.on_click(self._on_ask)
+        self._level = _entry(label, 110)
+        self._hold = _entry("for / s (empty: it stays)", 150, low=0.001)
+        ask = _button("Ask", 70, "primary", self._on_ask)
         self.root = Row(self._level, self._hold, ask, name="question", spacing=8, styles=_AT_END)
 
     def _on_ask(self) -> None:
@@ -96,14 +103,13 @@ class RigButtons:
     def __init__(self, requests: Requests, label: str) -> None:
         """Pass clicks on to `requests`; `label` names the set-point."""
         self._requests = requests
-        self._input = NumericInput(title=label, mode="float", width=110, stylesheets=[BUTTONS])
-        ask = Button(label="Set", width=70, button_type="primary", stylesheets=[BUTTONS])
-        ask.on_click(self._on_ask)
-        clear = Button(label="Clear fault", width=110, button_type="warning", stylesheets=[BUTTONS])
-        clear.on_click(requests.clear_fault)
-        stop = Button(label="Output off", width=110, button_type="danger", stylesheets=[BUTTONS])
-        stop.on_click(requests.stop)
-        self.root = Row(self._input, ask, clear, stop, name="rig", spacing=8, styles=_AT_END)
+        self._input = _entry(label, 110)
+        buttons = (
+            _button("Set", 70, "primary", self._on_ask),
+            _button("Clear fault", 110, "warning", requests.clear_fault),
+            _button("Output off", 110, "danger", requests.stop),
+        )
+        self.root = Row(self._input, *buttons, name="rig", spacing=8, styles=_AT_END)
 
     def _on_ask(self) -> None:
         if self._input.value is not None:

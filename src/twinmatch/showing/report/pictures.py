@@ -74,15 +74,28 @@ def pictures(judgement: Judgement, members: Sequence[Member], tested: Backtest) 
     add("health", "Health over time", _health_alt(j), figure)
     if tested.marked:
         title = "Forecasts compared with measurements"
-        add("forecasts", title, _forecasts_alt(tested), draw_backtest(tested))
+        alt = (
+            "Errors and coverage of every forecaster by horizon, and the leader's forecasts with their "
+            f"bands, compared with the measurements. {' '.join(backtest_words(tested))}"
+        )
+        add("forecasts", title, alt, draw_backtest(tested))
         fans = fans_of(tested, j)
         if fans:
+            made = ", ".join(f"{one.forecast.sample} by {one.forecast.candidate}" for one in fans)
+            alt = (
+                "Forecasts with their bands, the measurements before and after, and measured minus forecast "
+                f"within the band. Made at samples {made}."
+            )
             figure = draw_forecasts(fans, j.settings.plant)
-            add("leader_forecasts", "Forecasts of the leader", _fans_alt(fans), figure)
+            add("leader_forecasts", "Forecasts of the leader", alt, figure)
     if j.matches:
         nominal = next((m.match for m in members if m.nominal), None)
         figure = draw_parameters(j.matches, admitted(j.verdicts), nominal, j.settings.period)
-        add("parameters", "Parameters of every match", _parameters_alt(j), figure)
+        alt = (
+            f"Value and 95 % interval of every fitted parameter at each of {len(j.matches)} matches; refused "
+            "ones hollow, the nominal one as a diamond."
+        )
+        add("parameters", "Parameters of every match", alt, figure)
     if members:
         names, output = ", ".join(m.score.name for m in members), signal_names(j.settings.plant).output
         alt = (
@@ -170,26 +183,4 @@ def _health_alt(j: Judgement) -> str:
     return (
         f"Trust over time: {levels or 'no verdict'}. {joined} matches admitted, "
         f"{sum(v.match == REFUSED for v in j.verdicts)} refused."
-    )
-
-
-def _forecasts_alt(tested: Backtest) -> str:
-    return (
-        "Errors and coverage of every forecaster by horizon, and the leader's forecasts with their bands, "
-        f"compared with the measurements. {' '.join(backtest_words(tested))}"
-    )
-
-
-def _fans_alt(fans: Sequence[Fan]) -> str:
-    origins = ", ".join(f"{one.forecast.sample} by {one.forecast.candidate}" for one in fans)
-    return (
-        "Forecasts with their bands, the measurements before and after, and measured minus forecast within "
-        f"the band. Made at samples {origins}."
-    )
-
-
-def _parameters_alt(j: Judgement) -> str:
-    return (
-        f"Value and 95 % interval of every fitted parameter at each of {len(j.matches)} matches; "
-        "refused ones hollow, the nominal one as a diamond."
     )
