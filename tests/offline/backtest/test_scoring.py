@@ -1,17 +1,105 @@
-"""Marks of one forecast: the interval score against others' and its defining property, errors by hand."""
+"""Where forecasts are made, how they are scored, and the figures of a report card."""
 
 from __future__ import annotations
+
+import math
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.offline.backtest.forecasts import forecast_of
+from tests.offline.backtest.forecasts import forecast_of, linear_loop, set_points
+from twinmatch.dynamics import begin, simulate_closed_loop
+from twinmatch.forecasting import HORIZONS
+from twinmatch.offline.backtest.origins import Origin, ask, mark, origins, regular, stretches
 from twinmatch.offline.backtest.peer import BacktestError
-from twinmatch.offline.backtest.scoring import interval_score, marks, samples_within
+from twinmatch.offline.backtest.peers import Persistence
+from twinmatch.offline.backtest.run import with_constant_band
+from twinmatch.offline.backtest.scoring import (
+    HINDSIGHT,
+    Marked,
+    Marks,
+    SignalMarks,
+    best_in_hindsight,
+    cards,
+    common,
+    interval_score,
+    marks,
+    samples_within,
+)
 from twinmatch.plants import Peltier
-from twinmatch.signals import Window
+from twinmatch.signals import Sample, Window
+
+
+def window(samples: int, first: int = 0, period: float = 1.0) -> Window:
+    values = np.arange(first, first + samples, dtype=float)
+    return Window(values, values, values, first=first, period=period)
+
+
+def at(held: Sequence[Window], told: Sequence[int], every: float, horizons: Sequence[float]) -> list[Origin]:
+    return origins(held, [*regular(held, every), *told], horizons)
+
+
+def test_every_minute_and_every_verdict() -> None:
+    found = at([window(400)], [75, 119, 380], 60.0, HORIZONS)
+    assert [m.sample for m in found] == [59, 75, 119, 179, 239, 299, 359, 380]
+    assert [m.count for m in found] == [300, 300, 280, 220, 160, 100, 40, 19]
+
+
+def test_nothing_is_forecast_that_cannot_be_judged() -> None:
+    assert [m.sample for m in at([window(70)], [65, 59, 60], 60.0, HORIZONS)] == [59]
+    assert at([window(60)], [], 60.0, HORIZONS) == []
+
+
+def test_stretches_are_forecast_by_themselves() -> None:
+    """After a gap the past starts over, and no forecast reaches over one."""
+    samples = [Sample(k, k, 50.0, float(k), 0.0) for k in (*range(100), *range(150, 400))]
+    held = stretches(samples, 1.0)
+    found = at(held, [], 60.0, (10.0, 60.0))
+    assert [m.sample for m in found] == [59, 209, 269, 329, 389]
+    assert (found[0].count, found[1].count) == (40, 60)
+    assert (found[1].past.first, found[1].past.last) == (150, 209)
+    np.testing.assert_array_equal(found[1].came.output, np.arange(210.0, 270.0))
+
+
+def test_seconds_count_and_not_samples() -> None:
+    found = at([window(100, period=3.0)], [], 60.0, (10.0, 60.0))
+    assert [(m.sample, m.count) for m in found] == [(19, 20), (39, 20), (59, 20), (79, 20)]
+    with pytest.raises(BacktestError, match="shorter than one sample"):
+        at([window(100, period=3.0)], [], 60.0, (1.0, 60.0))
+
+
+@given(st.integers(20, 500), st.lists(st.integers(0, 600), max_size=20), st.integers(1, 200))
+def test_past_and_future_meet_and_nothing_is_in_both(samples: int, told: list[int], every: int) -> None:
+    for origin in at([window(samples, first=7)], told, float(every), (10.0, 100.0)):
+        assert origin.past.first == 7
+        assert origin.past.last + 1 == origin.came.first
+        assert len(origin.came) == len(origin.ahead) == origin.count
+        assert 10 <= origin.count <= 100
+
+
+def test_a_forecast_is_marked_at_the_horizons_that_came() -> None:
+    loop = linear_loop(set_points(200, 3), np.random.default_rng(3))
+    (origin,) = origins([loop], [119], HORIZONS)
+    forecast = ask(Persistence(Peltier), origin)
+    assert forecast is not None
+    found = mark("a", "somebody", forecast, origin, horizons=HORIZONS, plant=Peltier)
+    assert [(m.session, m.sample, m.who, m.horizon) for m in found] == [
+        ("a", 119, "somebody", 10.0),
+        ("a", 119, "somebody", 60.0),
+    ]
+    perfect = forecast_of(119, loop.output[120:], loop.input[120:])
+    assert all(
+        m.marks.error == 0.0 for m in mark("a", "s", perfect, origin, horizons=HORIZONS, plant=Peltier)
+    )
+
+
+def test_who_knows_too_little_says_nothing() -> None:
+    (origin,) = origins([window(40)], [10], (10.0,))
+    assert ask(Persistence(Peltier), origin) is None
+
 
 values = st.lists(st.floats(-1e3, 1e3).map(lambda x: round(x, 3)), min_size=1, max_size=40)
 ends = st.tuples(st.floats(-1e3, 1e3), st.floats(-1e3, 1e3)).map(sorted)
@@ -91,3 +179,74 @@ def test_horizons_in_samples() -> None:
     assert samples_within(10.0, 3.0) == 3
     with pytest.raises(BacktestError, match="shorter than one sample of 3 s"):
         samples_within(2.0, 3.0)
+
+
+def marked(who: str, sample: int, error: float, horizon: float = 60.0, session: str = "a") -> Marked:
+    signal = SignalMarks(rms=error, end=-error, coverage=0.5, width=2.0, score=3.0)
+    return Marked(session, sample, horizon, who, Marks(signal, signal))
+
+
+def test_a_card_by_hand() -> None:
+    ours = [marked("leader", k, float(k)) for k in range(1, 11)]
+    best = [marked(HINDSIGHT, k, k / 2.0) for k in range(1, 11)]
+    card, _ = cards([*ours, *best])
+    assert (card.who, card.horizon, card.count) == ("leader", 60.0, 10)
+    assert (card.median, card.nine_in_ten) == pytest.approx((5.5, 9.1))
+    assert card.ratio == pytest.approx(2.0)
+    assert (card.end_output, card.end_input) == pytest.approx((5.5, 5.5))
+    assert (card.coverage_output, card.width_output, card.score) == pytest.approx((0.5, 2.0, 3.0))
+
+
+def test_without_candidates_there_is_no_ratio() -> None:
+    (card,) = cards([marked("persistence", 1, 2.0)])
+    assert math.isnan(card.ratio)
+
+
+def test_sessions_and_horizons_are_kept_apart() -> None:
+    held = [
+        marked("leader", 1, 1.0),
+        marked("leader", 1, 3.0, session="b"),
+        marked("leader", 1, 9.0, horizon=300.0),
+        marked("leader", 1, 5.0, horizon=10.0),
+    ]
+    assert [(c.horizon, c.count) for c in cards(held)] == [(10.0, 1), (60.0, 2), (300.0, 1)]
+    assert len(best_in_hindsight(held)) == 4
+
+
+def test_all_are_compared_from_the_same_origins() -> None:
+    held = [marked("one", 1, 1.0), marked("one", 2, 1.0), marked("other", 2, 1.0), marked("other", 3, 1.0)]
+    assert [(m.who, m.sample) for m in common(held)] == [("one", 2), ("other", 2)]
+
+
+@given(st.lists(st.lists(st.floats(0.0, 100.0), min_size=3, max_size=3), min_size=1, max_size=20))
+def test_nobody_beats_the_best_in_hindsight(errors: list[list[float]]) -> None:
+    held = [marked(f"twin {j}", k, e) for k, row in enumerate(errors) for j, e in enumerate(row)]
+    found = {c.who: c for c in cards([*held, *best_in_hindsight(held)])}
+    least = np.min(errors, axis=1)
+    assert found[HINDSIGHT].ratio == 1.0
+    assert found[HINDSIGHT].median == pytest.approx(np.median(least), rel=1e-12)
+    for j in range(3):
+        card = found[f"twin {j}"]
+        assert card.ratio >= 1.0 - 1e-12
+        assert card.median >= found[HINDSIGHT].median * (1.0 - 1e-12)
+
+
+def test_the_band_is_that_of_the_residuals_so_far() -> None:
+    """Residuals with standard deviations of 0.5 °C and 4 counts: a band of ±1.645 times these at any horizon.
+
+    2000 residuals tell a quantile to some percent.
+    """
+    rig = Peltier.model().parameters()
+    reference = set_points(2000, 5)
+    run = simulate_closed_loop(rig, reference, states=begin(rig, 25.0))
+    random = np.random.default_rng(6)
+    y = run.output + 0.5 * random.standard_normal(2000) * (np.arange(2000) > 5)
+    u = run.input + 4.0 * random.standard_normal(2000) * (np.arange(2000) > 5)
+    forecast = forecast_of(1999, np.full(300, 50.0), np.full(300, 253.0))
+    made = with_constant_band(forecast, rig, Window(reference, y, u), Peltier.loop)
+    np.testing.assert_array_equal(made.output.mean, np.full(300, 50.0))
+    assert np.ptp(made.output.low) == np.ptp(made.output.high) == 0.0
+    assert made.output.high[0] - 50.0 == pytest.approx(0.5 * 1.645, rel=0.1)
+    assert made.output.low[0] - 50.0 == pytest.approx(-0.5 * 1.645, rel=0.1)
+    assert made.input.low[0] - 253.0 == pytest.approx(-4.0 * 1.645, rel=0.1)
+    assert made.input.high[0] == 255.0
