@@ -1,23 +1,57 @@
-"""`twinmatch report` as a user meets it."""
+"""The report as a user asks for it, and as a browser prints it."""
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 from pathlib import Path
 
-from tests.support.places import SHIPPED
+import pytest
+from pypdf import PdfReader
+
 from tests.support.processes import run_twinmatch
-
-
-def run(*arguments: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
-    return run_twinmatch("report", *arguments, folder=cwd)
+from tests.support.steps import quarter_of_an_hour
+from twinmatch.sessions import write_session
+from twinmatch.showing.report.report import SessionReport
 
 
 def test_report_and_figures_are_written_and_named(tmp_path: Path) -> None:
-    done = run(SHIPPED, "--figures", tmp_path / "figures", "--format", "pdf", cwd=tmp_path)
+    session = write_session(tmp_path / "quarter", quarter_of_an_hour())
+    done = run_twinmatch(
+        "report", session, "--figures", tmp_path / "figures", "--format", "pdf", folder=tmp_path
+    )
     assert done.returncode == 0, done.stderr
-    assert "Nominal:" in done.stdout
-    assert "report: four_setpoints.html" in done.stdout
-    text = (tmp_path / "four_setpoints.html").read_text(encoding="utf-8")
+    assert "ominal: " in done.stdout
+    assert "report: quarter.html" in done.stdout
+    text = (tmp_path / "quarter.html").read_text(encoding="utf-8")
     assert "twinmatch report" in text
     assert {p.name for p in (tmp_path / "figures").iterdir()} >= {"session.pdf", "nu_gap.pdf"}
+
+
+def test_it_prints_on_numbered_a4_pages(shipped: SessionReport, tmp_path: Path) -> None:
+    chromium = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    if chromium is None:
+        pytest.skip("chromium is not installed: apt-get install chromium")
+    shipped.write(tmp_path / "report.html")
+    command = [
+        chromium,
+        "--headless=new",
+        "--no-sandbox",
+        "--disable-gpu",
+        "--no-pdf-header-footer",
+        f"--user-data-dir={tmp_path / 'profile'}",
+        f"--print-to-pdf={tmp_path / 'report.pdf'}",
+        (tmp_path / "report.html").as_uri(),
+    ]
+    subprocess.run(command, check=True, capture_output=True, timeout=360)
+    pages = PdfReader(tmp_path / "report.pdf").pages
+    assert 5 <= len(pages) <= 15
+    for number, page in enumerate(pages, 1):
+        width, height = (float(v) / 72 * 25.4 for v in (page.mediabox.width, page.mediabox.height))
+        assert (width, height) == pytest.approx((210, 297), abs=1)
+        assert f"{number} / {len(pages)}" in page.extract_text()
+    text = " ".join(" ".join(page.extract_text().split()) for page in pages)
+    for title in ("Summary", "2. Health over time", "3. What comes next", "6. Which model order"):
+        assert title in text
+    pixels = sum(len(page.images) for page in pages)
+    assert pixels <= 2, "but for the heat map and its colour bar pictures stay drawings, sharp at any size"

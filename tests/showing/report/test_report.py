@@ -17,7 +17,7 @@ from twinmatch.comparing import ADMITTED
 from twinmatch.errors import TwinmatchError
 from twinmatch.offline.backtest.result import LEADER, TWINS
 from twinmatch.plants import Peltier
-from twinmatch.sessions import SessionWriter, samples_of, write_session
+from twinmatch.sessions import SessionWriter, read_recording, samples_of, write_session
 from twinmatch.sessions.messages import SAMPLE, encode_sample
 from twinmatch.showing.forecasts import backtest_words, card_columns
 from twinmatch.showing.quantities import number
@@ -321,11 +321,12 @@ def test_a_recording_as_csv_is_reported_like_a_session(tmp_path: Path) -> None:
     assert [f.name for f in report.provenance.files] == ["bench.csv"]
 
 
-def test_a_faulty_plant_is_reported_as_one(recordings: dict[int, Path]) -> None:
-    """The rig lost its drive in this hour."""
+def test_a_faulty_plant_is_reported_as_one(recordings: dict[int, Path], tmp_path: Path) -> None:
+    """The rig lost its drive at sample 2239 of this hour; part of it shows twins before and refusals after."""
     if 27 not in recordings:
         pytest.skip("recording 27 is not there")
-    report = make_report(recordings[27])
+    part = read_recording(recordings[27]).part(1400, 2560)
+    report = make_report(write_session(tmp_path / "lost", samples_of(part)))
     document = parse(report.html())
     assert "fault" in next(document.all("header")).text
     words = next(document.all("ul")).text
