@@ -322,7 +322,7 @@ def test_a_recording_as_csv_is_reported_like_a_session(tmp_path: Path) -> None:
 
 
 def test_a_faulty_plant_is_reported_as_one(recordings: dict[int, Path], tmp_path: Path) -> None:
-    """The rig lost its drive at sample 2239 of this hour; part of it shows twins before and refusals after."""
+    """The rig lost its drive at sample 2239 of this hour: twins before it, refusals after it."""
     if 27 not in recordings:
         pytest.skip("recording 27 is not there")
     part = read_recording(recordings[27]).part(1400, 2560)
