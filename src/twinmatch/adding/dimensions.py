@@ -8,7 +8,7 @@ or simple fraction in a product is dimensionless (½, 2). Any other number in a 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from fractions import Fraction
 from typing import Any, NamedTuple
 
@@ -59,10 +59,10 @@ class Dimensions:
         second = measure("s")
         for state, rate in written.rates.items():
             place = f"the rate of {state}"
-            expected = _divided(_unit_of(self._units[state]), _unit_of(second))
+            expected = _times(_unit_of(self._units[state]), _unit_of(second), Fraction(-1))
             unit = self._symbols[state].unit or "1"
             self._compare(place, sympy.sympify(rate), expected, f"{unit} per second")
-        y = self._symbols_by_name(self._plant.output.name)
+        y = next(s for s, d in self._symbols.items() if d.name == self._plant.output.name)
         for place, symbol, expression in (
             ("the output", y, written.output),
             *((f"the start of {state}", state, start) for state, start in written.start.items()),
@@ -72,9 +72,6 @@ class Dimensions:
                 place, shown, _unit_of(self._units[symbol]), self._symbols[symbol].unit or "a number"
             )
             self._zeros(place, [(symbol, -1), *_terms(shown)], numbers=_has_number(shown))
-
-    def _symbols_by_name(self, name: str) -> Any:
-        return next(s for s, d in self._symbols.items() if d.name == name)
 
     def _compare(self, place: str, expression: Any, wanted: _Unit, words: str) -> None:
         found = self._unit(place, expression)
@@ -211,10 +208,6 @@ def _times(one: _Unit, other: _Unit, power: Fraction) -> _Unit:
     return _Unit({n: p for n, p in powers.items() if p}, factor or None)
 
 
-def _divided(one: _Unit, other: _Unit) -> _Unit:
-    return _times(one, other, Fraction(-1))
-
-
 def _alike(one: _Unit, other: _Unit) -> bool:
     return dict(one.powers) == dict(other.powers)
 
@@ -236,14 +229,8 @@ def _plain(number: Any) -> bool:
 
 def _terms(expression: Any) -> list[tuple[Any, Any]]:
     """Symbols that are terms of a sum by themselves, with their signs."""
-    return list(_alone(expression))
-
-
-def _alone(expression: Any) -> Iterator[tuple[Any, Any]]:
-    for term in expression.args if expression.is_Add else (expression,):
-        number, rest = term.as_coeff_Mul()
-        if rest.is_Symbol and abs(number) == 1:
-            yield rest, int(number)
+    parts = [term.as_coeff_Mul() for term in (expression.args if expression.is_Add else (expression,))]
+    return [(rest, int(number)) for number, rest in parts if rest.is_Symbol and abs(number) == 1]
 
 
 def _has_number(expression: Any) -> bool:

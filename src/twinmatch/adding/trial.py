@@ -188,7 +188,8 @@ def _combinations(parameters: Parameters, free: tuple[str, ...]) -> list[_Combin
     if not np.isfinite(tangents).all():
         msg = f"{model.title}: the sensitivities of its output are not finite"
         raise PlantError(msg)
-    sizes = [_size(model.declared[name], parameters[name]) for name in free]
+    known = [(model.declared[name], parameters[name]) for name in free]
+    sizes = [abs(value) if it.relative and value else it.scale for it, value in known]
     sizes += [max(abs(model.plant.states[name].scale), 1e-12) for name in starts]
     columns = tangents * np.array(sizes)
     names = (*free, *(f"start of {name}" for name in starts))
@@ -220,10 +221,6 @@ def _projected(basis: FloatArray, column: FloatArray) -> tuple[FloatArray, float
     shares = np.linalg.lstsq(basis / lengths, column, rcond=None)[0]
     left = float(np.linalg.norm(column - basis / lengths @ shares))
     return np.asarray(shares / lengths, dtype=np.float64), left
-
-
-def _size(declared: Parameter, value: float) -> float:
-    return abs(value) if declared.relative and value else declared.scale
 
 
 def _finding(model: Model, combination: _Combination) -> Finding:

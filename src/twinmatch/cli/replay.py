@@ -26,7 +26,7 @@ from twinmatch.offline.interrupts import held_interrupts
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from twinmatch.offline.archive import Archive, Failure
+    from twinmatch.offline.archive import Archive
     from twinmatch.sessions import Session
     from twinmatch.showing.lines import Lines
     from twinmatch.showing.terminal import Screen
@@ -148,18 +148,13 @@ def _replay_many(options: argparse.Namespace) -> int:
             jobs=options.jobs,
             scheduler=options.scheduler,
             watch=progress.advance,
-            on_skip=_report_skipped,
+            on_skip=lambda failure: print(f"twinmatch: skipped {failure.reason}", file=sys.stderr),
         )
     _print(archive)
     write_json(options.json, archive.document)
     if not archive.failed:
         return 0
     return EXIT_PARTLY if archive.sessions else EXIT_USER_ERROR
-
-
-def _report_skipped(failure: Failure) -> None:
-    """Report a skipped session at once."""
-    print(f"twinmatch: skipped {failure.reason}", file=sys.stderr)
 
 
 def _print(archive: Archive) -> None:

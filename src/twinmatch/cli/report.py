@@ -30,7 +30,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Write the report; returns the exit code."""
-    output: Path = options.output or Path(f"{_stem(options.session)}.html")
+    session = options.session.resolve()
+    output: Path = options.output or Path(f"{session.name if session.is_dir() else session.stem}.html")
     check_writable(output, example="report.html")
     with held_interrupts():
         report = _make(options)
@@ -58,8 +59,3 @@ def _make(options: argparse.Namespace) -> SessionReport:
             progress=progress.reading,
             command=shlex.join(["twinmatch", *sys.argv[1:]]),
         )
-
-
-def _stem(session: Path) -> str:
-    resolved = session.resolve()
-    return resolved.name if resolved.is_dir() else resolved.stem

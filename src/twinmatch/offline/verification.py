@@ -164,11 +164,7 @@ def _computed(record: Verdict | MatchReport, stamp: int) -> Tree:
 def _once(matches: list[Tree]) -> list[Tree]:
     """The matches without repeated ones: a match requested twice is answered twice."""
     pairs: Iterator[tuple[Tree, Tree]] = zip(matches, [{}, *matches], strict=False)
-    return [match for match, before in pairs if _differ(match, before)]
-
-
-def _differ(one: Tree, other: Tree) -> bool:
-    return next(differences(one, other), None) is not None
+    return [match for match, before in pairs if any(True for _ in differences(match, before))]
 
 
 def _decoder(topic: Topic, name: str) -> Callable[[bytes], Any]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -107,16 +108,14 @@ def _end(forecast: Forecast, plant: type[Plant]) -> str:
 def _parts(forecast: Forecast) -> list[Forecast]:
     """The forecast in parts with a constant set-point."""
     steps = np.flatnonzero(np.diff(forecast.reference)) + 1
-    ends = [*steps.tolist(), forecast.time.size]
-    return [_part(forecast, first, end) for first, end in zip([0, *ends], ends, strict=False)]
+    ends = [0, *steps.tolist(), forecast.time.size]
 
+    def part(of: slice) -> Forecast:
+        output, entry = (Band(b.mean[of], b.low[of], b.high[of]) for b in (forecast.output, forecast.input))
+        time, levels = forecast.time[of], forecast.reference[of]
+        return replace(forecast, time=time, reference=levels, output=output, input=entry)
 
-def _part(forecast: Forecast, first: int, end: int) -> Forecast:
-    of = slice(first, end)
-    output, entry = (Band(b.mean[of], b.low[of], b.high[of]) for b in (forecast.output, forecast.input))
-    return replace(
-        forecast, time=forecast.time[of], reference=forecast.reference[of], output=output, input=entry
-    )
+    return [part(slice(*pair)) for pair in pairwise(ends)]
 
 
 def _arrival(part: Forecast, plant: type[Plant], *, only: bool) -> str:
@@ -128,9 +127,12 @@ def _arrival(part: Forecast, plant: type[Plant], *, only: bool) -> str:
         goal += f" (set-point from {part.time[0]:g} to {part.time[-1]:g} s)"
     reached, held = time_to_reach(part, level, near), settling_time(part, level, near)
     if reached.expected is None:
-        return f"{goal}: not in that time{_at_best(reached)}"
+        edge = reached.earliest
+        best = "" if edge is None else f"; at the edge of the band after {edge:g} s"
+        return f"{goal}: not in that time{best}"
     if reached.expected == held.expected == part.time[0]:
-        return f"{goal}: all the time{_surely(held)}"
+        further = "" if held.latest == held.expected else ", though the band reaches further"
+        return f"{goal}: all the time{further}"
     first = f"{goal}: first after {reached.expected:g} s{_range(reached)}"
     if held.expected is None:
         return f"{first}, but it does not stay there"
@@ -161,14 +163,6 @@ def _widths(forecast: Forecast, plant: type[Plant]) -> str:
         y = float(forecast.output.high[-1] - forecast.output.low[-1])
         widths.append(f"{signals.y(y)} at the end")
     return f"width of the band: {'; '.join(widths)}"
-
-
-def _at_best(moment: Moment) -> str:
-    return "" if moment.earliest is None else f"; at the edge of the band after {moment.earliest:g} s"
-
-
-def _surely(moment: Moment) -> str:
-    return "" if moment.latest == moment.expected else ", though the band reaches further"
 
 
 def _range(moment: Moment) -> str:

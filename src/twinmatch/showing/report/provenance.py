@@ -61,11 +61,12 @@ def provenance(path: Path, settings: TwinSettings, command: str, made: datetime)
         command: the command line.
         made: date and time of the report, with time zone.
     """
+    files = sorted(file for file in path.rglob("*") if file.is_file()) if path.is_dir() else [path]
     return Provenance(
         made=made.isoformat(sep=" ", timespec="seconds"),
         command=command,
         versions=_versions(),
-        files=tuple(_hash(file, path) for file in _files(path)),
+        files=tuple(_hash(file, path) for file in files),
         settings=settings_of(settings),
     )
 
@@ -96,10 +97,6 @@ def _versions() -> tuple[tuple[str, str], ...]:
         except PackageNotFoundError:
             found.append((name, "installed without metadata"))
     return (*found, ("system", f"{platform.system()} {platform.machine()}"))
-
-
-def _files(path: Path) -> list[Path]:
-    return sorted(file for file in path.rglob("*") if file.is_file()) if path.is_dir() else [path]
 
 
 def _hash(file: Path, path: Path) -> FileHash:

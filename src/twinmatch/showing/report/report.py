@@ -10,7 +10,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from twinmatch.errors import TwinmatchError
 from twinmatch.offline.backtest import Backtest, Choices, Listener, graded
-from twinmatch.offline.judging import Judgement, Terms, Watch, recorded_terms, terms_from_files
+from twinmatch.offline.judging import Judgement, Watch, recorded_terms, terms_from_files
 from twinmatch.offline.judging import judge as judge_on
 from twinmatch.offline.verification import compare, holds_verdicts
 from twinmatch.sessions import Session, open_any
@@ -63,21 +63,17 @@ def judge_for_report(
         TwinmatchError: one of the files cannot be used.
     """
     session = open_any(path, progress=progress, plant=plant)
-    terms, unlike = _terms(session, config, candidates)
+    unlike = ""
+    try:
+        terms = recorded_terms(session, config, candidates)
+    except TwinmatchError as error:  # so the verdicts cannot be compared with the recorded ones
+        terms, unlike = terms_from_files(session, config, candidates), str(error)
     choices = Choices()
     listener = Listener.to(session.samples, terms.settings.period, choices)
     judgement = judge_on(session, terms, watch=part_of(watch, 0, 2), beside=listener)
     tested = graded(judgement, listener, choices, watch=part_of(watch, 1, 2))
     recorded, identical = _compared(session, judgement, unlike)
     return JudgedSession(session, judgement, tested, terms.source, recorded, identical)
-
-
-def _terms(session: Session, config: Path | None, candidates: Path | None) -> tuple[Terms, str]:
-    """The terms, and why they differ from those of the recorded verdicts; empty: they do not."""
-    try:
-        return recorded_terms(session, config, candidates), ""
-    except TwinmatchError as error:
-        return terms_from_files(session, config, candidates), str(error)
 
 
 def _compared(session: Session, judgement: Judgement, unlike: str) -> tuple[str, bool | None]:
@@ -93,17 +89,14 @@ def _compared(session: Session, judgement: Judgement, unlike: str) -> tuple[str,
             f"The session has {count} recorded verdicts. They were computed again for this report and could "
             f"not be compared with the recorded ones: {unlike}."
         ), None
-    held = f"The session has {found.verdicts} recorded verdicts and {_matches(found.matches)}."
+    matches = f"{found.matches} match{'' if found.matches == 1 else 'es'}"
+    held = f"The session has {found.verdicts} recorded verdicts and {matches}."
     if found.identical:
         return f"{held} They were computed again for this report and are the same, bit for bit.", True
     return (
         f"{held} They were computed again for this report and differ from the recorded ones. "
         f"First difference: {found.difference}."
     ), False
-
-
-def _matches(count: int) -> str:
-    return f"{count} match{'' if count == 1 else 'es'}"
 
 
 @dataclass(frozen=True, eq=False)
