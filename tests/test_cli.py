@@ -167,12 +167,12 @@ def test_a_terminal_shows_the_run_and_ends_with_the_sentence() -> None:
 
 
 def test_a_terminal_shows_the_progress_of_reading_a_session(tmp_path: Path) -> None:
-    reference = np.repeat([30.0, 50.0], 4500)
+    reference = np.repeat([30.0, 50.0], 2000)
     session = write_session(tmp_path / "long", samples_of(Window(reference, reference, reference / 2)))
     for command in (
         ["verify"],
         ["backtest"],
-        ["forecast", "--at", "8000"],
+        ["forecast", "--at", "3500"],
         ["report", "-o", tmp_path / "r.html"],
     ):
         _, written, _ = run_on_terminal(command[0], session, *command[1:], width=100)
