@@ -1,4 +1,4 @@
-"""Report cards as tables, sentences, JSON and a picture say the same figures."""
+"""Report cards as tables, sentences, JSON and a picture say the same figures, as does the command."""
 
 from __future__ import annotations
 
@@ -11,14 +11,19 @@ import pytest
 from rich.console import Console
 
 from tests.offline.backtest.forecasts import linear_loop, set_points
+from tests.support.places import SHIPPED
+from tests.support.processes import run_twinmatch
+from twinmatch.cli.backtest import PEERS as OFFERED
 from twinmatch.offline.backtest.origins import ask, mark, origins, regular
-from twinmatch.offline.backtest.peers import Absent, peers
+from twinmatch.offline.backtest.peers import PEERS, Absent, peers
 from twinmatch.offline.backtest.result import LEADER, Backtest, document, over_all
 from twinmatch.offline.backtest.scoring import HINDSIGHT, Marked, Marks, SignalMarks
 from twinmatch.plants import Peltier
+from twinmatch.sessions import samples_of, write_session
 from twinmatch.showing.figures.drawing import save
 from twinmatch.showing.figures.forecasts import draw_backtest
 from twinmatch.showing.forecasts import backtest_tables, backtest_words, card_columns
+from twinmatch.signals import Window
 
 HORIZONS = (10.0, 60.0)
 
@@ -138,3 +143,47 @@ def test_the_picture_shows_errors_coverage_and_forecasts(tested: Backtest, tmp_p
 def test_without_a_forecast_the_picture_says_so() -> None:
     figure = draw_backtest(Backtest("a", Peltier, 1.0, HORIZONS, 0.9, ()))
     assert "no forecast could be judged" in [t.get_text() for t in figure.axes[0].texts]
+
+
+@pytest.fixture
+def still(tmp_path: Path) -> Path:
+    """Three minutes in which nothing happens."""
+    level = np.full(180, 30.0)
+    return write_session(tmp_path / "still", samples_of(Window(level, level, level)))
+
+
+def test_the_shipped_session_has_its_report_card(tmp_path: Path, shipped: Backtest) -> None:
+    out, picture = tmp_path / "card.json", tmp_path / "card.png"
+    done = run_twinmatch("backtest", SHIPPED, "--json", out, "--figure", picture)
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    assert "four_setpoints: 300 s ahead" in done.stdout
+    assert "best in hindsight" in done.stdout
+    assert "300 s ahead, the leader's temperature was off by less than" in done.stdout
+    assert picture.stat().st_size > 50_000
+    written = json.loads(out.read_text())
+    assert written["sessions"] == [json.loads(json.dumps(document(shipped)))]
+    assert written["total"]["cards"] == written["sessions"][0]["cards"]
+
+
+def test_horizons_pace_and_peers_can_be_chosen(still: Path, tmp_path: Path) -> None:
+    out = tmp_path / "card.json"
+    done = run_twinmatch("backtest", still, "--every", "20", "--horizon", "30", "5", "--peers", "--json", out)
+    assert done.returncode == 0, done.stderr
+    written = json.loads(out.read_text())["total"]
+    assert written["horizons"] == [5.0, 30.0]
+    assert written["cards"] == []
+    assert "there was no candidate yet" in done.stdout
+
+
+def test_a_session_that_cannot_be_used_is_skipped(still: Path, tmp_path: Path) -> None:
+    done = run_twinmatch("backtest", still, tmp_path / "absent.mat", "--peers", "persistence")
+    assert done.returncode == 3
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert "skipped" in done.stderr
+    assert "absent.mat" in done.stderr
+
+
+def test_the_command_offers_every_peer() -> None:
+    """It names them itself, since importing them is slow."""
+    assert tuple(PEERS) == OFFERED
