@@ -15,14 +15,12 @@ pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
 pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup")
 pytest.importorskip("bokeh", reason="bokeh is not installed; it is in the extra 'dashboard'")
 
-import rclpy
-from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
-from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import Image, Temperature
 
 from tests.support.processes import Process, Processes
+from tests.support.ros import listening
 from twinmatch.comparing import ADMITTED
 from twinmatch.dynamics import Plant
 from twinmatch.nodes.messages import description_message, score_message, state_message
@@ -36,7 +34,7 @@ from twinmatch.signals import Sample
 from twinmatch.twin import Mirror, TwinSettings
 from twinmatch_msgs.msg import LoopSample, ModelScore, PlantDescription, PwmApplied, TwinState
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.usefixtures("page")]
 
 FORECAST, ANSWER = 3, 6
 """Where the chart of the output draws what comes next, among its lines."""
@@ -78,8 +76,8 @@ return deep(document).filter((e) => e.checkVisibility())
 class Graph:
     """What the nodes of a rig publish, from this process."""
 
-    def __init__(self, context: Context) -> None:
-        self.node = Node("graph", context=context)
+    def __init__(self, node: Node) -> None:
+        self.node = node
         kinds = {
             "plant/sample": LoopSample,
             "twin/state": TwinState,
@@ -127,12 +125,8 @@ class Graph:
 
 @pytest.fixture(scope="module")
 def graph(ros: None) -> Iterator[Graph]:  # noqa: ARG001
-    context = Context()
-    rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
-    made = Graph(context)
-    yield made
-    made.node.destroy_node()
-    rclpy.try_shutdown(context=context)
+    with listening() as made:
+        yield Graph(made.node)
 
 
 @pytest.fixture(scope="module")
@@ -174,7 +168,7 @@ def test_it_loads_from_this_machine_alone_and_says_that_it_waits(page: Any, brow
     assert browser.driver.title == "twinmatch: Peltier rig"
 
 
-def test_data_move_as_they_come(page: Any, graph: Graph, browser: Any) -> None:  # noqa: ARG001
+def test_data_move_as_they_come(graph: Graph, browser: Any) -> None:
     enough = threading.Event()
     sent: list[int] = []
 
@@ -206,12 +200,7 @@ def test_data_move_as_they_come(page: Any, graph: Graph, browser: Any) -> None: 
     assert browser.warnings() == []
 
 
-def test_verdicts_family_and_events_are_shown(
-    page: Any,  # noqa: ARG001
-    graph: Graph,
-    browser: Any,
-    judged: Judgement,
-) -> None:
+def test_verdicts_family_and_events_are_shown(graph: Graph, browser: Any, judged: Judgement) -> None:
     graph.session(list(judged.samples), judged)
     last = judged.verdicts[-1]
     assert last.nominal is not None
@@ -239,10 +228,7 @@ def test_verdicts_family_and_events_are_shown(
 
 @pytest.mark.parametrize(("width", "height"), [(1440, 1000), (1024, 900), (390, 844)])
 def test_every_width_shows_the_first_answers_and_needs_no_scrolling_sideways(
-    page: Any,  # noqa: ARG001
-    browser: Any,
-    width: int,
-    height: int,
+    browser: Any, width: int, height: int
 ) -> None:
     """After the test above: there is a verdict, a family, and everything that belongs to it."""
     with browser.sized(width, height):
@@ -254,10 +240,7 @@ def test_every_width_shows_the_first_answers_and_needs_no_scrolling_sideways(
         assert browser.warnings() == []
 
 
-def test_the_keys_reach_everything_that_can_be_clicked_and_help_is_one_of_it(
-    page: Any,  # noqa: ARG001
-    browser: Any,
-) -> None:
+def test_the_keys_reach_everything_that_can_be_clicked_and_help_is_one_of_it(browser: Any) -> None:
     from selenium.webdriver.common.keys import Keys
 
     browser.run("document.body.tabIndex = -1; document.body.focus()")
@@ -277,11 +260,7 @@ def test_the_keys_reach_everything_that_can_be_clicked_and_help_is_one_of_it(
 
 
 def test_what_comes_is_drawn_ahead_and_can_be_asked_for(
-    page: Any,  # noqa: ARG001
-    graph: Graph,
-    browser: Any,
-    judged: Judgement,
-    node: Callable[..., Process],
+    graph: Graph, browser: Any, judged: Judgement, node: Callable[..., Process]
 ) -> None:
     """A real discriminator: its forecast ahead of the newest sample, its answer beside the question."""
     discriminator, _ = node("discriminator"), node("matcher")
@@ -326,7 +305,7 @@ def _ask(browser: Any, level: str, hold: str) -> None:
     browser.click("Ask")
 
 
-def test_a_fault_is_shown_and_goes(page: Any, graph: Graph, browser: Any) -> None:  # noqa: ARG001
+def test_a_fault_is_shown_and_goes(graph: Graph, browser: Any) -> None:
     graph.session(counted(5))
     graph.fault("over_temperature: 111.0 °C is above 110.0 °C <b>")
     browser.wait_for(lambda: "Output held at zero: over temperature" in browser.text, "the alarm")
@@ -338,7 +317,7 @@ def test_a_fault_is_shown_and_goes(page: Any, graph: Graph, browser: Any) -> Non
     assert browser.warnings() == []
 
 
-def test_the_thermal_image_is_shown(page: Any, graph: Graph, browser: Any) -> None:  # noqa: ARG001
+def test_the_thermal_image_is_shown(graph: Graph, browser: Any) -> None:
     assert "Thermal image" not in browser.text  # most plants have none
     pixels = np.full((60, 80), 25.0)
     pixels[10:20, 30:50] = 71.25
@@ -357,7 +336,7 @@ def test_the_thermal_image_is_shown(page: Any, graph: Graph, browser: Any) -> No
     assert browser.warnings() == []
 
 
-def test_it_survives_that_the_graph_is_started_again(page: Any, graph: Graph, browser: Any) -> None:  # noqa: ARG001
+def test_it_survives_that_the_graph_is_started_again(graph: Graph, browser: Any) -> None:
     graph.session(counted(50))
     browser.wait_for(lambda: "sample 49, 49 s" in browser.text, "the first session's last sample")
     graph.session(counted(20, period=0.1))
@@ -383,7 +362,7 @@ def test_every_tab_has_its_own_view_of_the_same(page: Any, graph: Graph, browser
     assert browser.warnings() == []
 
 
-def test_without_control_nothing_can_be_asked_of_the_rig(page: Any, graph: Graph, browser: Any) -> None:  # noqa: ARG001
+def test_without_control_nothing_can_be_asked_of_the_rig(graph: Graph, browser: Any) -> None:
     for label in ("Set", "Clear fault", "Output off"):
         assert browser.button(label) is None
     assert graph.node.count_publishers("plant/reference") == 0
