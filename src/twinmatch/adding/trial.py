@@ -186,8 +186,7 @@ def _combinations(parameters: Parameters, free: tuple[str, ...]) -> list[_Combin
     experiment = Experiment(parameters, free, window, free_starts=starts, gains=None)
     tangents = experiment.tangents(experiment.values_of(parameters)).by[0]
     if not np.isfinite(tangents).all():
-        msg = f"{model.title}: the sensitivities of its output are not finite"
-        raise PlantError(msg)
+        raise PlantError(f"{model.title}: the sensitivities of its output are not finite")
     known = [(model.declared[name], parameters[name]) for name in free]
     sizes = [abs(value) if it.relative and value else it.scale for it, value in known]
     sizes += [max(abs(model.plant.states[name].scale), 1e-12) for name in starts]

@@ -79,8 +79,7 @@ def run(options: argparse.Namespace) -> int:
 
 def _check(options: argparse.Namespace) -> None:
     if options.reference is not None and options.hold is not None:
-        msg = "forecast: --reference and --hold exclude each other; give only one of them"
-        raise TwinmatchError(msg)
+        raise TwinmatchError("forecast: --reference and --hold exclude each other; give only one of them")
     if options.candidate is not None and not options.candidate.strip():
         raise TwinmatchError("forecast: --candidate is empty; give a name, or omit it to use the leader")
 

@@ -71,17 +71,15 @@ def _settings(session: Session, node: str) -> tuple[TwinSettings, str]:
     place = f"session {session.name}"
     recorded = parameters_of(session.records, node)
     if recorded is None:
-        msg = (
+        raise TermsError(
             f"{place}: the parameters of {node} were not recorded; give them with --config, "
             "or run the recorder together with the twin"
         )
-        raise TermsError(msg)
     try:
         values = recorded_values(f"{place}: {node}", recorded)
         return settings_from(values), str(values["candidates"])
     except TwinmatchError as error:
-        msg = f"{place}: the recorded parameters of {node} cannot be used: {error}"
-        raise TermsError(msg) from error
+        raise TermsError(f"{place}: the recorded parameters of {node} cannot be used: {error}") from error
 
 
 def _given(session: Session, path: str) -> tuple[Candidate, ...]:
@@ -89,11 +87,10 @@ def _given(session: Session, path: str) -> tuple[Candidate, ...]:
         return ()
     text = session.records.get(CANDIDATES, {}).get("text", "")
     if not text:
-        msg = (
+        raise TermsError(
             f"session {session.name}: its initial candidates, from {path}, were not recorded; "
             "give them with --candidates"
         )
-        raise TermsError(msg)
     return tuple(parse_candidates(text, f"session {session.name}: candidates"))
 
 

@@ -94,11 +94,10 @@ def samples_at(session: Session, at: Collection[int]) -> dict[int, Sample]:
     if absent:
         first, last = session.samples[0].index, session.samples[-1].index
         why = " without that one" if first < absent[0] < last else ""
-        msg = (
+        raise ForecastError(
             f"session {session.name}: has no sample {absent[0]} to forecast from; it has {first} to "
             f"{last}{why}"
         )
-        raise ForecastError(msg)
     return found
 
 
@@ -229,11 +228,10 @@ def _recorded(session: Session, sample: Sample, size: int, settings: TwinSetting
     levels = [s.reference if closed else s.input for s in came]
     count = len(came) - 1
     if not count:
-        msg = (
+        raise TwinmatchError(
             f"session {session.name}: nothing was recorded right after sample {sample.index}, so no "
             f"{kind} ahead is known; choose an earlier sample, or give --hold"
         )
-        raise TwinmatchError(msg)
     notes: tuple[str, ...] = ()
     if count < size:
         why = "a sample is missing" if stretch[-1].index < session.samples[-1].index else "the session ends"
@@ -248,10 +246,9 @@ def samples_ahead(horizon: float | None, period: float) -> int:
     horizon = horizons_for(period)[-1] if horizon is None else horizon
     longest = LONGEST * time_scale(period)
     if not (math.isfinite(horizon) and 0 < horizon <= longest):
-        msg = (
+        raise TwinmatchError(
             f"forecast: the horizon is {horizon:g} s; give a positive number of seconds, at most {longest:g}"
         )
-        raise TwinmatchError(msg)
     size = int(horizon / period * (1 + 1e-9))
     if size < 1:
         msg = f"forecast: the horizon of {horizon:g} s is shorter than one sample, {period:g} s; give more"

@@ -103,11 +103,10 @@ def verify_session(
     """
     session = open_any(path, topic, progress, plant=plant)
     if not holds_verdicts(session):
-        msg = (
+        raise VerifyError(
             f"session {session.name}: has no verdicts on {prefix_of(session)}{SCORES} to verify; "
             "judge it with twinmatch replay"
         )
-        raise VerifyError(msg)
     terms = recorded_terms(session, config, candidates)
     check_fmus(session.name, terms.settings.plant, _structures(session))
     return compare(session, judge(session, terms, watch=watch))
@@ -174,8 +173,7 @@ def _decoder(topic: Topic, name: str) -> Callable[[bytes], Any]:
     schema = Schema(id=1, data=topic.schema.encode(), encoding="ros2msg", name=topic.type)
     decode = DecoderFactory().decoder_for("cdr", schema)
     if decode is None:
-        msg = f"session {name}: {topic.name} cannot be decoded"
-        raise VerifyError(msg)
+        raise VerifyError(f"session {name}: {topic.name} cannot be decoded")
     result: Callable[[bytes], Any] = decode
     return result
 
@@ -255,11 +253,9 @@ def check_fmus(name: str, plant: type[Plant], recorded: Sequence[str]) -> None:
     if missing:
         other = [s for s in more if unmarked(s) == unmarked(missing[0])]
         what = f"; the one given, {other[0]!r}, is another FMU or has another map" if other else ""
-        msg = (
+        raise ForeignError(
             f"session {name}: was judged with the structure {missing[0]!r}, an FMU{what}; give that FMU's "
             "map file with --allow-fmu FILE"
         )
-        raise ForeignError(msg)
     if more:
-        msg = f"session {name}: was judged without the FMU {more[0]!r}; leave out --allow-fmu"
-        raise ForeignError(msg)
+        raise ForeignError(f"session {name}: was judged without the FMU {more[0]!r}; leave out --allow-fmu")

@@ -72,12 +72,10 @@ class Setting:
         if kind is list and value is not None and not isinstance(value, str | bytes | bool | int | float):
             value = self._accept_list(list(value), node)
         if type(value) is not kind:
-            msg = f"{node}: parameter {self.name} is {shown(value)}; it must be {KINDS[kind]}"
-            raise ParameterError(msg)
+            raise ParameterError(f"{node}: parameter {self.name} is {shown(value)}; it must be {KINDS[kind]}")
         items = value if isinstance(value, list) else [value]
         if not all(self._allowed(item) for item in items):
-            msg = f"{node}: parameter {self.name} is {shown(value)}; allowed: {self.limits}"
-            raise ParameterError(msg)
+            raise ParameterError(f"{node}: parameter {self.name} is {shown(value)}; allowed: {self.limits}")
         return value
 
     def _accept_list(self, items: list[Any], node: str) -> list[Any]:
@@ -138,18 +136,16 @@ def check(node: str, table: Sequence[Setting], given: Mapping[str, Any]) -> Valu
     known = {parameter.name: parameter for parameter in table}
     for name in given:
         if name.startswith(QOS) and not name.startswith(BUILT_IN):
-            msg = (
+            raise ParameterError(
                 f"{node}: {name[:80]} cannot be set: reliability and depth of a topic are guaranteed "
                 "(docs/subscribing.md); leave it out"
             )
-            raise ParameterError(msg)
         if name not in known and not name.startswith(BUILT_IN):
             near = difflib.get_close_matches(name, known, n=1)
             hint = (
                 f"did you mean {near[0]}?" if near else f"choose from: {', '.join(sorted(known)) or 'none'}"
             )
-            msg = f"{node}: there is no parameter {name[:80]}; {hint}"
-            raise ParameterError(msg)
+            raise ParameterError(f"{node}: there is no parameter {name[:80]}; {hint}")
     return {
         name: parameter.accept(given[name], node) if name in given else parameter.default
         for name, parameter in known.items()

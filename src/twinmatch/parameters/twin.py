@@ -87,8 +87,7 @@ def understood(place: str, given: Mapping[str, Any]) -> tuple[tuple[Setting, ...
         model = plant.model(None if named is None else str(named))
         table = twin_table(plant, model.structure_name, closing_of(given))
     except PlantError as error:
-        msg = f"{place}: {error}"
-        raise ParameterError(msg) from error
+        raise ParameterError(f"{place}: {error}") from error
     return table, _without_absent(place, given, model)
 
 
@@ -111,8 +110,7 @@ def recorded_values(place: str, given: Mapping[str, Any]) -> Values:
         try:
             kept["plant"] = written_name(plant_named(str(kept["plant"])))
         except PlantError as error:
-            msg = f"{place}: {error}"
-            raise ParameterError(msg) from error
+            raise ParameterError(f"{place}: {error}") from error
     return twin_values(place, kept)
 
 
@@ -192,8 +190,7 @@ def read_settings(path: Path | None, plant: str = "", *, driven: bool = False) -
             continue
         parameters = section.get("ros__parameters") if isinstance(section, dict) else None
         if not isinstance(parameters, dict):
-            msg = f"{path}: section {node} has no ros__parameters; see the files in config/"
-            raise ParameterError(msg)
+            raise ParameterError(f"{path}: section {node} has no ros__parameters; see the files in config/")
         given.update(flattened(parameters))
     if not given:
         msg = f"{path}: has no section /**, matcher or discriminator; see the files in config/"
@@ -202,11 +199,9 @@ def read_settings(path: Path | None, plant: str = "", *, driven: bool = False) -
     try:
         settings = settings_from(values)
     except TwinmatchError as error:
-        msg = f"{path}: {error}"
-        raise ParameterError(msg) from error
+        raise ParameterError(f"{path}: {error}") from error
     if plant and settings.plant is not plant_named(plant):
-        msg = f"{path}: is for plant {settings.plant.name}, but the data are of plant {plant}"
-        raise ParameterError(msg)
+        raise ParameterError(f"{path}: is for plant {settings.plant.name}, but the data are of plant {plant}")
     return settings
 
 
@@ -314,12 +309,10 @@ def _refuse_renamed(place: str, given: Mapping[str, Any]) -> None:
     """
     for name, now in _RENAMED.items():
         if name in given:
-            msg = f"{place}: {name} is now called {' and '.join(now)}; rename it"
-            raise ParameterError(msg)
+            raise ParameterError(f"{place}: {name} is now called {' and '.join(now)}; rename it")
     for name, instead in _GONE.items():
         if name in given:
-            msg = f"{place}: {name} is no longer used: {instead}; remove it"
-            raise ParameterError(msg)
+            raise ParameterError(f"{place}: {name} is no longer used: {instead}; remove it")
 
 
 def _without_absent(place: str, given: Mapping[str, Any], model: Model) -> dict[str, Any]:
@@ -336,11 +329,10 @@ def _without_absent(place: str, given: Mapping[str, Any], model: Model) -> dict[
         if value:
             plant = model.plant
             having = [s for s in plant.structures if of in plant.model(s).declared]
-            msg = (
+            raise ParameterError(
                 f"{place}: parameter {name} is {value}, but structure {model.structure_name!r} has no {of}; "
                 f"choose a structure that has: {', '.join(having) or 'none'}"
             )
-            raise ParameterError(msg)
         del kept[name]
     return kept
 

@@ -110,8 +110,7 @@ def _field(owner: type, name: str, hint: Any, columns: int) -> RecordField:
     elif dataclasses.is_dataclass(kind):
         form = Form.INLINE if _is_named_tuple(owner) else Form.PART
     if form is None:
-        msg = f"record: {owner.__name__}.{name} is of type {hint}, which is not recorded"
-        raise RecordError(msg)
+        raise RecordError(f"record: {owner.__name__}.{name} is of type {hint}, which is not recorded")
     return RecordField(name, form, kind, optional, columns, prefix)
 
 

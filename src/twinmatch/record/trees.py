@@ -158,8 +158,7 @@ def _read_array(field: RecordField, tree: Tree, columns: int) -> Any:
 def _read_parameters(field: RecordField, tree: Tree) -> Parameters | None:
     found = parameters_of(tree[field.name])
     if found is None and not field.optional:
-        msg = f"record: {field.name} are missing"
-        raise RecordError(msg)
+        raise RecordError(f"record: {field.name} are missing")
     return found
 
 

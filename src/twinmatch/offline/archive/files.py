@@ -54,8 +54,7 @@ def _resolved(path: Path) -> Sequence[Path]:
     if _is_pattern(path):
         matches = sorted(glob.glob(str(path), recursive=True))  # noqa: PTH207 — Path.glob takes no absolute ones
         if not matches:
-            msg = f"{path}: no file or folder matches this pattern"
-            raise ArchiveError(msg)
+            raise ArchiveError(f"{path}: no file or folder matches this pattern")
         return [found for match in matches for found in _resolved(Path(match))]
     if not _is_collection(path):
         return [path]
@@ -194,8 +193,7 @@ class Store:
             draft.write_text(json.dumps(kept, allow_nan=False, ensure_ascii=False) + "\n", encoding="utf-8")
             draft.replace(file)
         except OSError as error:
-            msg = f"{file}: the result cannot be written ({error.strerror})"
-            raise ArchiveError(msg) from error
+            raise ArchiveError(f"{file}: the result cannot be written ({error.strerror})") from error
         finally:
             with contextlib.suppress(OSError):
                 draft.unlink()

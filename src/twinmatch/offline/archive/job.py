@@ -115,8 +115,7 @@ def _record(job: Job) -> dict[str, Any]:
     terms, session = job.terms, open_any(job.path)
     settings = terms.settings
     if terms.fixed and session.plant and plant_named(session.plant) is not settings.plant:
-        msg = f"{job.path}: was recorded from plant {session.plant}, not {settings.plant.name}"
-        raise SessionError(msg)
+        raise SessionError(f"{job.path}: was recorded from plant {session.plant}, not {settings.plant.name}")
     if terms.config is None:
         plant = session.plant or settings.plant.name
         settings = read_settings(None, plant, driven=not session.has_reference)

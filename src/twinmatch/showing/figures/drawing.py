@@ -91,8 +91,7 @@ def save(figure: Figure, path: Path) -> None:
     try:
         figure.savefig(path, metadata=undated.get(path.suffix.lower()))
     except (OSError, ValueError) as error:
-        msg = f"{path}: the figure cannot be written: {error}"
-        raise TwinmatchError(msg) from error
+        raise TwinmatchError(f"{path}: the figure cannot be written: {error}") from error
 
 
 @styled

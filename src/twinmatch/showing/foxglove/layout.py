@@ -85,8 +85,7 @@ def write_layout(path: Path, made: Mapping[str, Any]) -> None:
     try:
         path.write_text(json.dumps(made, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
     except OSError as error:
-        msg = f"foxglove: the layout cannot be written to {path}: {error.strerror}"
-        raise ServingError(msg) from error
+        raise ServingError(f"foxglove: the layout cannot be written to {path}: {error.strerror}") from error
 
 
 def _charts(described: Description, rig: str, *, applied: bool) -> dict[str, _Panel]:

@@ -142,8 +142,7 @@ class Foxglove(TwinmatchNode):
         before = self._types.setdefault(name, kind)
         try:
             if before != kind:
-                msg = f"its type changed from {before} to {kind}; restart twinmatch foxglove"
-                raise SessionError(msg)
+                raise SessionError(f"its type changed from {before} to {kind}; restart twinmatch foxglove")
             if not self._server.offers(name):
                 self._server.advertise(name, kind, schema_of(kind))
         except SessionError as error:

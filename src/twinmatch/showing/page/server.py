@@ -47,8 +47,7 @@ class PageServer:
         self._thread = threading.Thread(target=self._run, name="page", daemon=True)
         self._thread.start()
         if not self._ready.wait(PATIENCE):
-            msg = f"dashboard: the page's server did not start within {PATIENCE:g} s; try again"
-            raise ServingError(msg)
+            raise ServingError(f"dashboard: the page's server did not start within {PATIENCE:g} s; try again")
 
     @property
     def url(self) -> str:

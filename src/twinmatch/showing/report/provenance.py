@@ -107,7 +107,6 @@ def _hash(file: Path, path: Path) -> FileHash:
                 digest.update(chunk)
             size = stream.tell()
     except OSError as error:
-        msg = f"{file}: cannot be read ({error.strerror})"
-        raise TwinmatchError(msg) from error
+        raise TwinmatchError(f"{file}: cannot be read ({error.strerror})") from error
     name = str(file.relative_to(path)) if file != path else file.name
     return FileHash(name, size, digest.hexdigest())

@@ -144,8 +144,7 @@ class SessionReport:
         try:
             path.write_text(self.html(), encoding="utf-8")
         except OSError as error:
-            msg = f"{path}: the report cannot be written: {error.strerror}"
-            raise TwinmatchError(msg) from error
+            raise TwinmatchError(f"{path}: the report cannot be written: {error.strerror}") from error
 
     def _content(self) -> dict[str, object]:
         judged, judgement = self.judged, self.judged.judgement
