@@ -8,7 +8,6 @@ import time
 from pathlib import Path
 
 from twinmatch.cli.shared import Progress, add_options
-from twinmatch.cli.virtual_rig import speed
 from twinmatch.launching.processes import add_page_options, page_of
 from twinmatch.shipped import shipped
 
@@ -19,12 +18,8 @@ LONGEST = 60.0
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add_options(parser, "session", nargs="?", help="session or recording to play instead")
-    parser.add_argument(
-        "--speed",
-        type=speed,
-        default=math.inf,
-        help="highest speed of the virtual rig, times real time (default: as fast as the machine allows)",
-    )
+    fastest = "highest speed of the virtual rig, times real time (default: as fast as the machine allows)"
+    add_options(parser, "--speed", default=math.inf, help=fastest)
     add_page_options(parser)
 
 

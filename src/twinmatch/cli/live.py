@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 
 from twinmatch.cli.shared import add_options, session_to_record
-from twinmatch.cli.virtual_rig import speed
 from twinmatch.launching.processes import add_page_options, page_of
 from twinmatch.shipped import shipped
 
@@ -22,19 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_options(parser, "--config", help="parameters of the rig's nodes (default: the plant's in config/)")
     add_options(parser, "--twin-config", "--candidates", "--session", "--no-record")
     parser.add_argument("--virtual", action="store_true", help="a virtual rig instead of the real one")
-    parser.add_argument(
-        "--speed",
-        type=speed,
-        default=1.0,
-        help="highest speed of the virtual rig, times real time, or max (default: 1)",
-    )
-    parser.add_argument(
-        "--fault", action="append", default=[], help="fault of the virtual rig: KIND@SECONDS; repeatable"
-    )
-    parser.add_argument(
-        "--board", default="auto", help="board of the virtual Peltier rig: simavr, python or auto"
-    )
-    parser.add_argument("--seed", type=int, default=0, help="seed of the virtual sensor's noise")
+    add_options(parser, "--speed", "--fault", "--board", "--seed")
     add_page_options(parser, control=True)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import importlib.util
 import json
+import math
 import os
 import re
 import sys
@@ -21,6 +22,12 @@ if TYPE_CHECKING:
 
 EXIT_PARTLY: Final = 3
 """Exit code: some of several sessions were used and some skipped."""
+
+
+def speed(text: str) -> float:
+    """A speed from the command line: a number, or `max`."""
+    return math.inf if text == "max" else float(text)
+
 
 _FILE: Final = {"type": Path, "metavar": "FILE"}
 _OUT: Final = {"type": Path, "metavar": "OUT"}
@@ -48,6 +55,20 @@ OPTIONS: Final[dict[str, dict[str, Any]]] = {
     "--map-file": {**_FILE, "help": "the same as YAML; --map takes precedence"},
     "--period": {"type": float, "metavar": "S"},
     "--session": {"type": Path, "metavar": "FOLDER", "help": "record here (default: sessions/<time>)"},
+    "--speed": {
+        **{"type": speed, "default": 1.0, "metavar": "N"},
+        "help": "highest speed of the virtual rig, times real time, or max (default: 1)",
+    },
+    "--fault": {
+        **{"action": "append", "default": [], "metavar": "KIND@S[+S],…"},
+        "help": "faults of the virtual rig with their start and duration; repeatable",
+    },
+    "--board": {
+        **{"default": "auto", "metavar": "KIND"},
+        "help": "board of the virtual Peltier rig: simavr: the firmware image on a simulated processor; "
+        "python: a stand-in; auto (default): simavr if available",
+    },
+    "--seed": {"type": int, "default": 0, "help": "seed of the virtual sensor's noise (default: 0)"},
     "--no-record": {**_FLAG, "help": "record nothing"},
 }
 """Arguments that several commands have, with their usual help texts."""

@@ -12,13 +12,12 @@ import signal
 import sys
 from typing import TYPE_CHECKING, Any
 
+from twinmatch.cli.shared import add_options
 from twinmatch.emulation.faults import KINDS, Change, parse_faults, tell
 from twinmatch.errors import TwinmatchError
 
 if TYPE_CHECKING:
     from twinmatch.emulation.plant_time import VirtualPlantTime
-
-__all__ = ["EXIT_LOST", "add_arguments", "run", "speed"]
 
 EXIT_LOST = 1
 """Exit code after a part of the rig has ended unexpectedly."""
@@ -33,33 +32,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--plant", default="peltier", choices=("peltier", "tclab"), help="plant to emulate (default: peltier)"
     )
-    parser.add_argument(
-        "--speed",
-        type=speed,
-        default=1.0,
-        metavar="N",
-        help="plant time per wall time, at most, or max (default: 1)",
-    )
+    add_options(parser, "--speed", "--fault", "--board", "--seed")
     parser.add_argument(
         "--in-step",
         action="store_true",
         help="no faster than real time unless the graph that commands the plant keeps step",
     )
-    parser.add_argument(
-        "--board",
-        default="auto",
-        metavar="KIND",
-        help="simavr: the firmware image on a simulated processor; python: a stand-in; "
-        "auto (default): simavr if available",
-    )
-    parser.add_argument(
-        "--fault",
-        action="append",
-        default=[],
-        metavar="KIND@S[+S],…",
-        help="faults with their start and duration",
-    )
-    parser.add_argument("--seed", type=int, default=0, help="seed of the sensor's noise (default: 0)")
     parser.add_argument("--duration", type=float, default=math.inf, metavar="S", help="plant time to run for")
     parser.add_argument(
         "--tell",
@@ -67,11 +45,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar=("CONTROL", "LINE"),
         help="send a command to a running rig: KIND[+S], 'end KIND', state, stop",
     )
-
-
-def speed(text: str) -> float:
-    """A speed from the command line: a number, or `max`."""
-    return math.inf if text == "max" else float(text)
 
 
 def run(options: argparse.Namespace) -> int:
