@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import pytest
 
 from tests.support.processes import Process, Processes
-from tests.support.waiting import PATIENCE, wait_for
+from tests.support.waiting import PATIENCE
 from twinmatch.dynamics import Pid
 from twinmatch.dynamics.store import cache_folder
 from twinmatch.emulation.clock import ClockClient, parse_address
@@ -45,10 +45,6 @@ class RigProcess:
         found = json.loads(self.tell("state"))
         assert isinstance(found, dict)
         return found
-
-    def wait_for_time(self, seconds: float) -> None:
-        """Wait until so much plant time has passed."""
-        wait_for(lambda: self.state()["time"] >= seconds, "plant time")
 
 
 @pytest.fixture(scope="session", autouse=True)

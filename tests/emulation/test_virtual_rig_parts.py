@@ -408,7 +408,7 @@ def test_without_a_host_two_runs_agree_to_the_last_bit(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    faults = parse_faults("ambient-step@1,sensor-frozen@1+1,cable-pulled@2,camera-gone@3")
+    faults = parse_faults("ambient-step@1,fan-failed@1,sensor-frozen@1+1,cable-pulled@2,camera-gone@3")
     settings = RigSettings(speed=20, board="python", seed=3, faults=faults)
     seen = []
     for _ in range(2):
@@ -422,7 +422,7 @@ def test_without_a_host_two_runs_agree_to_the_last_bit(
         seen.append(states)
     assert seen[0] == seen[1]
     assert seen[0][-1][0][1] > RICH_RIG["ambient"]
-    assert seen[0][-1][2] == ["ambient-step", "cable-pulled", "camera-gone"]
+    assert seen[0][-1][2] == ["ambient-step", "fan-failed", "cable-pulled", "camera-gone"]
     assert list(tmp_path.iterdir()) == []
 
 
