@@ -129,54 +129,9 @@ def busy(loops: int) -> Iterator[None]:
             process.wait()
 
 
-@pytest.mark.slow
-def test_a_process_that_is_suspended_costs_nothing_but_time(live_run: Callable[..., LiveRun]) -> None:
-    run = live_run()
-    run.wait_until_driving()
-    found = {name: run.child(name) for name in MODULES}
-    camera = Process.children_of(found["virtual_rig"] or 0)
-    for victim in (*found.values(), *camera, run.process.id):
-        assert victim is not None, found
-        os.kill(victim, signal.SIGSTOP)
-        time.sleep(11.0 if victim == found["rig"] else 2.0)  # the longest promised, where most depends on it
-        os.kill(victim, signal.SIGCONT)
-    assert run.process.wait(4 * PATIENCE) == 0, run.text
-    session = read_session(run.session)
-    assert [sample.index for sample in session.samples] == list(range(170))
-    assert "output is zero" not in run.text
-    assert "drive-lost" not in run.text
-    assert verify_session(run.session).identical
-
-
 def children_of(process: int) -> list[str]:
     found = subprocess.run(["ps", "-eo", "ppid=,args="], capture_output=True, text=True, check=True).stdout
     return [line for line in found.splitlines() if line.split(None, 1)[0] == str(process)]
-
-
-@pytest.mark.slow
-def test_a_run_to_the_end_of_its_profile_verifies_and_leaves_nothing(
-    live_run: Callable[..., LiveRun],
-) -> None:
-    run = live_run()
-    run.wait_until_driving()
-    control = Path(run.control)
-    with busy(2):
-        assert run.process.wait(4 * PATIENCE) == 0, run.text
-    assert "ended: the profile has ended" in run.text
-    session = read_session(run.session)
-    indices = [sample.index for sample in session.samples]
-    assert indices == list(range(170)), "a plant in step misses no tick, however busy the machine"
-    assert "ERROR" not in run.text
-    assert "stood still" not in run.text
-    found = verify_session(run.session)
-    assert found.identical, found.difference
-    assert found.verdicts >= 2
-    foretold = [decoded.sample for decoded in _forecasts(session)]
-    assert len(foretold) > 20  # from the first match on, 90 s after the step
-    assert foretold == sorted(set(foretold))
-    assert foretold == indices[foretold[0] :]
-    assert not control.parent.exists()
-    assert not children_of(run.process.id)
 
 
 def _forecasts(session: Session) -> list[Forecast]:
@@ -185,11 +140,58 @@ def _forecasts(session: Session) -> list[Forecast]:
 
 
 @pytest.mark.slow
-def test_without_the_rigs_process_the_output_is_off_within_two_seconds_of_the_plant(
+def test_a_busy_machine_and_suspended_processes_cost_nothing_but_time(
     live_run: Callable[..., LiveRun],
 ) -> None:
+    """The run goes to the end of its profile, verifies, and leaves nothing."""
     run = live_run()
     run.wait_until_driving()
+    control = Path(run.control)
+    found = {name: run.child(name) for name in MODULES}
+    camera = Process.children_of(found["virtual_rig"] or 0)
+    with busy(2):
+        for victim in (*found.values(), *camera, run.process.id):
+            assert victim is not None, found
+            os.kill(victim, signal.SIGSTOP)
+            time.sleep(
+                11.0 if victim == found["rig"] else 2.0
+            )  # the longest promised, where most depends on it
+            os.kill(victim, signal.SIGCONT)
+    assert run.process.wait(4 * PATIENCE) == 0, run.text
+    assert "ended: the profile has ended" in run.text
+    for word in ("ERROR", "stood still", "output is zero", "drive-lost"):
+        assert word not in run.text
+    session = read_session(run.session)
+    indices = [sample.index for sample in session.samples]
+    assert indices == list(range(170)), "a plant in step misses no tick, however busy the machine"
+    verified = verify_session(run.session)
+    assert verified.identical, verified.difference
+    assert verified.verdicts >= 2
+    forecast = [decoded.sample for decoded in _forecasts(session)]
+    assert len(forecast) > 20  # from the first match on, 90 s after the step
+    assert forecast == sorted(set(forecast))
+    assert forecast == indices[forecast[0] :]
+    assert not control.parent.exists()
+    assert not children_of(run.process.id)
+
+
+@pytest.mark.slow
+def test_processes_are_restarted_and_without_the_rig_the_output_is_off(
+    live_run: Callable[..., LiveRun],
+) -> None:
+    """All in one run, whose profile does not end; a second graph beside it is refused."""
+    run = live_run(ends=False)
+    run.wait_until_driving()
+    second = subprocess.run(
+        [sys.executable, LIVE, "--virtual", "--no-record"], capture_output=True, text=True, check=False
+    )
+    assert second.returncode == 2
+    assert "/plant/sample already has a publisher" in second.stderr
+    assert run.state()["pwm"] != 0
+    for name in ("twin", "recorder", "plant_clock"):
+        run.restarts(name)
+    run.wait_until((run.folder / "run_2").is_dir, "another folder")
+    run.wait_until(lambda: abs(run.state()["pwm"]) > 5, "a driven plate")
     run.shoot("rig")
     after = before = run.state()["time"]
     while after - before < 20:
@@ -203,36 +205,8 @@ def test_without_the_rigs_process_the_output_is_off_within_two_seconds_of_the_pl
     assert run.process.wait() == 3, run.text
     assert "rig was lost" in run.text
     assert "the output is off" in run.text
-
-
-@pytest.mark.slow
-def test_processes_are_restarted_and_nothing_recorded_is_lost_and_a_second_graph_is_refused(
-    live_run: Callable[..., LiveRun],
-) -> None:
-    """All in one run, whose profile does not end."""
-    run = live_run(ends=False)
-    run.wait_until_driving()
-    second = subprocess.run(
-        [sys.executable, LIVE, "--virtual", "--no-record"], capture_output=True, text=True, check=False
-    )
-    assert second.returncode == 2
-    assert "/plant/sample already has a publisher" in second.stderr
-    assert run.state()["pwm"] != 0
-    for name in ("twin", "recorder", "plant_clock"):
-        run.restarts(name)
-    run.wait_until((run.folder / "run_2").is_dir, "another folder")
-    assert run.end() == 0, run.text
     repair_session(run.session)
     assert len(read_session(run.session).samples) > 3
-
-
-@pytest.mark.slow
-def test_without_the_virtual_rig_the_run_ends_and_says_so(live_run: Callable[..., LiveRun]) -> None:
-    run = live_run()
-    run.wait_until_driving()
-    run.shoot("virtual_rig")
-    assert run.process.wait() == 3, run.text
-    assert "virtual_rig was lost" in run.text
 
 
 @pytest.mark.parametrize(
@@ -240,9 +214,13 @@ def test_without_the_virtual_rig_the_run_ends_and_says_so(live_run: Callable[...
     [
         (("--speed", "20"), "need --virtual"),
         (("--virtual", "--session", "."), "exists already"),
+        (("--plant", "tclab", "--port", "/nowhere/ttyACM0"), "kit at /nowhere/ttyACM0: No such file"),
+        (("--plant", "tclab", "--virtual", "--port", "/dev/ttyACM0"), "--port is for a real plant"),
+        (("--plant", "tclab", "--twin-config", "config/twin.yaml"), "is for plant peltier"),
     ],
 )
 def test_options_that_do_not_fit_are_refused(options: tuple[str, ...], words: str) -> None:
-    result = run_twinmatch("live", *options)
+    unrecorded = () if "--session" in options else ("--no-record",)
+    result = run_twinmatch("live", *options, *unrecorded, folder=PROJECT)
     assert result.returncode == 2
     assert words in result.stderr

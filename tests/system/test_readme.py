@@ -230,5 +230,4 @@ def test_it_runs_as_it_stands_there(
 
 @pytest.mark.slow
 def test_the_demo_ends_with_a_report(folder: Path, processes: Processes) -> None:
-    """On a rig three times as fast as that of `make demo`."""
-    run("python launch_scripts/demo.py --speed 30", Runs("^report: "), folder, processes)
+    run("python launch_scripts/demo.py", Runs("^report: "), folder, processes)

@@ -83,6 +83,13 @@ def run_live(live: Live) -> int:
     Raises:
         TwinmatchError: a file or option cannot be used.
     """
+    try:
+        return _run_live(live)
+    finally:
+        live.samples.close()
+
+
+def _run_live(live: Live) -> int:
     if live.plan.virtual is None:
         live.plan.wiring.check(live.plan.port)
     settings = read_settings(live.plan.twin_config)
