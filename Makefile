@@ -28,6 +28,8 @@ export PIP_ROOT_USER_ACTION := ignore
 # A sourced ROS 2 or another environment's Python must not leak into this one.
 unexport PYTHONPATH PYTHONHOME AMENT_PREFIX_PATH ROS_DISTRO ROS_VERSION ROS_PYTHON_VERSION RMW_IMPLEMENTATION
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE LD_LIBRARY_PATH
+# Python keeps what it has compiled; otherwise each of the many processes would compile all that it imports.
+unexport PYTHONDONTWRITEBYTECODE
 
 INSTALL := sh .ci/install.sh $(RUN)
 

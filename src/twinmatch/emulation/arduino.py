@@ -40,17 +40,6 @@ from twinmatch.links.pwm_protocol import (
     seal,
 )
 
-__all__ = [
-    "DEADLINE_MS",
-    "FIRMWARE",
-    "ArduinoError",
-    "ArduinoModel",
-    "Board",
-    "PinDrive",
-    "SerialPort",
-    "StandInArduino",
-]
-
 _log = logging.getLogger(__name__)
 _Own = TypeVar("_Own", bound="Board")
 

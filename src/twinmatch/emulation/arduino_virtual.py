@@ -21,16 +21,6 @@ from typing import Final, NamedTuple
 from twinmatch.emulation.arduino import ArduinoError, Board, PinDrive, StandInArduino
 from twinmatch.links.pwm_protocol import PWM_LIMIT
 
-__all__ = [
-    "BOARDS",
-    "VirtualArduino",
-    "VirtualBoard",
-    "VirtualTools",
-    "build_virtual_board",
-    "make_board",
-    "virtual_tools",
-]
-
 _log = logging.getLogger(__name__)
 
 SIMAVR_HEADER = Path("/usr/include/simavr/sim_avr.h")

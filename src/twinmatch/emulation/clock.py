@@ -22,8 +22,6 @@ from dataclasses import dataclass
 
 from twinmatch.errors import TwinmatchError
 
-__all__ = ["ClockClient", "ClockError", "ClockServer", "Stillness", "parse_address"]
-
 _LONGEST = 32
 _PATIENCE = 30.0
 """Wall time for which a plant waits for one reader, s; then it continues without it until it speaks again."""

@@ -21,19 +21,6 @@ from typing import Final, NamedTuple
 
 from twinmatch.errors import TwinmatchError
 
-__all__ = [
-    "KINDS",
-    "Change",
-    "ControlServer",
-    "FaultError",
-    "FaultSchedule",
-    "RigControlError",
-    "RigFault",
-    "parse_faults",
-    "parse_now",
-    "tell",
-]
-
 KINDS: Final = {
     "drive-lost": "a wire to the plate breaks: no current at any command",
     "driver-fault": "the motor driver sets its fault flag",

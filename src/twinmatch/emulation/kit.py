@@ -24,8 +24,6 @@ from twinmatch.emulation.arduino import SerialPort
 from twinmatch.emulation.clock import ClockServer
 from twinmatch.emulation.plant_time import VirtualPlantTime, VirtualRigError
 
-__all__ = ["KitBoard", "VirtualKit"]
-
 _LONGEST = 64
 """Longest command that the firmware accepts, characters."""
 _WARMER = 10.0

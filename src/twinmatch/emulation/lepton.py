@@ -27,8 +27,6 @@ from twinmatch.links.thermal_client import Region
 from twinmatch.links.thermal_frame import LEPTON_SHAPE, CountArray, Exposure, FlatField, FrameFlags
 from twinmatch.signals import KELVIN, FloatArray
 
-__all__ = ["PLATE", "EmulatedLepton", "LeptonError", "LeptonSettings", "PlateFeed", "PlateReceiver"]
-
 PLATE = Region(row=14, column=22, rows=32, columns=36)
 """Where the plate lies in the emulated image."""
 

@@ -32,8 +32,6 @@ from twinmatch.emulation.faults import (
 )
 from twinmatch.errors import TwinmatchError
 
-__all__ = ["RigPace", "RigSettings", "VirtualPlantTime", "VirtualRigError"]
-
 _Own = TypeVar("_Own", bound="VirtualPlantTime")
 
 _CLOCK_EVERY = 0.005

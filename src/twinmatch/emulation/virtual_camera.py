@@ -19,8 +19,6 @@ import numpy as np
 from twinmatch.errors import TwinmatchError
 from twinmatch.shipped import NotShippedError, shipped
 
-__all__ = ["Serving", "VirtualCamera", "VirtualCameraError"]
-
 _RATE = 9.0
 """New images per second of plant time, as of a Lepton."""
 _PATIENCE = 30.0

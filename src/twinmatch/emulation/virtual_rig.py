@@ -23,8 +23,6 @@ from twinmatch.emulation.plant_time import VirtualPlantTime
 from twinmatch.emulation.virtual_camera import Serving, VirtualCamera
 from twinmatch.plants import Peltier
 
-__all__ = ["RICH_RIG", "SerialNoise", "VirtualPlant", "VirtualRig"]
-
 RICH_RIG = Peltier.model("sink with mass").parameters(
     seebeck=0.06,
     resistance=3.3,

@@ -30,8 +30,6 @@ from twinmatch.showing.terminal import Screen, view_on
 from twinmatch.signals import Sample, Window
 from twinmatch_msgs.msg import LoopSample
 
-__all__ = ["EXIT_LOST", "Live", "refuse_existing", "run_live"]
-
 EXIT_LOST = 3
 """Exit code when a process that cannot be restarted was lost; the output is off then."""
 

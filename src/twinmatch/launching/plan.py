@@ -24,8 +24,6 @@ from twinmatch.sessions.documents import DocumentError, read_yaml
 from twinmatch.sessions.mapped import by_signal
 from twinmatch.sessions.sampling import REFERENCE
 
-__all__ = ["WIRINGS", "AttachPlan", "LivePlan", "VirtualPlan", "Wiring", "attach_plan"]
-
 SAMPLER = "sampler"
 
 

@@ -21,8 +21,6 @@ from typing import IO
 
 from twinmatch.errors import TwinmatchError
 
-__all__ = ["Child", "LaunchError", "Page", "Processes", "add_page_options", "page_of"]
-
 PORT = 5006
 """Usual port of the live page."""
 POLL = 0.2

@@ -22,8 +22,6 @@ from twinmatch.showing.summary import closing_lines
 from twinmatch.showing.terminal import Screen, view_on
 from twinmatch.twin import MatchReport, TwinSettings
 
-__all__ = ["Replay", "play"]
-
 EXIT_INTERRUPTED = 130
 READERS = "twin_simulator discriminator keeper"
 """Nodes that must receive every sample."""

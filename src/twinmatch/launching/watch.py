@@ -19,8 +19,6 @@ from twinmatch.showing.terminal import Screen
 from twinmatch.twin import MatchReport
 from twinmatch_msgs.msg import Match, ModelScore
 
-__all__ = ["Settled", "Supervised", "Watch"]
-
 
 class Settled:
     """Follows the discriminator's reports on /diagnostics: up to which sample everything is judged."""

@@ -20,8 +20,6 @@ from rosgraph_msgs.msg import Clock
 
 from twinmatch.emulation.clock import ClockClient, parse_address
 
-__all__ = ["PATIENCE", "VARIABLE", "InStep", "step_of"]
-
 VARIABLE: Final = "TWINMATCH_IN_STEP"
 """Environment variable with the HOST:PORT of the virtual rig's clock; the launch scripts set it."""
 PATIENCE: Final = 45.0
