@@ -9,6 +9,7 @@ from typing import Final
 from twinmatch.dynamics import Parameters, Plant
 from twinmatch.errors import TwinmatchError
 from twinmatch.plants import Peltier
+from twinmatch.settings import setting
 
 
 class HealthError(TwinmatchError):
@@ -36,22 +37,22 @@ class HealthSettings:
     reference: Parameters = field(default_factory=_typical)
     """The twin to judge by until a better one is known, in the structure used for the balance. Only the gain
     of the drive and the time constant matter, within a factor of two. Default: the Peltier rig's."""
-    lost: float = 0.4
-    """Share of the drive's expected effect below which it is lost. A healthy plant shows 0.65 and more."""
-    weak: float = 0.6
-    """Share below which it is weak, if that lasts."""
-    jump: float = 8.0
-    """Step of a reading within one sample that the plant cannot make, in the output's unit. Corrections of
-    the rig's healthy camera make 3 °C."""
-    frozen: float = 10.0
-    """How long the same reading must be repeated, s. Healthy cameras repeat theirs for 5 s at most."""
-    change: float = 9.0
-    """How much better than no change a change must explain the readings to be reported, in nats."""
-    lead: float = 4.0
-    """The same compared with the next best change, for it to be reported by name."""
-    start: float = 30.0
-    """Time after the first sample, and after a gap, in which only suspicions are reported, s: cameras that
-    deliver their first pictures late are common and recover without help."""
+    lost: float = setting(0.4, "Share of the drive's expected effect below which it is lost.", "", 0.01, 0.99)
+    """A healthy plant shows 0.65 and more."""
+    weak: float = setting(0.6, "Share below which it is weak, if that lasts.", "", 0.01, 0.99)
+    jump: float = setting(8.0, "Step of a reading that is physically impossible.", "{y}", 1e-6, 1e6)
+    """Within one sample. Corrections of the rig's healthy camera make 3 °C."""
+    frozen: float = setting(10.0, "Time for which one repeated reading means a frozen sensor.", "s", 1.0, 1e4)
+    """Healthy cameras repeat theirs for 5 s at most."""
+    change: float = setting(
+        9.0, "Log-likelihood gain over no change from which a change is reported.", "nats", 0.1, 1e3
+    )
+    lead: float = setting(
+        4.0, "Log-likelihood gain over the next best from which it is named.", "nats", 0.1, 1e3
+    )
+    start: float = setting(30.0, "Time after the first sample without alarms.", "s", 0.1, 1e4)
+    """After a gap too: only suspicions are reported then. Cameras that deliver their first pictures late are
+    common and recover without help."""
 
     @property
     def followed(self) -> Parameters:

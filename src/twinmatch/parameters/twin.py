@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from operator import attrgetter
 from pathlib import Path
 from typing import Any, Final
 
@@ -17,7 +16,15 @@ from twinmatch.dynamics import FROM_PLANT_FILE, FromPlantFile, LoopGains, Model,
 from twinmatch.errors import TwinmatchError
 from twinmatch.fitting import Noise
 from twinmatch.fmu import adopt_fmus
-from twinmatch.parameters.declared import ParameterError, Setting, Values, check, flattened, group
+from twinmatch.parameters.declared import (
+    ParameterError,
+    Setting,
+    Values,
+    check,
+    flattened,
+    group,
+    parameters_of,
+)
 from twinmatch.parameters.loop import UNKNOWN, closing_of, loop_parameters, pid_gains, unit_of
 from twinmatch.plants import Peltier, find_plant, plant_named, written_name
 from twinmatch.plants.records import structure_of
@@ -259,45 +266,23 @@ def _plant(model: Model) -> tuple[Setting, ...]:
 
 def _numbers(has: TwinSettings) -> tuple[Setting, ...]:
     """Schedule, sensor, family, trust and health: the numbers in the settings under the same names."""
-    y, u = has.plant.output.unit, unit_of(has.plant.drive)
-    step = ("schedule.min_step", "Smallest set-point change that starts a regime.", y)
-    if has.gains is None:
-        step = ("schedule.min_input_step", "Smallest input change that starts a regime.", u)
-    sigma, nats = "Noise of the simulated sensor of the twin (1 σ).", "Log-likelihood gain over"
-    return tuple(
-        Setting(name, 0.0 if (value := attrgetter(name)(has)) is None else value, text, unit, low, high)
-        for name, text, unit, low, high in (
-            ("schedule.stride", "Samples between two checks while nothing changes.", "samples", 4, 10000),
-            (*step, 1e-6, 1e6),
-            ("schedule.min_span", "A shorter regime is merged with the next one.", "samples", 10, 10000),
-            ("schedule.span", "A regime is judged this long after its step.", "samples", 20, 10000),
-            ("schedule.lead", "Samples kept before the previous regime's step.", "samples", 1, 1000),
-            ("schedule.capacity", "Longest window.", "samples", 40, 100000),
-            ("sensor.noise", sigma, y, 0.0, 1e6),
-            ("sensor.resolution", "Resolution of its readings; 0: continuous.", y, 0.0, 1e6),
-            (
-                "sensor.pause_period",
-                "Time between two pauses, in which its reading stands still; 0: no pauses.",
-                *("s", 0.0, 1e6),
-            ),
-            ("sensor.pause_duration", "Duration of a pause.", "s", 0.0, 1e6),
-            ("seed", "Seed of that sensor's noise.", "", 0, 2**31),
-            ("decimals", "Decimal places of the information gain's tables.", "", 0, 9),
-            ("most_candidates", "Candidates kept in the family.", "", 1, 64),
-            ("regime_width", "Operating points closer than half of this are one regime.", y, 1e-6, 1e6),
-            (
-                "limits.doubtful",
-                "RMS forecast error, in half widths of the band, from which the twin is doubtful.",
-                *("", 1e-6, 1e6),
-            ),
-            ("health.lost", "Share of the drive's expected effect below which it is lost.", "", 0.01, 0.99),
-            ("health.weak", "Share below which it is weak, if that lasts.", "", 0.01, 0.99),
-            ("health.jump", "Step of a reading that is physically impossible.", y, 1e-6, 1e6),
-            ("health.frozen", "Time for which one repeated reading means a frozen sensor.", "s", 1.0, 1e4),
-            ("health.change", f"{nats} no change from which a change is reported.", "nats", 0.1, 1e3),
-            ("health.lead", f"{nats} the next best from which it is named.", "nats", 0.1, 1e3),
-            ("health.start", "Time after the first sample without alarms.", "s", 0.1, 1e4),
-        )
+    names = {"y": has.plant.output.unit, "u": unit_of(has.plant.drive)}
+    absent = "schedule.min_step" if has.gains is None else "schedule.min_input_step"
+    sensor = (
+        ("noise", "Noise of the simulated sensor of the twin (1 σ).", names["y"]),
+        ("resolution", "Resolution of its readings; 0: continuous.", names["y"]),
+        ("pause_period", "Time between two pauses, in which its reading stands still; 0: no pauses.", "s"),
+        ("pause_duration", "Duration of a pause.", "s"),
+    )
+    return (
+        *(one for one in parameters_of(has.schedule, "schedule.", **names) if one.name != absent),
+        *(
+            Setting(f"sensor.{name}", getattr(has.sensor, name) or 0.0, text, unit, 0.0, 1e6)
+            for name, text, unit in sensor
+        ),
+        *parameters_of(has, **names),
+        *parameters_of(has.limits, "limits.", **names),
+        *parameters_of(has.health, "health.", **names),
     )
 
 

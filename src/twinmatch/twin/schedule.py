@@ -35,6 +35,7 @@ import numpy as np
 
 from twinmatch.comparing.models import LEAD
 from twinmatch.errors import TwinmatchError
+from twinmatch.settings import setting
 from twinmatch.signals import Sample, Window
 
 
@@ -46,20 +47,16 @@ class ScheduleError(TwinmatchError):
 class ScheduleSettings:
     """When windows are judged and how long they are; times are in samples."""
 
-    stride: int = 60
-    """Samples between two quiet triggers."""
-    min_step: float = 2.0
-    """Smallest change of the set-point that starts a new regime, in the output's unit."""
-    min_input_step: float = 127.5
-    """The same for the input, in its unit, where the loop is not known."""
-    min_span: int = 60
-    """A regime shorter than this is not judged on its own; the next step counts as part of it."""
-    span: int = 240
-    """A regime is judged this many samples after its step, if it has not ended before."""
-    lead: int = LEAD
-    """Samples kept before the previous regime's step: the steady state from which the window starts."""
-    capacity: int = 720
-    """Longest window."""
+    stride: int = setting(60, "Samples between two checks while nothing changes.", "samples", 4, 10000)
+    min_step: float = setting(2.0, "Smallest set-point change that starts a regime.", "{y}", 1e-6, 1e6)
+    min_input_step: float = setting(127.5, "Smallest input change that starts a regime.", "{u}", 1e-6, 1e6)
+    """Used where the loop is not known."""
+    min_span: int = setting(60, "A shorter regime is merged with the next one.", "samples", 10, 10000)
+    span: int = setting(240, "A regime is judged this long after its step.", "samples", 20, 10000)
+    """Or at its end, if that comes before."""
+    lead: int = setting(LEAD, "Samples kept before the previous regime's step.", "samples", 1, 1000)
+    """The steady state from which the window starts."""
+    capacity: int = setting(720, "Longest window.", "samples", 40, 100000)
 
     def __post_init__(self) -> None:
         for name in ("stride", "min_span", "span", "lead", "capacity"):

@@ -20,6 +20,7 @@ from twinmatch.errors import TwinmatchError
 from twinmatch.fitting import Noise
 from twinmatch.health import HealthSettings
 from twinmatch.plants import Peltier
+from twinmatch.settings import setting
 from twinmatch.twin.forecaster import ForecastSettings
 from twinmatch.twin.schedule import ScheduleSettings
 
@@ -40,8 +41,9 @@ class TrustLimits:
     deviations, is less than one in ten thousand.
     """
 
-    doubtful: float = 2.0
-    """RMS of measured minus forecast over the newest samples, in half widths of the band."""
+    doubtful: float = setting(
+        2.0, "RMS forecast error, in half widths of the band, from which the twin is doubtful.", "", 1e-6, 1e6
+    )
 
     def __post_init__(self) -> None:
         if not self.doubtful > 0:
@@ -74,13 +76,13 @@ class TwinSettings:
     """Gains of the running controller; None if the loop is not known: twins then get the recorded input."""
     sensor: Sensor = Peltier.sensor
     """Sensor model applied to the twin's response before its models are identified."""
-    seed: int = 2022
-    """Seed of the sensor's noise, plus the window's first sample: windows differ, replays agree."""
-    decimals: int = 2
-    """Decimal places of the information gain's tables."""
-    most_candidates: int = 8
-    regime_width: float = 10.0
-    """Operating points closer than half of this, in the output's unit, are one regime."""
+    seed: int = setting(2022, "Seed of that sensor's noise.", "", 0, 2**31)
+    """A window's first sample is added to it: windows differ, replays agree."""
+    decimals: int = setting(2, "Decimal places of the information gain's tables.", "", 0, 9)
+    most_candidates: int = setting(8, "Candidates kept in the family.", "", 1, 64)
+    regime_width: float = setting(
+        10.0, "Operating points closer than half of this are one regime.", "{y}", 1e-6, 1e6
+    )
     limits: TrustLimits = field(default_factory=TrustLimits)
     health: HealthSettings = field(default_factory=HealthSettings)
     """Settings of the health monitor; their period is replaced by `period`."""
