@@ -20,6 +20,7 @@ from tests.support.steps import quarter_of_an_hour
 from twinmatch.nodes.runner import EXIT_DEFECT
 from twinmatch.sessions import write_session
 from twinmatch.signals import Sample
+from twinmatch.twin import Outcome, Twin, TwinSettings
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -78,6 +79,13 @@ def listener() -> Iterator[Listener]:
 @pytest.fixture(scope="session")
 def steps() -> list[Sample]:
     return quarter_of_an_hour()
+
+
+@pytest.fixture(scope="session")
+def offline(steps: list[Sample]) -> list[Outcome]:
+    """What the core makes of them."""
+    twin = Twin(TwinSettings())
+    return [twin.push(sample) for sample in steps]
 
 
 @pytest.fixture(scope="session")

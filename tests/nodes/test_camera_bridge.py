@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Image, Temperature
@@ -51,13 +50,12 @@ class Ears:
         self.spreads: list[Float64] = listener.hear(Float64, "plant/uniformity", FAST)
         self.raw: list[Image] = listener.hear(Image, "thermal/image_raw", FAST)
         self.degrees: list[Image] = listener.hear(Image, "thermal/image", FAST)
-        self._health: list[DiagnosticArray] = listener.hear(DiagnosticArray, "/diagnostics", FAST)
+        assert not listener.health
 
     @property
     def health(self) -> list[Any]:
         """Reports of the bridge alone."""
-        statuses = [status for message in self._health for status in message.status]
-        return [status for status in statuses if status.name == "camera_bridge: health"]
+        return self._listener.reports("camera_bridge: health")
 
     def until(self, condition: Callable[[], Any], what: str) -> None:
         self._listener.spin_until(condition, what)

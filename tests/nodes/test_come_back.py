@@ -18,17 +18,10 @@ from twinmatch.offline.judging import TermsError
 from twinmatch.offline.verification import Verification, VerifyError, verify_session
 from twinmatch.sessions import SessionError, read_session
 from twinmatch.signals import Sample
-from twinmatch.twin import Outcome, Twin, TwinSettings
+from twinmatch.twin import Outcome
 from twinmatch_msgs.msg import Forecast, Match, ModelScore, TwinState
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
-
-
-@pytest.fixture(scope="module")
-def offline(steps: list[Sample]) -> list[Outcome]:
-    """What the core makes of the samples."""
-    twin = Twin(TwinSettings())
-    return [twin.push(sample) for sample in steps]
 
 
 TWIN_KILLED = range(40, 760, 72)

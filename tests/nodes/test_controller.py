@@ -12,11 +12,9 @@ from itertools import pairwise
 from typing import Any
 
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.srv import SetParameters
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.parameter import Parameter as RosParameter
-from rclpy.qos import QoSProfile
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Temperature
 from std_msgs.msg import Float64
@@ -42,7 +40,7 @@ class Bench:
         self.listener = listener
         self.samples = listener.hear(LoopSample, "plant/sample", EVERYTHING)
         self.commands = listener.hear(PwmCommand, "plant/pwm_command", EVERYTHING)
-        self.health = listener.hear(DiagnosticArray, "/diagnostics", QoSProfile(depth=10))
+        assert not listener.health
         self._temperatures = listener.node.create_publisher(Temperature, "plant/temperature", 1)
         self.temperature = 25.0
         self.stamp = 0  # s; 0: none
@@ -62,9 +60,6 @@ class Bench:
         """Keep publishing the temperature."""
         deadline = time.monotonic() + seconds
         self.feed(lambda: time.monotonic() > deadline, "time")
-
-    def said(self, words: str) -> bool:
-        return any(words in m.status[0].message for m in self.health)
 
     def zero_last(self) -> bool:
         return bool(self.commands) and self.commands[-1].pwm == 0
@@ -115,7 +110,7 @@ def test_without_temperatures_the_output_is_off_and_samples_have_a_gap(start: St
     start("controller", *FAST, "-p", "profile.levels:=[30.0]", "-p", "profile.holds:=[9.0]")
     bench.feed(lambda: len(bench.samples) >= 20, "samples")
     bench.listener.spin_until(
-        lambda: bench.said("the output is off: the newest temperature is"), "the warning"
+        lambda: bench.listener.said("the output is off: the newest temperature is"), "the warning"
     )
     assert bench.commands[-1].pwm == 0
     ended = bench.samples[-1].index
@@ -135,7 +130,7 @@ def test_without_temperatures_the_output_is_off_and_samples_have_a_gap(start: St
 def test_an_old_stamp_is_an_old_temperature(start: Start, bench: Bench) -> None:
     bench.stamp = 1000
     start("controller", *FAST)
-    bench.feed(lambda: bench.said("s old; is the camera working?"), "the warning")
+    bench.feed(lambda: bench.listener.said("s old; is the camera working?"), "the warning")
     assert not bench.samples
 
 
@@ -193,7 +188,7 @@ def test_the_set_point_may_come_from_a_topic(start: Start, bench: Bench) -> None
     bench.feed(lambda: list(bench.samples[-1].reference) == [44.0], "the new set-point")
     for wrong in (120.0, math.nan):
         plain.publish(Float64(data=wrong))
-        bench.feed(lambda wrong=wrong: bench.said(f"set-point {wrong:g} °C refused"), "the refusal")
+        bench.feed(lambda wrong=wrong: bench.listener.said(f"set-point {wrong:g} °C refused"), "the refusal")
     assert list(bench.samples[-1].reference) == [44.0]
 
 
@@ -247,7 +242,7 @@ def test_a_narrower_range_holds_for_the_set_point_that_stands(start: Start, benc
 
 def test_it_waits_for_its_readers(start: Start, bench: Bench) -> None:
     start("controller", *FAST, "-p", "wait_for:=2", "-p", "wait_timeout:=30.0")
-    bench.feed(lambda: bench.said("waiting"), "the report")
+    bench.feed(lambda: bench.listener.said("waiting"), "the report")
     assert not bench.samples
     assert not bench.commands
     bench.listener.hear(LoopSample, "plant/sample", EVERYTHING)
@@ -257,7 +252,9 @@ def test_it_waits_for_its_readers(start: Start, bench: Bench) -> None:
 
 def test_readers_that_do_not_come_are_said(start: Start, bench: Bench) -> None:
     start("controller", *FAST, "-p", "wait_for:=5", "-p", "wait_timeout:=0.5")
-    bench.feed(lambda: bench.said("of 5 subscribers after 0.5 s; started without them"), "the warning")
+    bench.feed(
+        lambda: bench.listener.said("of 5 subscribers after 0.5 s; started without them"), "the warning"
+    )
     assert bench.samples
 
 

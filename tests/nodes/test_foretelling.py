@@ -7,8 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.qos import QoSProfile
 
 from tests.support.processes import Start
 from tests.support.ros import Listener
@@ -20,11 +18,10 @@ from twinmatch.nodes.messages import (
     leader_message,
     shown_samples,
 )
-from twinmatch.nodes.sample_messages import sample_message
 from twinmatch.nodes.topics import EVERYTHING, LATCHED
 from twinmatch.signals import Sample
 from twinmatch.twin import Discriminator, TwinSettings, carry_out
-from twinmatch_msgs.msg import Forecast, ForecastScore, LoopSample, Match, MatchRequest, ModelScore
+from twinmatch_msgs.msg import Forecast, ForecastScore, Match, MatchRequest, ModelScore
 from twinmatch_msgs.srv import WhatIf
 
 pytestmark = pytest.mark.ros
@@ -90,17 +87,11 @@ def test_every_sample_has_the_offline_forecast(
     assert len(offline.forecasts) > len(steps) / 2
     forecasts = listener.hear(Forecast, "twin/forecast", EVERYTHING)
     leaders = listener.hear(ForecastScore, "twin/leader", LATCHED)
-    samples = listener.node.create_publisher(LoopSample, "plant/sample", EVERYTHING)
     for name in ("matcher", "discriminator"):
         start_process(name)
-    topics = ("twin/forecast", "twin/leader", "twin/match", "twin/match_request")
-    listener.spin_until(
-        lambda: samples.get_subscription_count() and all(map(listener.node.count_publishers, topics)),
-        "the nodes",
-    )
+    listener.wait_for_nodes("twin/forecast", "twin/leader", "twin/match", "twin/match_request")
     listener.spin_until(ask.found, "the service")
-    for sample in steps:
-        samples.publish(sample_message(sample))
+    listener.send(steps)
     listener.spin_until(lambda: len(forecasts) == len(offline.forecasts), "the last forecast")
     assert [repr(m) for m in forecasts] == [repr(m) for m in offline.forecasts]
     assert [f.sample for f in forecasts] == list(range(forecasts[0].sample, len(steps)))
@@ -123,25 +114,18 @@ def test_questions_are_answered_while_a_match_is_awaited(
     start_process: Start, listener: Listener, ask: Asker, steps: list[Sample], offline: Offline
 ) -> None:
     """Matching stops after the first match: verdicts wait, answers do not."""
-    samples = listener.node.create_publisher(LoopSample, "plant/sample", EVERYTHING)
     requests = listener.hear(MatchRequest, "twin/match_request", EVERYTHING)
     matches = listener.hear(Match, "twin/match", EVERYTHING)
     scores = listener.hear(ModelScore, "twin/model_score", EVERYTHING)
     start_process("discriminator")
     matcher = start_process("matcher")
-    topics = ("twin/match", "twin/match_request", "twin/model_score")
-    listener.spin_until(
-        lambda: samples.get_subscription_count() and all(map(listener.node.count_publishers, topics)),
-        "the nodes",
-    )
+    listener.wait_for_nodes("twin/match", "twin/match_request", "twin/model_score")
     first = offline.forecasts[0].sample
-    for sample in steps[: first + 1]:
-        samples.publish(sample_message(sample))
+    listener.send(steps[: first + 1])
     listener.spin_until(lambda: any(score.candidates for score in scores), "the first candidate")
     matcher.kill()
     answered = len(matches)
-    for sample in steps[first + 1 :]:
-        samples.publish(sample_message(sample))
+    listener.send(steps[first + 1 :])
     listener.spin_until(
         lambda: len({request.sample for request in requests}) > len({m.sample for m in matches}),
         "a request without an answer",
@@ -156,19 +140,17 @@ def test_questions_are_answered_while_a_match_is_awaited(
 def test_a_discriminator_that_was_killed_answers_again(
     start_process: Start, listener: Listener, ask: Asker, steps: list[Sample], offline: Offline
 ) -> None:
-    samples = listener.node.create_publisher(LoopSample, "plant/sample", EVERYTHING)
     forecasts = listener.hear(Forecast, "twin/forecast", EVERYTHING)
     start_process("matcher")
     first = start_process("discriminator")
     listener.spin_until(ask.found, "the service")
     assert ask().message.startswith("forecast: there is no candidate yet; the first comes with")
     first.kill()
-    listener.spin_until(lambda: not ask.found() and not samples.get_subscription_count(), "its end")
+    listener.spin_until(lambda: not ask.found() and not listener.samples.get_subscription_count(), "its end")
     start_process("discriminator")
-    listener.spin_until(lambda: ask.found() and samples.get_subscription_count(), "the next one")
+    listener.spin_until(lambda: ask.found() and listener.samples.get_subscription_count(), "the next one")
     listener.spin_until(lambda: listener.node.count_publishers("twin/forecast"), "its forecasts")
-    for sample in steps:
-        samples.publish(sample_message(sample))
+    listener.send(steps)
     listener.spin_until(lambda: len(forecasts) == len(offline.forecasts), "the last forecast")
     assert ask().success
 
@@ -177,14 +159,14 @@ def test_invalid_questions_are_answered_in_one_line(
     start_process: Start, listener: Listener, ask: Asker, steps: list[Sample], offline: Offline
 ) -> None:
     """And the next one is answered; what went wrong with a question is not a fault of the node."""
-    samples = listener.node.create_publisher(LoopSample, "plant/sample", EVERYTHING)
-    health = listener.hear(DiagnosticArray, "/diagnostics", QoSProfile(depth=10))
+    assert not listener.health
     for name in ("matcher", "discriminator"):
         start_process(name)
-    listener.spin_until(lambda: ask.found() and samples.get_subscription_count(), "the discriminator")
+    listener.spin_until(
+        lambda: ask.found() and listener.samples.get_subscription_count(), "the discriminator"
+    )
     listener.spin_until(lambda: listener.node.count_publishers("twin/match"), "the matcher")
-    for sample in steps[: offline.forecasts[0].sample + 2]:
-        samples.publish(sample_message(sample))
+    listener.send(steps[: offline.forecasts[0].sample + 2])
     listener.spin_until(lambda: ask().success, "the first candidate")
     refused = {
         "row 1: -5 s lies in the past": {"times": [-5.0], "levels": [50.0]},
@@ -207,12 +189,8 @@ def test_invalid_questions_are_answered_in_one_line(
         assert "\n" not in given.message
     named = ask(candidate=offline.forecasts[0].candidate, level=[math.nan], tolerance=[math.nan])
     assert named.success, named.message
-
-    def value(key: str) -> list[str]:
-        return [v.value for m in health for s in m.status for v in s.values if v.key == key]
-
-    listener.spin_until(lambda: value("forecast from sample"), "word of forecasts")
-    assert "" not in value("leader")
+    listener.spin_until(lambda: listener.values("forecast from sample"), "word of forecasts")
+    assert "" not in listener.values("leader")
 
 
 def test_a_forecast_comes_back_from_its_message_to_the_last_bit(offline: Offline) -> None:

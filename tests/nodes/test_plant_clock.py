@@ -6,7 +6,6 @@ import threading
 from collections.abc import Iterator
 
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.time import Time
 from rosgraph_msgs.msg import Clock
@@ -55,7 +54,7 @@ def test_plant_time_becomes_the_clock_and_standing_is_an_error(
 ) -> None:
     begin = ticking.stamp
     clock = listener.hear(Clock, "/clock", CLOCK)
-    health = listener.hear(DiagnosticArray, "/diagnostics", QoSProfile(depth=10))
+    health = listener.health
     start("plant_clock", "-p", "address:={}:{}".format(*ticking.server.address), "-p", "patience:=0.3")
     listener.spin_until(lambda: len(clock) > 50 and health, "the clock")
     times = [Time.from_msg(message.clock).nanoseconds for message in clock]

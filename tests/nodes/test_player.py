@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray
 from hypothesis import given
 from hypothesis import strategies as st
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
@@ -89,10 +88,10 @@ def test_clock_goes_with_the_samples(start: Start, listener: Listener, tmp_path:
 def test_pause_and_continue(start: Start, listener: Listener, tmp_path: Path) -> None:
     path = write_session(tmp_path / "paused", counted(50, 1.0))
     heard = listener.hear(LoopSample, "plant/sample", EVERYTHING)
-    health = listener.hear(DiagnosticArray, "/diagnostics", QoSProfile(depth=10))
+    assert not listener.health
     player = start("player", "-p", f"session:={path}", "-p", "rate:=0.0", "-p", "paused:=true")
     client = listener.node.create_client(SetBool, "player/pause")
-    listener.spin_until(lambda: any(m.status[0].message == "paused" for m in health), "the pause")
+    listener.spin_until(lambda: listener.said("paused"), "the pause")
     assert heard == []
     listener.spin_until(client.service_is_ready, "the service")
     answer = client.call_async(SetBool.Request(data=False))
@@ -106,7 +105,7 @@ def test_rate_is_changed_while_it_plays(start: Start, listener: Listener, tmp_pa
     """At recorded speed this would take an hour."""
     path = write_session(tmp_path / "hour", counted(3600, 1.0))
     heard = listener.hear(LoopSample, "plant/sample", EVERYTHING)
-    health = listener.hear(DiagnosticArray, "/diagnostics", QoSProfile(depth=100))
+    assert not listener.health
     client = listener.node.create_client(SetParameters, "player/set_parameters")
     player = start("player", "-p", f"session:={path}")
     listener.spin_until(lambda: heard and client.service_is_ready(), "the first sample")
@@ -122,7 +121,7 @@ def test_rate_is_changed_while_it_plays(start: Start, listener: Listener, tmp_pa
     assert not ask(1e9).successful
     assert ask(100.0).successful
     listener.spin_until(lambda: len(heard) > 50, "fifty seconds of the recording")
-    assert any({e.key: e.value for e in m.status[0].values}.get("rate") == "100" for m in health)
+    assert "100" in listener.values("rate")
     assert ask(0.0).successful
     listener.spin_until(lambda: len(heard) == 3600, "the last sample")
     assert player.wait() == 0
@@ -131,11 +130,11 @@ def test_rate_is_changed_while_it_plays(start: Start, listener: Listener, tmp_pa
 def test_end_is_on_diagnostics(start: Start, listener: Listener, tmp_path: Path) -> None:
     path = write_session(tmp_path / "short", counted(20, 0.1))
     listener.hear(LoopSample, "plant/sample", EVERYTHING)
-    health = listener.hear(DiagnosticArray, "/diagnostics", QoSProfile(depth=10))
+    assert not listener.health
     start("player", "-p", f"session:={path}", "-p", "rate:=1.0")
-    listener.spin_until(lambda: any("ended" in m.status[0].message for m in health), "the end")
-    assert health[-1].status[0].message == "ended: all 41 messages were delivered"
-    assert {entry.key: entry.value for entry in health[-1].status[0].values}["messages"] == "41"
+    listener.spin_until(lambda: listener.said("ended"), "the end")
+    assert listener.said("ended: all 41 messages were delivered")
+    assert listener.values("messages")[-1] == "41"
 
 
 def test_recorded_namespace_gives_way_to_the_players(start: Start, listener: Listener, session: Path) -> None:

@@ -11,7 +11,6 @@ from typing import Any
 
 import pytest
 from builtin_interfaces.msg import Time
-from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.qos import QoSProfile, qos_profile_sensor_data
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Temperature
@@ -58,7 +57,7 @@ class Rig(HeaterRig):
         super().__init__(listener, "pwm_bridge")
         node = listener.node
         self.applied = listener.hear(PwmApplied, "plant/pwm_applied", QoSProfile(depth=100))
-        self.health = listener.hear(DiagnosticArray, "/diagnostics", QoSProfile(depth=10))
+        assert not listener.health
         self._commands = node.create_publisher(PwmCommand, "plant/pwm_command", 10)
         self._temperatures = node.create_publisher(Temperature, "plant/temperature", qos_profile_sensor_data)
         self._samples = node.create_publisher(LoopSample, "plant/sample", 100)
@@ -91,9 +90,8 @@ class Rig(HeaterRig):
 
     def warnings(self) -> str:
         """What the newest report of the bridge says."""
-        statuses = [status for message in self.health for status in message.status]
-        messages = [status.message for status in statuses if status.name == "pwm_bridge: health"]
-        return messages[-1] if messages else ""
+        found = self.listener.reports("pwm_bridge: health")
+        return found[-1].message if found else ""
 
     def feed(self) -> None:
         now = self.stamp()
@@ -254,9 +252,7 @@ def test_a_bridge_started_before_there_is_a_board_drives_once_there_is(
     any_board.unplug()
     start("pwm_bridge", "-p", f"port:={any_board.port}", *QUIET)
     rig.pwm = 120.0
-    rig.until(
-        lambda: any("PWM link" in status.message for m in rig.health for status in m.status), "a word of it"
-    )
+    rig.until(lambda: rig.listener.said("PWM link"), "a word of it")
     rig.pwm = None
     any_board.plug()
     rig.until(lambda: rig.applied and rig.applied[-1].pwm == 0, "the board")

@@ -10,8 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.qos import QoSProfile
 
 from tests.support.oven import MAP, PERIOD, RIG, oven_file
 from tests.support.processes import Process, Processes, no_plant_files
@@ -31,9 +29,7 @@ class Beside:
         self._processes, self._start = processes, start
         self._plant = plant
         self.samples: list[LoopSample] = listener.hear(LoopSample, "plant/sample", EVERYTHING)
-        self.health: list[DiagnosticArray] = listener.hear(
-            DiagnosticArray, "/diagnostics", QoSProfile(depth=10)
-        )
+        self.health = listener.health
 
     def rig(self, *options: str) -> Process:
         return self._processes.python(RIG, "--period", f"{PERIOD}", *options)

@@ -10,8 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.qos import QoSProfile
 
 from tests.support.processes import Start
 from tests.support.ros import Listener
@@ -23,11 +21,10 @@ from twinmatch.nodes.messages import (
     state_message,
     verdict_from,
 )
-from twinmatch.nodes.sample_messages import sample_message
-from twinmatch.nodes.topics import EVERYTHING, LATCHED, RELIABLE
+from twinmatch.nodes.topics import EVERYTHING, LATCHED
 from twinmatch.plants import Peltier
 from twinmatch.signals import Sample
-from twinmatch.twin import Mirror, Outcome, Twin, TwinSettings
+from twinmatch.twin import Mirror, Outcome, TwinSettings
 from twinmatch_msgs.msg import (
     Candidate,
     ForecastScore,
@@ -40,13 +37,6 @@ from twinmatch_msgs.msg import (
 )
 
 pytestmark = pytest.mark.ros
-
-
-@pytest.fixture(scope="module")
-def offline(steps: list[Sample]) -> list[Outcome]:
-    """What the core makes of the samples."""
-    twin = Twin(TwinSettings())
-    return [twin.push(sample) for sample in steps]
 
 
 def test_live_verdicts_are_the_offline_ones(
@@ -87,23 +77,17 @@ def test_a_matcher_that_dies_costs_time_and_nothing_else(
     start_process: Start, listener: Any, steps: list[Sample], offline: list[Outcome]
 ) -> None:
     """Killed while it works on a match: another one is asked again, and the verdicts are the same."""
-    samples = listener.node.create_publisher(LoopSample, "plant/sample", EVERYTHING)
     heard = listener.hear(ModelScore, "twin/model_score", EVERYTHING)
     requests = listener.hear(MatchRequest, "twin/match_request", EVERYTHING)
-    health = listener.hear(DiagnosticArray, "/diagnostics", QoSProfile(depth=10))
+    assert not listener.health
     start_process("discriminator")
     first = start_process("matcher")
-    topics = ("twin/match", "twin/match_request", "twin/model_score")
-    listener.spin_until(
-        lambda: samples.get_subscription_count() and all(map(listener.node.count_publishers, topics)),
-        "the nodes",
-    )
-    for sample in steps:
-        samples.publish(sample_message(sample))
+    listener.wait_for_nodes("twin/match", "twin/match_request", "twin/model_score")
+    listener.send(steps)
     listener.spin_until(lambda: requests, "the first request")
     first.kill()
     listener.spin_until(
-        lambda: any("no answer to the match request" in m.status[0].message for m in health),
+        lambda: listener.said("no answer to the match request"),
         "word of the lost match",
     )
     assert {request.sample for request in requests} == {requests[0].sample}
@@ -119,15 +103,11 @@ def test_late_simulator_is_given_the_leader(start: Start, listener: Listener, st
     parameters = Peltier.model().parameters(seebeck=0.08, conductance=0.4, heat_capacity=30.0)
     leader = ForecastScore(name="60 °C", parameters=parameters_message(parameters))
     listener.node.create_publisher(ForecastScore, "twin/leader", LATCHED).publish(leader)
-    samples = listener.node.create_publisher(LoopSample, "plant/sample", RELIABLE)
     states = listener.hear(TwinState, "twin/state", EVERYTHING)
-    health = listener.hear(DiagnosticArray, "/diagnostics", QoSProfile(depth=10))
+    assert not listener.health
     start("twin_simulator")
-    listener.spin_until(
-        lambda: any(value.value == "60 °C" for m in health for value in m.status[0].values), "the leader"
-    )
-    for sample in steps[:50]:
-        samples.publish(sample_message(sample))
+    listener.spin_until(lambda: "60 °C" in listener.values("leader"), "the leader")
+    listener.send(steps[:50])
     listener.spin_until(lambda: len(states) == 50, "the states")
     mirror = Mirror(TwinSettings().start)
     mirror.parameters = parameters
@@ -149,27 +129,24 @@ def test_sample_of_another_plant_is_an_error_on_diagnostics(
     start: Callable[..., Any], listener: Any, steps: list[Sample]
 ) -> None:
     """It is skipped, and one line says why; later messages are taken."""
-    samples = listener.node.create_publisher(LoopSample, "plant/sample", RELIABLE)
-    health = listener.hear(DiagnosticArray, "/diagnostics", QoSProfile(depth=10))
+    assert not listener.health
     states = listener.hear(TwinState, "twin/state", EVERYTHING)
     start("twin_simulator")
-    listener.spin_until(samples.get_subscription_count, "the simulator")
-    samples.publish(LoopSample(index=5, reference=[1.0], output=[1.0, 2.0], input=[3.0]))
+    listener.spin_until(listener.samples.get_subscription_count, "the simulator")
+    listener.samples.publish(LoopSample(index=5, reference=[1.0], output=[1.0, 2.0], input=[3.0]))
     said = "plant/sample: sample 5 has 1 references, 2 outputs and 1 inputs; a twin runs one loop"
-    listener.spin_until(lambda: any(said in m.status[0].message for m in health), "the warning")
-    samples.publish(sample_message(steps[0]))
+    listener.spin_until(lambda: listener.said(said), "the warning")
+    listener.send(steps[:1])
     listener.spin_until(lambda: [state.index for state in states] == [0], "the next state")
 
 
 def test_gap_is_an_error_on_diagnostics(start: Start, listener: Listener, steps: list[Sample]) -> None:
-    samples = listener.node.create_publisher(LoopSample, "plant/sample", RELIABLE)
-    health = listener.hear(DiagnosticArray, "/diagnostics", QoSProfile(depth=10))
+    assert not listener.health
     start("discriminator")
-    listener.spin_until(samples.get_subscription_count, "the discriminator")
-    for sample in [*steps[:5], *steps[8:12]]:
-        samples.publish(sample_message(sample))
-    listener.spin_until(lambda: any("missing" in m.status[0].message for m in health), "the warning")
-    status = next(m.status[0] for m in health if "missing" in m.status[0].message)
+    listener.spin_until(listener.samples.get_subscription_count, "the discriminator")
+    listener.send([*steps[:5], *steps[8:12]])
+    listener.spin_until(lambda: listener.said("missing"), "the warning")
+    status = next(s for s in listener.reports() if "missing" in s.message)
     assert status.level == b"\x02"
     assert status.name == "discriminator: health"
     assert "samples 5 to 7 are missing" in status.message

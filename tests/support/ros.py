@@ -5,19 +5,27 @@ from __future__ import annotations
 import importlib
 import threading
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from functools import cached_property
 from typing import Any, TypeVar
 
 import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
 
 from tests.support.waiting import PATIENCE, wait_for
 from twinmatch.errors import EXIT_USER_ERROR, TwinmatchError
 from twinmatch.nodes.runner import EXIT_DEFECT, Nodes
+from twinmatch.nodes.sample_messages import sample_message
+from twinmatch.nodes.topics import EVERYTHING
+from twinmatch.signals import Sample
+from twinmatch_msgs.msg import LoopSample
 
 T = TypeVar("T")
 
@@ -35,6 +43,40 @@ class Listener:
         heard: list[Any] = []
         self.node.create_subscription(kind, topic, heard.append, qos)
         return heard
+
+    @cached_property
+    def health(self) -> list[DiagnosticArray]:
+        """The reports on /diagnostics since this was first looked at."""
+        return self.hear(DiagnosticArray, "/diagnostics", QoSProfile(depth=100))
+
+    def reports(self, name: str = "") -> list[DiagnosticStatus]:
+        """Those of a node's task, such as `player: health`; of all if none is named."""
+        return [s for message in self.health for s in message.status if name in ("", s.name)]
+
+    def said(self, words: str) -> bool:
+        """Whether a report has these words."""
+        return any(words in status.message for status in self.reports())
+
+    def values(self, key: str) -> list[str]:
+        """What was reported under a key."""
+        return [entry.value for status in self.reports() for entry in status.values if entry.key == key]
+
+    @cached_property
+    def samples(self) -> Publisher:
+        """Publishes `plant/sample` as a rig does."""
+        return self.node.create_publisher(LoopSample, "plant/sample", EVERYTHING)
+
+    def send(self, samples: Iterable[Sample]) -> None:
+        """Publish samples."""
+        for sample in samples:
+            self.samples.publish(sample_message(sample))
+
+    def wait_for_nodes(self, *topics: str) -> None:
+        """Until somebody reads the samples and each of these topics has a publisher."""
+        self.spin_until(
+            lambda: self.samples.get_subscription_count() and all(map(self.node.count_publishers, topics)),
+            "the nodes",
+        )
 
     def spin_until(
         self, condition: Callable[[], T], what: str | Callable[[], str], patience: float = PATIENCE
