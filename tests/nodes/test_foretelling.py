@@ -80,10 +80,27 @@ def ask(listener: Listener) -> Asker:
     return Asker(listener)
 
 
+REFUSED = {
+    "row 1: -5 s lies in the past": {"times": [-5.0], "levels": [50.0]},
+    "is not after": {"times": [10.0, 10.0], "levels": [50.0, 60.0]},
+    "2 times and 1 set-points are given": {"times": [1.0, 2.0], "levels": [50.0]},
+    "the set-point is 400 °C; give one from": {"times": [1.0], "levels": [400.0]},
+    "the set-point is nan": {"times": [1.0], "levels": [math.nan]},
+    "no candidate 'nobody'; at this sample there are: ": {"candidate": "nobody"},
+    "the horizon is -3 s; give a positive time": {"horizon": -3.0},
+    "the horizon is 1e+06 s; give at most 3600 s": {"horizon": 1e6},
+    "the horizon is nan s": {"horizon": math.nan},
+    "the level is inf": {"level": [math.inf]},
+    "the tolerance is -1": {"tolerance": [-1.0]},
+    "level has 2 values; a twin runs one loop": {"level": [1.0, 2.0]},
+}
+
+
 def test_every_sample_has_the_offline_forecast(
     start_process: Start, listener: Listener, ask: Asker, steps: list[Sample], offline: Offline
 ) -> None:
     """And every leader the offline one; the answers at the end are the core's to the last bit."""
+    assert not listener.health
     assert len(offline.forecasts) > len(steps) / 2
     forecasts = listener.hear(Forecast, "twin/forecast", EVERYTHING)
     leaders = listener.hear(ForecastScore, "twin/leader", LATCHED)
@@ -91,6 +108,7 @@ def test_every_sample_has_the_offline_forecast(
         start_process(name)
     listener.wait_for_nodes("twin/forecast", "twin/leader", "twin/match", "twin/match_request")
     listener.spin_until(ask.found, "the service")
+    assert ask().message.startswith("forecast: there is no candidate yet; the first comes with")
     listener.send(steps)
     listener.spin_until(lambda: len(forecasts) == len(offline.forecasts), "the last forecast")
     assert [repr(m) for m in forecasts] == [repr(m) for m in offline.forecasts]
@@ -108,6 +126,16 @@ def test_every_sample_has_the_offline_forecast(
     assert nothing_changed.success
     assert list(nothing_changed.level) == [steps[-1].reference]
     assert set(nothing_changed.forecast.reference) == {steps[-1].reference}
+    # What went wrong with a question is not a fault of the node, and the next one is answered.
+    for said, fields in REFUSED.items():
+        given = ask(**fields)
+        assert not given.success, fields
+        assert said in given.message
+        assert "\n" not in given.message
+    named = ask(candidate=offline.forecasts[0].candidate, level=[math.nan], tolerance=[math.nan])
+    assert named.success, named.message
+    listener.spin_until(lambda: listener.values("forecast from sample"), "word of forecasts")
+    assert "" not in listener.values("leader")
 
 
 def test_questions_are_answered_while_a_match_is_awaited(
@@ -135,62 +163,6 @@ def test_questions_are_answered_while_a_match_is_awaited(
     assert first <= given.forecast.sample <= waits
     assert len(matches) == answered
     assert given.forecast.output_low[0] < given.forecast.output[0] < given.forecast.output_high[0]
-
-
-def test_a_discriminator_that_was_killed_answers_again(
-    start_process: Start, listener: Listener, ask: Asker, steps: list[Sample], offline: Offline
-) -> None:
-    forecasts = listener.hear(Forecast, "twin/forecast", EVERYTHING)
-    start_process("matcher")
-    first = start_process("discriminator")
-    listener.spin_until(ask.found, "the service")
-    assert ask().message.startswith("forecast: there is no candidate yet; the first comes with")
-    first.kill()
-    listener.spin_until(lambda: not ask.found() and not listener.samples.get_subscription_count(), "its end")
-    start_process("discriminator")
-    listener.spin_until(lambda: ask.found() and listener.samples.get_subscription_count(), "the next one")
-    listener.spin_until(lambda: listener.node.count_publishers("twin/forecast"), "its forecasts")
-    listener.send(steps)
-    listener.spin_until(lambda: len(forecasts) == len(offline.forecasts), "the last forecast")
-    assert ask().success
-
-
-def test_invalid_questions_are_answered_in_one_line(
-    start_process: Start, listener: Listener, ask: Asker, steps: list[Sample], offline: Offline
-) -> None:
-    """And the next one is answered; what went wrong with a question is not a fault of the node."""
-    assert not listener.health
-    for name in ("matcher", "discriminator"):
-        start_process(name)
-    listener.spin_until(
-        lambda: ask.found() and listener.samples.get_subscription_count(), "the discriminator"
-    )
-    listener.spin_until(lambda: listener.node.count_publishers("twin/match"), "the matcher")
-    listener.send(steps[: offline.forecasts[0].sample + 2])
-    listener.spin_until(lambda: ask().success, "the first candidate")
-    refused = {
-        "row 1: -5 s lies in the past": {"times": [-5.0], "levels": [50.0]},
-        "is not after": {"times": [10.0, 10.0], "levels": [50.0, 60.0]},
-        "2 times and 1 set-points are given": {"times": [1.0, 2.0], "levels": [50.0]},
-        "the set-point is 400 °C; give one from": {"times": [1.0], "levels": [400.0]},
-        "the set-point is nan": {"times": [1.0], "levels": [math.nan]},
-        "no candidate 'nobody'; at this sample there are: ": {"candidate": "nobody"},
-        "the horizon is -3 s; give a positive time": {"horizon": -3.0},
-        "the horizon is 1e+06 s; give at most 3600 s": {"horizon": 1e6},
-        "the horizon is nan s": {"horizon": math.nan},
-        "the level is inf": {"level": [math.inf]},
-        "the tolerance is -1": {"tolerance": [-1.0]},
-        "level has 2 values; a twin runs one loop": {"level": [1.0, 2.0]},
-    }
-    for said, fields in refused.items():
-        given = ask(**fields)
-        assert not given.success, fields
-        assert said in given.message
-        assert "\n" not in given.message
-    named = ask(candidate=offline.forecasts[0].candidate, level=[math.nan], tolerance=[math.nan])
-    assert named.success, named.message
-    listener.spin_until(lambda: listener.values("forecast from sample"), "word of forecasts")
-    assert "" not in listener.values("leader")
 
 
 def test_a_forecast_comes_back_from_its_message_to_the_last_bit(offline: Offline) -> None:

@@ -169,9 +169,12 @@ def test_a_domain_that_there_is_not_is_refused(value: str, network: str) -> None
     assert len(str(e.value)) < 200
 
 
-@pytest.mark.parametrize("network", ["loopback", "open"])
 @pytest.mark.parametrize(
-    "start", [["-m", "twinmatch.nodes.matcher"], ["launch_scripts/live.py", "--virtual"]]
+    ("start", "network"),
+    [
+        (["-m", "twinmatch.nodes.matcher"], "open"),
+        (["launch_scripts/live.py", "--virtual"], "loopback"),
+    ],
 )
 def test_a_middleware_that_is_not_installed_is_named_before_ros_starts(
     start: list[str], network: str
