@@ -112,6 +112,8 @@ class Inside:
         """Start it with ROS arguments; a mistake in them ends it as it would end the program."""
         self.text = ""
         """The line or the traceback with which it ended."""
+        self.asked = False
+        """Whether the test has asked for its exit code."""
         self._name, self._code = name, 0
         self._nodes, self._stop = Nodes(Context()), threading.Event()
         self._thread = threading.Thread(target=self._guarded, args=(self._spin,), daemon=True)
@@ -129,6 +131,7 @@ class Inside:
 
     def wait(self, patience: float = PATIENCE) -> int:
         """Its exit code, once it has ended by itself."""
+        self.asked = True
         if self._thread.ident is not None:
             self._thread.join(patience)
         assert not self.running, f"still running after {patience:g} s: {self._name}"
