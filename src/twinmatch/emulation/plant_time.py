@@ -38,7 +38,7 @@ _CLOCK_EVERY = 0.005
 """Longest wall time between two updates of the clock, s."""
 _ATTEND_EVERY = 0.01
 """Interval at which commands are obeyed, wall s."""
-_REPEAT = 0.05
+_REPEAT = 0.2
 """Interval at which a plant that waits repeats its time, which may get lost, wall s."""
 _BREATH = 0.02
 """The same where only the board's answer is awaited, which usually comes without the time."""
@@ -122,6 +122,8 @@ class VirtualPlantTime(ABC):
         self._longest = max(1, round(min(5 * self.settings.speed, _SLICE)))
         self.slice = self._longest
         """Plant time of one step, ms."""
+        # In step nobody needs the time more often, and every node of the graph receives it.
+        self._every = _CLOCK_EVERY * (10 if self.settings.in_step and self.settings.speed > 1 else 1)
         self._clock_sent = 0.0
         self._told = 0
         self._attended = 0.0
@@ -196,7 +198,7 @@ class VirtualPlantTime(ABC):
             TwinmatchError: a part has ended unexpectedly.
         """
         self.pace = RigPace(self.settings.speed)
-        limit = 0.0
+        limit = listened = 0.0
         while not self._stop and self.elapsed < self.settings.duration:
             if self.stamp >= limit and self.stamp >= (limit := self._listen()):
                 self._stand()
@@ -211,9 +213,10 @@ class VirtualPlantTime(ABC):
                 self.rest(wait)
             self.step()
             now = time.monotonic()
-            every = _CLOCK_EVERY * (10 if self._clock.driven else 1)
-            if now - self._clock_sent >= every or self.slice >= 5 * self.settings.speed:
-                self._send_clock(now)
+            if now - listened >= self._every or self.slice >= 5 * self.settings.speed:
+                listened = now
+                if not self._clock.driven:  # otherwise it stops often, and tells the time there
+                    self._send_clock(now)
                 self._attend(watch)
                 limit = self._listen()
 
