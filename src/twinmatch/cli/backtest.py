@@ -20,7 +20,7 @@ from twinmatch.cli.shared import (
 from twinmatch.errors import EXIT_USER_ERROR, TwinmatchError
 
 if TYPE_CHECKING:
-    from twinmatch.offline.backtest.result import Backtest
+    from twinmatch.offline.backtest.scoring import Backtest
 
 PEERS: Final = ("persistence", "arx", "statsmodels")
 
@@ -60,7 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Test the twin; returns the exit code: 0 all sessions tested, 3 some skipped, 2 none tested."""
     from twinmatch.offline.archive import find_sessions  # noqa: PLC0415 — keeps --help fast
-    from twinmatch.offline.backtest.result import document, over_all  # noqa: PLC0415
+    from twinmatch.offline.backtest.scoring import document, over_all  # noqa: PLC0415
 
     check_writable(options.json, options.figure)
     sessions = find_sessions(options.sessions)

@@ -9,10 +9,11 @@ An absent value (`None`) is NaN, −1 or an empty text in a message and null in 
 word, with a number beside it in a message.
 """
 
-from twinmatch.record.comparison import comparable, differences
 from twinmatch.record.fields import Form, RecordError, RecordField, fields_of
 from twinmatch.record.trees import (
     Tree,
+    comparable,
+    differences,
     document_of,
     fill,
     object_of,

@@ -20,8 +20,7 @@ from twinmatch.forecasting import (
     settling_time,
     time_to_reach,
 )
-from twinmatch.offline.backtest.result import LEADER, TWINS, Backtest
-from twinmatch.offline.backtest.scoring import Card
+from twinmatch.offline.backtest.scoring import LEADER, TWINS, Backtest, Card
 from twinmatch.showing.quantities import number, signal_names, with_unit
 from twinmatch.showing.series import Fan, root_mean_square
 from twinmatch.signals import FloatArray

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from tests.support.places import SHIPPED
-from twinmatch.offline.backtest.result import Backtest
 from twinmatch.offline.backtest.run import backtest_session
+from twinmatch.offline.backtest.scoring import Backtest
 
 
 @pytest.fixture(scope="session")

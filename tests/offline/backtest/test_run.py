@@ -14,9 +14,18 @@ from tests.support.steps import drive_lost
 from twinmatch.dynamics import Sensor, begin, simulate_closed_loop
 from twinmatch.offline.backtest import Choices
 from twinmatch.offline.backtest.peer import BacktestError
-from twinmatch.offline.backtest.result import CONSTANT, LEADER, NEWEST, NOMINAL, TWINS, Backtest
 from twinmatch.offline.backtest.run import Listener, backtest, backtest_session, graded
-from twinmatch.offline.backtest.scoring import HINDSIGHT, Card, Marked
+from twinmatch.offline.backtest.scoring import (
+    CONSTANT,
+    HINDSIGHT,
+    LEADER,
+    NEWEST,
+    NOMINAL,
+    TWINS,
+    Backtest,
+    Card,
+    Marked,
+)
 from twinmatch.offline.judging import judge_samples, terms_from_files
 from twinmatch.sessions import open_any, samples_of, write_session
 from twinmatch.showing.figures.drawing import save

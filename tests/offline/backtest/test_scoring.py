@@ -13,10 +13,9 @@ from hypothesis import strategies as st
 from tests.offline.backtest.forecasts import forecast_of, linear_loop, set_points
 from twinmatch.dynamics import begin, simulate_closed_loop
 from twinmatch.forecasting import HORIZONS
-from twinmatch.offline.backtest.origins import Origin, ask, mark, origins, regular, stretches
 from twinmatch.offline.backtest.peer import BacktestError
 from twinmatch.offline.backtest.peers import Persistence
-from twinmatch.offline.backtest.run import with_constant_band
+from twinmatch.offline.backtest.run import Origin, ask, mark, origins, regular, stretches, with_constant_band
 from twinmatch.offline.backtest.scoring import (
     HINDSIGHT,
     Marked,

@@ -14,10 +14,18 @@ from tests.offline.backtest.forecasts import linear_loop, set_points
 from tests.support.places import SHIPPED
 from tests.support.processes import run_twinmatch
 from twinmatch.cli.backtest import PEERS as OFFERED
-from twinmatch.offline.backtest.origins import ask, mark, origins, regular
 from twinmatch.offline.backtest.peers import PEERS, Absent, peers
-from twinmatch.offline.backtest.result import LEADER, Backtest, document, over_all
-from twinmatch.offline.backtest.scoring import HINDSIGHT, Marked, Marks, SignalMarks
+from twinmatch.offline.backtest.run import ask, mark, origins, regular
+from twinmatch.offline.backtest.scoring import (
+    HINDSIGHT,
+    LEADER,
+    Backtest,
+    Marked,
+    Marks,
+    SignalMarks,
+    document,
+    over_all,
+)
 from twinmatch.plants import Peltier
 from twinmatch.sessions import samples_of, write_session
 from twinmatch.showing.figures.drawing import save

@@ -19,8 +19,7 @@ from twinmatch.forecasting import Band, Forecast
 from twinmatch.offline.judging import Judgement
 from twinmatch.showing.page.charts import POINTS, ChartFeed, stride_for
 from twinmatch.showing.page.state import DashboardState, RollingTable, TwinRow, WhatIfAnswer
-from twinmatch.showing.page.tab import Tab
-from twinmatch.showing.page.widgets import QuestionForm
+from twinmatch.showing.page.tab import QuestionForm, Tab
 from twinmatch.signals import Sample
 
 

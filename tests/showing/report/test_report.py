@@ -15,15 +15,14 @@ import pytest
 from tests.support.rig import rig, run
 from twinmatch.comparing import ADMITTED
 from twinmatch.errors import TwinmatchError
-from twinmatch.offline.backtest.result import LEADER, TWINS
+from twinmatch.offline.backtest.scoring import LEADER, TWINS
 from twinmatch.plants import Peltier
 from twinmatch.sessions import SessionWriter, read_recording, samples_of, write_session
 from twinmatch.sessions.messages import SAMPLE, encode_sample
 from twinmatch.showing.forecasts import backtest_words, card_columns
 from twinmatch.showing.quantities import number
 from twinmatch.showing.report.pictures import write_pictures
-from twinmatch.showing.report.provenance import settings_of
-from twinmatch.showing.report.report import SessionReport, build_report, make_report
+from twinmatch.showing.report.report import SessionReport, build_report, make_report, settings_of
 from twinmatch.showing.summary import sentence
 from twinmatch.signals import Window
 from twinmatch.twin import TwinSettings

@@ -7,9 +7,9 @@ and every minute; a `Backtest` holds the results. `marks` scores one forecast, `
 
 from twinmatch.offline.backtest.peer import BacktestError, Peer
 from twinmatch.offline.backtest.peers import PEERS, Absent, peers
-from twinmatch.offline.backtest.result import Backtest, document, over_all
 from twinmatch.offline.backtest.run import Choices, Listener, backtest, backtest_session, graded
 from twinmatch.offline.backtest.scoring import (
+    Backtest,
     Card,
     Marked,
     Marks,
@@ -17,8 +17,10 @@ from twinmatch.offline.backtest.scoring import (
     best_in_hindsight,
     cards,
     common,
+    document,
     interval_score,
     marks,
+    over_all,
 )
 
 __all__ = [

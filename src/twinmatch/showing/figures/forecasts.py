@@ -10,8 +10,7 @@ import numpy as np
 
 from twinmatch.dynamics import Plant
 from twinmatch.forecasting import CONFIDENCE, Band, Forecast
-from twinmatch.offline.backtest.result import CONSTANT, LEADER, NEWEST, NOMINAL, Backtest
-from twinmatch.offline.backtest.scoring import HINDSIGHT, Card
+from twinmatch.offline.backtest.scoring import CONSTANT, HINDSIGHT, LEADER, NEWEST, NOMINAL, Backtest, Card
 from twinmatch.showing.figures.drawing import (
     draw_inputs,
     draw_outputs,

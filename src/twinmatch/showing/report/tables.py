@@ -11,8 +11,7 @@ from twinmatch.comparing import REFUSED, CandidateScore, Verdict
 from twinmatch.dynamics import Plant
 from twinmatch.fitting import Match
 from twinmatch.offline.backtest import Backtest
-from twinmatch.offline.backtest.result import LEADER, TWINS
-from twinmatch.offline.backtest.scoring import Card
+from twinmatch.offline.backtest.scoring import LEADER, TWINS, Card
 from twinmatch.showing.family import Member, computed, criterion_rows, interval, outputs_of, value_of
 from twinmatch.showing.forecasts import card_columns, levels_words
 from twinmatch.showing.quantities import (
