@@ -66,6 +66,11 @@ class Process:
         return [json.loads(line) for line in lines if line.endswith("\n")]
 
     @property
+    def url(self) -> str:
+        """The address that a server prints when it can be reached, as this machine reaches it."""
+        return self.said(r"^\w+: ((?:http|ws)://\S+)$")[1].replace("0.0.0.0", "127.0.0.1")
+
+    @property
     def running(self) -> bool:
         return self._process.poll() is None
 

@@ -114,30 +114,10 @@ def view() -> Iterator[Callable[[str], Viewer]]:
         viewer.close()
 
 
-class Server:
-    """`twinmatch foxglove` in a process of its own."""
-
-    def __init__(self, process: Process) -> None:
-        self.process = process
-
-    @property
-    def text(self) -> str:
-        return self.process.text
-
-    @property
-    def url(self) -> str:
-        return self.process.said(r"^foxglove: (ws://\S+)")[1].replace("0.0.0.0", "127.0.0.1")
-
-    def end(self, number: signal.Signals = signal.SIGINT) -> int:
-        return self.process.end(number)
-
-
 @pytest.fixture
-def serve(ros: None, tmp_path: Path) -> Iterator[Callable[..., Server]]:  # noqa: ARG001
+def serve(ros: None, tmp_path: Path) -> Iterator[Callable[..., Process]]:  # noqa: ARG001
     """Start a server: `serve("--namespace", "/rig_a")`; it ends with the test, and cleanly."""
     processes = Processes(tmp_path / "servers")
-    yield lambda *options: Server(
-        processes.python("-m", "twinmatch.cli", "foxglove", "--port", "0", *options)
-    )
+    yield lambda *options: processes.python("-m", "twinmatch.cli", "foxglove", "--port", "0", *options)
     ended = processes.end(signal.SIGINT)
     assert all(code == 0 and "Traceback" not in text for code, text in ended), ended

@@ -35,31 +35,11 @@ def judged(steps: list[Sample]) -> Judgement:
     return judge_samples("steps", steps, TwinSettings())
 
 
-class PageProcess:
-    """`twinmatch dashboard` in a process of its own."""
-
-    def __init__(self, process: Process) -> None:
-        self._process = process
-
-    @property
-    def text(self) -> str:
-        return self._process.text
-
-    @property
-    def url(self) -> str:
-        return self._process.said(r"^page: (\S+)$")[1]
-
-    def end(self) -> int:
-        return self._process.end()
-
-
 @pytest.fixture(scope="module")
-def page_process(ros: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[..., PageProcess]]:  # noqa: ARG001
+def page_process(ros: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[..., Process]]:  # noqa: ARG001
     """Start a page: `page_process("--control")`; it ends with the module."""
     processes = Processes(tmp_path_factory.mktemp("pages"))
-    yield lambda *options: PageProcess(
-        processes.python("-m", "twinmatch.cli", "dashboard", "--port", "0", *options)
-    )
+    yield lambda *options: processes.python("-m", "twinmatch.cli", "dashboard", "--port", "0", *options)
     ended = processes.end()
     assert all(Process.well(code) and "Traceback" not in text for code, text in ended), ended
 
