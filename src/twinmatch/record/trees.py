@@ -212,14 +212,15 @@ def _entries(field: RecordField, value: Any) -> dict[str, Any]:
         plant, structure = value.model.key
         shown = {} if name != "parameters" else {"plant": plant, "structure": structure}
         return {**shown, name: parameters_document(value)}
-    return {name: _finite(_SHOWN.get(form, lambda v: v)(value))}
+    return {name: finite(_SHOWN.get(form, lambda v: v)(value))}
 
 
-def _finite(value: Any) -> Any:
+def finite(value: Any) -> Any:
+    """A value for JSON: None for NaN and infinities, also in lists and dictionaries."""
     if isinstance(value, Mapping):
-        return {key: _finite(item) for key, item in value.items()}
+        return {key: finite(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
+        return [finite(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from twinmatch.comparing import TrustLevel, Verdict
 from twinmatch.offline.summary import SessionSummary, ShownTwin
-from twinmatch.record import document_of, parameters_document
+from twinmatch.record import document_of, finite, parameters_document
 from twinmatch.showing.quantities import parameter_format, percent, signal_names
 from twinmatch.twin import MatchReport
 
@@ -133,18 +133,14 @@ def document(
         "verdicts": [document_of(v) for v in verdicts],
         "summary": {
             "leader": summary.leader,
-            "leader_confidence": _finite(summary.leader_confidence),
+            "leader_confidence": finite(summary.leader_confidence),
             "nominal": summary.nominal,
             "level": summary.level.value,
             "parameters": parameters_document(summary.parameters) if summary.parameters else None,
-            "fit": {"y": _finite(summary.fit_y), "u": _finite(summary.fit_u)},
+            "fit": {"y": finite(summary.fit_y), "u": finite(summary.fit_u)},
             "order": summary.order,
             "range": [summary.range.low, summary.range.high] if summary.range else None,
             "sentence": sentence(summary),
             "notes": list(summary.notes),
         },
     }
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None

@@ -7,7 +7,6 @@ same path.
 from __future__ import annotations
 
 import contextlib
-import math
 import multiprocessing
 import os
 import signal
@@ -129,6 +128,7 @@ def _rows(judgement: Judgement, entry: dict[str, Any]) -> list[dict[str, Any]]:
     """The candidates of the last verdict, each with the fit of its twin over the session."""
     if not judgement.verdicts:
         return []
+    from twinmatch.record import finite  # noqa: PLC0415
     from twinmatch.signals import Window, unbroken  # noqa: PLC0415
     from twinmatch.twin import window_fit  # noqa: PLC0415
 
@@ -144,13 +144,9 @@ def _rows(judgement: Judgement, entry: dict[str, Any]) -> list[dict[str, Any]]:
             {"session": judgement.name, "nominal": candidate.name == judgement.summary.nominal}
             | {key: value for key, value in known.items() if key != "orders"}
             | {"criteria": chosen["total"] | {key: chosen[key] for key in ("aic_difference", "weight")}}
-            | {"fit": {output: _finite(value) for output, value in zip("yu", fit, strict=True)}}
+            | {"fit": finite(dict(zip("yu", fit, strict=True)))}
         )
     return rows
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None
 
 
 def cores() -> int:

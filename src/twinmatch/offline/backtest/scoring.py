@@ -14,6 +14,7 @@ from twinmatch.dynamics import Plant
 from twinmatch.forecasting import Band, Forecast
 from twinmatch.offline.backtest.peer import BacktestError
 from twinmatch.offline.backtest.peers import Absent
+from twinmatch.record import finite
 from twinmatch.signals import FloatArray, Window
 
 _ROUNDING = 1e-9
@@ -357,7 +358,7 @@ def document(backtest: Backtest, *, forecasts: bool = True) -> dict[str, Any]:
         "horizons": list(backtest.horizons),
         "noise": {"output": plant.output.noise, "input": plant.drive.noise},
         "origins": backtest.origins,
-        "cards": [_finite(asdict(card)) for card in backtest.cards],
+        "cards": [finite(asdict(card)) for card in backtest.cards],
         "absent": [absent._asdict() for absent in backtest.absent],
         "notes": list(backtest.notes),
     }
@@ -370,12 +371,8 @@ def document(backtest: Backtest, *, forecasts: bool = True) -> dict[str, Any]:
                 "who": one.who,
                 "candidate": one.candidate,
                 "error": one.marks.error,
-                **_finite(asdict(one.marks)),
+                **finite(asdict(one.marks)),
             }
             for one in backtest.marked
         ]
     return found
-
-
-def _finite(values: dict[str, Any]) -> dict[str, Any]:
-    return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in values.items()}
