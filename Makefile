@@ -132,14 +132,10 @@ $(STAMPS)/browser: .ci/browser_tools.sh | $(STAMPS)/venv
 	@sh .ci/browser_tools.sh
 	@touch $@
 
-# Code derived from the plants' equations is cached, and so is numba's machine code: no first run has to wait.
-$(STAMPS)/equations: $(wildcard src/twinmatch/dynamics/*.py src/twinmatch/plants/*.py) $(STAMPS)/dependencies
-	@echo "setup: deriving and compiling the plants' equations (a minute)"
+# The plants' equations and numba's machine code are cached: no first run has to wait.
+$(STAMPS)/compiled: $(shell grep -rl compiled src/twinmatch --include=*.py) $(wildcard src/twinmatch/plants/*.py) $(STAMPS)/messages
+	@echo "setup: compiling the plants' equations and the inner loops (a minute)"
 	@$(RUN) -m twinmatch.cli prepare >/dev/null
-	@touch $@
-
-$(STAMPS)/compiled: $(shell grep -rl compiled src/twinmatch --include=*.py) $(STAMPS)/equations $(STAMPS)/messages
-	@echo "setup: compiling the inner loops (a minute)"
 	@$(RUN) -m twinmatch.cli replay bags/four_setpoints >/dev/null
 	@touch $@
 	@echo "setup: done"

@@ -164,7 +164,7 @@ def _casadi_tangents(casadi: Any, experiment: Experiment, values: Array) -> Any:
     import sympy  # noqa: PLC0415
 
     derived = derive(Peltier(), MODEL.structure.parts, frozenset(MODEL.structure.free))
-    symbols = [*derived.states, derived.drive, *derived.parameters]
+    symbols = [*derived.states, *derived.inputs, *derived.parameters]
     written = Peltier().equations(MODEL.structure.parts)
     names = {"Max": casadi.fmax, "Min": casadi.fmin, "Abs": casadi.fabs}
     rates = sympy.lambdify(symbols, [written.rates[s] for s in derived.states], [names, casadi])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import types
 
 import numpy as np
 import pytest
@@ -19,9 +18,6 @@ from twinmatch.dynamics import (
     Sensor,
     advance,
     begin,
-    derived,
-    filters,
-    kernels,
     noise_scores,
     read,
     simulate_closed_loop,
@@ -32,30 +28,6 @@ from twinmatch.signals import Window
 
 MOTOR = Motor.model("with friction")
 RICHEST = Peltier.model("sink with mass, free ambient, switched drive, sensor lag, α(T)")
-
-
-def sample_of_observer(module: types.ModuleType) -> tuple[np.ndarray, ...]:
-    """A lag whose gain wanders, corrected and moved on."""
-    p, x, covariance, columns = np.array([2.0, 5.0]), np.array([1.5]), 0.1 * np.eye(2), np.zeros((1, 3))
-    nothing, which, bounds = np.zeros(0), np.array([[0], [0]]), np.array([[0.1], [10.0]])
-    module.correct(p, x, covariance, 1.7, nothing, 0.1, np.inf, which, bounds)
-    module.predict(p, x, covariance, np.full(2, 1e-3), 3.0, nothing, 0.7, 2, which, columns)
-    return p, x, covariance, columns
-
-
-def test_the_plant_written_by_hand_is_the_plant_made_from_equations() -> None:
-    """The kernels run on `derived.py` when nothing takes its place, so both must agree to the last bits."""
-    made: types.ModuleType = Lag.model().kernels
-    p, x = np.array([2.0, 5.0]), np.array([1.5])
-    nothing = np.zeros(0)
-    for by_hand, by_program in (
-        (kernels.advance(p, x, 3.0, nothing, 0.7, 2), made.advance(p, x, 3.0, nothing, 0.7, 2)),
-        (kernels.slopes_at(p, x, 3.0, nothing), made.slopes_at(p, x, 3.0, nothing)),
-        (sample_of_observer(filters), sample_of_observer(made)),
-    ):
-        for one, other in zip(by_hand, by_program, strict=True):
-            np.testing.assert_allclose(one, other, rtol=1e-14)
-    assert derived.N_STATES == made.N_STATES
 
 
 @given(

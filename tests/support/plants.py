@@ -21,7 +21,7 @@ __all__ = ["Box", "Exchanger", "Lag", "Motor", "Tank"]
 
 
 class Lag(Plant, name="lag"):
-    """dx/dt = (gain·u − x)/lag: the plant that `derived.py` writes out by hand."""
+    """dx/dt = (gain·u − x)/lag."""
 
     y = Output(unit="m", noise=0.01, span=(-100.0, 100.0))
     u = Drive(unit="V", limits=(-10.0, 10.0), noise=0.1)

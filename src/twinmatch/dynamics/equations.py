@@ -61,26 +61,21 @@ class Derived:
     """The symbols in order, and the expressions in terms of them."""
 
     states: tuple[Expression, ...]
-    drive: Expression
+    inputs: tuple[Expression, ...]
     disturbances: tuple[Expression, ...]
     parameters: tuple[Expression, ...]
     """The parameters that the equations depend on, in the order of declaration."""
     unknown: tuple[Expression, ...]
     """Those of them that tangents are computed for."""
-    measured: Expression
-    """Symbol of the output, as `start` uses it."""
+    measured: tuple[Expression, ...]
+    """Symbols of the outputs, as `start` uses them."""
     switches: tuple[Expression, ...]
     conditions: tuple[Expression, ...]
     """Condition of each switch, which is 1 where this is positive; may use earlier switches."""
     rates: tuple[Expression, ...]
-    output: Expression
+    outputs: tuple[Expression, ...]
     start: tuple[Expression, ...]
     quantities: Mapping[str, Expression]
-
-    @property
-    def n_states(self) -> int:
-        """Number of states."""
-        return len(self.states)
 
 
 def derive(plant: PlantDefinition, parts: frozenset[str], unknown: frozenset[str]) -> Derived:
@@ -114,8 +109,8 @@ def derive(plant: PlantDefinition, parts: frozenset[str], unknown: frozenset[str
     used = set().union(*(e.free_symbols for e in (*rates, output, *start, *kinks.conditions)))
     parameters = tuple(declared[name] for name in plant.parameters if declared[name] in used)
     return Derived(
-        states, drive, disturbances, parameters, tuple(s for s in parameters if str(s) in unknown), measured,
-        tuple(kinks.switches), tuple(kinks.conditions), rates, output, start, quantities,
+        states, (drive,), disturbances, parameters, tuple(s for s in parameters if str(s) in unknown),
+        (measured,), tuple(kinks.switches), tuple(kinks.conditions), rates, (output,), start, quantities,
     )  # fmt: skip
 
 

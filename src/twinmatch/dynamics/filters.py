@@ -1,8 +1,7 @@
 """The compiled halves of a filter's sample: extended Kalman filters over states and some parameters.
 
-The store puts this file behind `kernels`, so that it is written against one plant's functions. `correct` and
-`predict` belong to an `Observer`, whose joint covariance is that of all states and, after them, of the
-parameters it estimates; `track` belongs to a `Tracker`.
+`correct` and `predict` belong to an `Observer`, whose joint covariance is that of all states and, after them,
+of the parameters it estimates; `track` belongs to a `Tracker`.
 """
 
 # ruff: noqa: PLR0912, PLR0915, PLR0917 (kernels are long and take arrays in a row)
@@ -16,18 +15,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twinmatch.compiled import compiled
-from twinmatch.dynamics.derived import (
-    N_STATES,
-    N_UNKNOWN,
-    output,
-    output_slopes,
-    packed,
-    parameters,
+from twinmatch.dynamics.kernels import (
+    OUTPUT_SLOPES,
+    OUTPUTS,
+    Code,
+    Work,
+    call,
     prepare,
-    row,
-    unpack,
+    tick_with_tangents,
+    work_for,
 )
-from twinmatch.dynamics.kernels import tick_with_tangents
 from twinmatch.signals import FloatArray
 
 if TYPE_CHECKING:
@@ -45,25 +42,23 @@ STALE = 1e6
 
 @compiled
 def correct(
-    vector: FloatArray, x: FloatArray, covariance: FloatArray, y: float, d: FloatArray, noise: float,
-    limit: float, which: NDArray[np.int64], bounds: FloatArray,
+    code: Code, vector: FloatArray, x: FloatArray, covariance: FloatArray, y: float, d: FloatArray,
+    noise: float, limit: float, which: NDArray[np.int64], bounds: FloatArray,
 ) -> tuple[float, float]:  # fmt: skip
     """Correct by a reading, in place; return the innovation and its expected variance.
 
     `which`, shape (2, m), holds the indices of the estimated parameters among those with tangents and among
     all; `bounds`, shape (2, m), limits them. Innovations are clipped at `limit` standard deviations.
     """
-    size = covariance.shape[0]
-    hx, hp = np.zeros(N_STATES), np.zeros(N_UNKNOWN)
+    size, n = covariance.shape[0], x.size
     slope, reach, gain = np.zeros(size), np.zeros(size), np.zeros(size)
     kept, way = np.zeros((size, size)), np.zeros((size, size))
-    p = parameters(vector)
-    c = prepare(p)
-    at, given = packed(x), row(d.reshape((1, d.size)), 0)
-    innovation = y - output(at, given, p, c)
-    output_slopes(at, given, p, c, hx, hp)
+    work = work_for(code, vector)
+    call(code[OUTPUTS], x, x, d, work.p, work.b, work.seen)
+    call(code[OUTPUT_SLOPES], x, x, d, work.p, work.b, work.shown)
+    innovation = y - work.seen[0]
     for i in range(size):
-        slope[i] = hx[i] if i < N_STATES else hp[which[0, i - N_STATES]]
+        slope[i] = work.shown[i] if i < n else work.shown[n + which[0, i - n]]
     variance = noise * noise
     for i in range(size):
         for j in range(size):
@@ -74,10 +69,10 @@ def correct(
     weight = most / abs(innovation) if abs(innovation) > most else 1.0
     for i in range(size):
         gain[i] = weight * reach[i] / variance
-        if i < N_STATES:
+        if i < n:
             x[i] += gain[i] * innovation
         else:
-            j = i - N_STATES
+            j = i - n
             moved = vector[which[1, j]] + gain[i] * innovation
             vector[which[1, j]] = min(max(moved, bounds[0, j]), bounds[1, j])
     for i in range(size):
@@ -99,8 +94,8 @@ def correct(
 
 @compiled
 def predict(
-    vector: FloatArray, x: FloatArray, covariance: FloatArray, process_noise: FloatArray, u: float,
-    d: FloatArray, period: float, steps: int, which: NDArray[np.int64], columns: FloatArray,
+    code: Code, vector: FloatArray, x: FloatArray, covariance: FloatArray, process_noise: FloatArray,
+    u: float, d: FloatArray, period: float, steps: int, which: NDArray[np.int64], columns: FloatArray,
 ) -> None:  # fmt: skip
     """Predict states and joint covariance one period ahead; `process_noise`, shape (n + m,), adds to its
     diagonal.
@@ -108,32 +103,27 @@ def predict(
     `columns`, shape (n, m + n + 1), is filled with the derivatives of the states by the m parameters
     which[0], by the states and by the drive.
     """
-    m = which.shape[1]
-    size = N_STATES + m
-    du, way = np.zeros(size + 1), np.zeros((size, size))
-    p = parameters(vector)
-    c = prepare(p)
+    n, m = x.size, which.shape[1]
+    size = n + m
+    du, inputs, way = np.zeros((1, size + 1)), np.empty(1), np.zeros((size, size))
     columns[:] = 0.0
-    for i in range(N_STATES):
+    for i in range(n):
         columns[i, m + i] = 1.0
-    du[size] = 1.0
-    there = tick_with_tangents(
-        packed(x), u, row(d.reshape((1, d.size)), 0), p, c, period, steps, which[0], columns, du,
-        np.zeros((4, N_STATES, N_UNKNOWN)),
-    )  # fmt: skip
-    unpack(there, x)
+    du[0, size] = 1.0
+    inputs[0] = u
+    tick_with_tangents(code, x, inputs, d, work_for(code, vector), period, steps, which[0], columns, du)
     for j in range(size):
-        for i in range(N_STATES):
+        for i in range(n):
             for q in range(size):
-                way[i, j] += columns[i, m + q if q < N_STATES else q - N_STATES] * covariance[q, j]
-        for i in range(N_STATES, size):
+                way[i, j] += columns[i, m + q if q < n else q - n] * covariance[q, j]
+        for i in range(n, size):
             way[i, j] = covariance[i, j]
     for i in range(size):
         for j in range(i + 1):
             total = process_noise[i] if i == j else 0.0
-            if j < N_STATES:
+            if j < n:
                 for q in range(size):
-                    total += way[i, q] * columns[j, m + q if q < N_STATES else q - N_STATES]
+                    total += way[i, q] * columns[j, m + q if q < n else q - n]
             else:
                 total += way[i, j]
             covariance[i, j] = total
@@ -141,18 +131,20 @@ def predict(
 
 
 @compiled(inside=True)
-def _values(fixed: TrackerConstants, at: FloatArray, vector: FloatArray) -> None:
-    """Write the parameters of a belief into `vector`."""
+def _use(code: Code, fixed: TrackerConstants, at: FloatArray, vector: FloatArray, work: Work) -> None:
+    """Write the parameters of a belief into `vector`, and use them."""
+    n = work.there.size - 1
     for j in range(fixed.places.size):
-        q = at[N_STATES + j]
+        q = at[n + j]
         start = fixed.vector[fixed.places[j]]
         vector[fixed.places[j]] = start * math.exp(q) if fixed.logged[j] else start + q
+    prepare(code, vector, work)
 
 
 @compiled
 def track(
-    fixed: TrackerConstants, at: FloatArray, covariance: FloatArray, drift: FloatArray, swift: float,
-    y: FloatArray, u: FloatArray, disturbances: FloatArray, noise: FloatArray,
+    code: Code, fixed: TrackerConstants, at: FloatArray, covariance: FloatArray, drift: FloatArray,
+    swift: float, y: FloatArray, u: FloatArray, disturbances: FloatArray, noise: FloatArray,
     opened: FloatArray, lasting: int, rising: int, effects: FloatArray, hits: FloatArray, weights: FloatArray,
 ) -> float:  # fmt: skip
     """Track some samples; belief and traces change in place. Return the readings' code length, in nats.
@@ -175,23 +167,23 @@ def track(
         hits: sums of innovation times effect over variance, shape (kinds, starts).
         weights: sums of squared effect over variance, shape (kinds, starts).
     """
-    n, m, size = N_STATES, fixed.places.size, at.size
+    m, size = fixed.places.size, at.size
+    n = size - m - 6
     share, offset, passing, fading, lasting_push = n + m, n + m + 1, n + m + 2, n + m + 3, n + m + 4
     period = fixed.period
     vector = fixed.vector.copy()
-    columns, du = np.zeros((n, m + n + 1)), np.zeros(m + n + 1)
-    fp, hx, hp = np.zeros((4, n, N_UNKNOWN)), np.zeros(n), np.zeros(N_UNKNOWN)
+    columns, du, inputs = np.zeros((n, m + n + 1)), np.zeros((1, m + n + 1)), np.empty(1)
+    work = work_for(code, vector)
+    hx, hp = work.shown[:n], work.shown[n:]
     slope, gain, reach = np.zeros(size), np.zeros(size), np.zeros(size)
     moved, wide = np.zeros((n, size)), np.zeros((n, size))
     there = np.zeros(n)
     cost = 0.0
     for k in range(u.size):
-        given = row(disturbances, k)
-        _values(fixed, at, vector)
-        p = parameters(vector)
-        c = prepare(p)
-        x = packed(at)
-        output_slopes(x, given, p, c, hx, hp)
+        given = disturbances[k]
+        _use(code, fixed, at, vector, work)
+        call(code[OUTPUTS], at, inputs, given, work.p, work.b, work.seen)
+        call(code[OUTPUT_SLOPES], at, inputs, given, work.p, work.b, work.shown)
         slope[:n] = hx
         for j in range(m):
             by = hp[fixed.which[j]]
@@ -199,7 +191,7 @@ def track(
         slope[offset] = slope[passing] = 1.0
 
         # Correct.
-        innovation = y[k + 2] - output(x, given, p, c) - at[offset] - at[passing]
+        innovation = y[k + 2] - work.seen[0] - at[offset] - at[passing]
         reading = noise[k] ** 2
         seen = 0.0
         for i in range(size):
@@ -240,21 +232,18 @@ def track(
         at[share] = min(max(at[share], -1.0), 1.0)
 
         # Predict.
-        _values(fixed, at, vector)
-        p = parameters(vector)
-        c = prepare(p)
+        _use(code, fixed, at, vector, work)
         columns[:] = 0.0
         for i in range(n):
             columns[i, m + i] = 1.0
-        du[m + n] = u[k] - fixed.rest
-        x = packed(at)
-        before = output(x, given, p, c)
-        after = tick_with_tangents(
-            x, fixed.rest + (u[k] - fixed.rest) * (1.0 + at[share]), given, p, c, period, fixed.steps,
-            fixed.which, columns, du, fp,
-        )  # fmt: skip
-        moving = output(after, given, p, c) - before
-        unpack(after, there)
+            there[i] = at[i]
+        du[0, m + n] = u[k] - fixed.rest
+        inputs[0] = fixed.rest + (u[k] - fixed.rest) * (1.0 + at[share])
+        call(code[OUTPUTS], at, inputs, given, work.p, work.b, work.seen)
+        before = work.seen[0]
+        tick_with_tangents(code, there, inputs, given, work, period, fixed.steps, fixed.which, columns, du)
+        call(code[OUTPUTS], there, inputs, given, work.p, work.b, work.seen)
+        moving = work.seen[0] - before
         shows = 0.0
         for i in range(n):
             shows += hx[i] * hx[i]

@@ -1,7 +1,7 @@
-"""The compiled arithmetic of every plant: steps, loops and their exact tangents.
+"""The compiled arithmetic of a sample, for every plant: steps, exact tangents, starts, slopes.
 
-Written against `derived`, whose functions are those of one plant; the store replaces them by the functions
-generated for another plant and keeps the result, with `runs`, as a separate module.
+A kernel is compiled once for all plants. It gets a plant as `code`: the addresses of the functions made from
+its equations (`machine.py`), and their sizes.
 
 A sample takes `steps` Runge–Kutta steps of order 4, none of which crosses a kink: if a condition changes sign
 within a step, the moment is found by bisection and the step ends just after it. Tangents pass through the
@@ -9,51 +9,40 @@ same stages. They need no correction at a kink: the rates are continuous there, 
 first-order effect.
 """
 
-# ruff: noqa: PLR0917 (kernels are long and take arrays in a row)
+# ruff: noqa: ARG001, PLR0917 (kernels take arrays in a row, and intrinsics the compiler's context)
+# mypy: disable-error-code="untyped-decorator"
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic
+from numpy.typing import NDArray
 
 from twinmatch.compiled import compiled
-from twinmatch.dynamics.derived import (
-    N_QUANTITIES,
-    N_STATES,
-    N_SWITCHES,
-    N_UNKNOWN,
-    branch,
-    combined,
-    output,
-    output_slopes,
-    packed,
-    parameters,
-    prepare,
-    quantities,
-    rates,
-    rates_and_slopes,
-    row,
-    shifted,
-    start,
-    start_slopes,
-    switches,
-    tangents,
-    unpack,
-)
 from twinmatch.signals import FloatArray
 
 __all__ = [
     "MOST_STEPS",
+    "OUTPUTS",
+    "OUTPUT_SLOPES",
     "RATE_LIMIT",
+    "SIZES",
+    "Code",
+    "Work",
     "advance",
     "begin",
+    "call",
     "outputs_at",
     "parts",
     "slopes_at",
     "step_count",
     "tick",
     "tick_with_tangents",
+    "work_for",
 ]
 
 RATE_LIMIT = 0.06
@@ -65,219 +54,267 @@ BISECTIONS = 48
 MOST_SWITCHES = 6
 """Kinks whose combinations are all checked for the fastest rate."""
 
+Code = NDArray[np.int64]
+"""A plant for the kernels: the addresses of its functions, in the order of `machine.FUNCTIONS`, and SIZES."""
+CONSTANTS, SWITCHES, STEP, TANGENTS, SLOPES, OUTPUTS, OUTPUT_SLOPES, START, QUANTITIES = range(9)
+N, N_INPUTS, N_OUTPUTS, N_PARAMETERS, N_UNKNOWN, N_QUANTITIES, N_CONSTANTS, N_SWITCHES = range(9, 17)
+SIZES = (
+    "n_states", "n_inputs", "n_outputs", "n_parameters", "n_unknown", "n_quantities", "n_constants",
+    "n_switches",
+)  # fmt: skip
+"""Names of the numbers after the addresses."""
 
-@compiled(innermost=True)
-def _crossed(a: Any, u: float, d: Any, p: Any, c: Any, b: Any) -> bool:
-    """Whether states lie beyond a kink."""
-    return N_SWITCHES > 0 and switches(a, u, d, p, c) != b
+
+class Work(NamedTuple):
+    """Arrays that a kernel works with at one plant."""
+
+    p: FloatArray
+    """Parameters, and after them the constants that are computed from them."""
+    b: FloatArray
+    """Switches, 1 or 0."""
+    there: FloatArray
+    """States after a step, and whether it crosses a kink."""
+    seen: FloatArray
+    """Outputs."""
+    shown: FloatArray
+    """Derivatives of the outputs by the states, and then by the unknowns, row by row."""
 
 
-@compiled(innermost=True)
-def _runge_kutta(x: Any, u: float, d: Any, p: Any, c: Any, b: Any, h: float) -> Any:
-    """States after one step with constant switches, and whether it crosses a kink.
+@intrinsic
+def call(context: Any, address: Any, x: Any, u: Any, d: Any, p: Any, b: Any, out: Any) -> Any:
+    """Call a plant's function."""
+    return types.void(address, x, u, d, p, b, out), _by_address
 
-    The stages are checked, too: beyond a kink the equations of this branch may be invalid.
-    """
-    k1 = rates(x, u, d, p, c, b)
-    x2 = shifted(x, k1, 0.5 * h)
-    k2 = rates(x2, u, d, p, c, b)
-    x3 = shifted(x, k2, 0.5 * h)
-    k3 = rates(x3, u, d, p, c, b)
-    x4 = shifted(x, k3, h)
-    k4 = rates(x4, u, d, p, c, b)
-    there = combined(x, k1, k2, k3, k4, h)
-    crossed = _crossed(there, u, d, p, c, b) or _crossed(x4, u, d, p, c, b)
-    return there, crossed or _crossed(x3, u, d, p, c, b) or _crossed(x2, u, d, p, c, b)
+
+@intrinsic
+def _call_step(context: Any, address: Any, x: Any, u: Any, d: Any, p: Any, b: Any, out: Any, h: Any) -> Any:
+    return types.void(address, x, u, d, p, b, out, h), _by_address
+
+
+@intrinsic
+def _call_tangents(
+    context: Any, address: Any, x: Any, u: Any, d: Any, p: Any, b: Any, out: Any, h: Any, columns: Any,
+    du: Any, which: Any, first: Any, size: Any,
+) -> Any:  # fmt: skip
+    arguments = (address, x, u, d, p, b, out, h, columns, du, which, first, size)
+    return types.void(*arguments), _by_address
+
+
+def _by_address(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    """Arrays are passed as pointers to their first value."""
+    passed = [
+        context.make_array(kind)(context, builder, value).data if isinstance(kind, types.Array) else value
+        for kind, value in zip(signature.args[1:], arguments[1:], strict=True)
+    ]
+    function = ir.FunctionType(ir.VoidType(), [value.type for value in passed])
+    builder.call(builder.inttoptr(arguments[0], function.as_pointer()), passed)
+    return context.get_dummy_value()
 
 
 @compiled(inside=True)
-def _reach(x: Any, u: float, d: Any, p: Any, c: Any, b: Any, h: float) -> float:
+def work_for(code: Code, vector: FloatArray) -> Work:
+    """The arrays for a plant with these parameters."""
+    own = code[N_PARAMETERS]
+    p = np.empty(own + code[N_CONSTANTS])
+    for i in range(own):
+        p[i] = vector[i]
+    b, there, seen = np.zeros(code[N_SWITCHES]), np.zeros(code[N] + 1), np.zeros(code[N_OUTPUTS])
+    shown = np.zeros(code[N_OUTPUTS] * (code[N] + code[N_UNKNOWN]))
+    call(code[CONSTANTS], p, p, p, p, b, p[own:])
+    return Work(p, b, there, seen, shown)
+
+
+@compiled(inside=True)
+def prepare(code: Code, vector: FloatArray, work: Work) -> None:
+    """Change the parameters."""
+    for i in range(code[N_PARAMETERS]):
+        work.p[i] = vector[i]
+    call(code[CONSTANTS], vector, vector, vector, work.p, work.b, work.p[code[N_PARAMETERS] :])
+
+
+@compiled(inside=True)
+def _reach(code: Code, x: FloatArray, u: FloatArray, d: FloatArray, work: Work, h: float) -> float:
     """Length of the step that ends just beyond the first kink within a step of h."""
     low, high = 0.0, h
     for _ in range(BISECTIONS):
         middle = 0.5 * (low + high)
-        if _runge_kutta(x, u, d, p, c, b, middle)[1]:
+        _call_step(code[STEP], x, u, d, work.p, work.b, work.there, middle)
+        if work.there[x.size] != 0.0:
             high = middle
         else:
             low = middle
     return high
 
 
-@compiled(innermost=True)
-def tick(x: Any, u: float, d: Any, p: Any, c: Any, period: float, steps: int) -> Any:
-    """States one period later."""
+@compiled(inside=True)
+def tick(
+    code: Code, x: FloatArray, u: FloatArray, d: FloatArray, work: Work, period: float, steps: int
+) -> None:
+    """Move the states one period on, in place."""
+    there = work.there
     for _ in range(steps):
         left = period / steps
         for event in range(MOST_EVENTS):
-            b = switches(x, u, d, p, c)
             taken = left
-            there, crossed = _runge_kutta(x, u, d, p, c, b, left)
-            if crossed and event < MOST_EVENTS - 1:
-                taken = _reach(x, u, d, p, c, b, left)
-                there, _ = _runge_kutta(x, u, d, p, c, b, taken)
-            x = there
+            _call_step(code[STEP], x, u, d, work.p, work.b, there, left)
+            if there[x.size] != 0.0 and event < MOST_EVENTS - 1:
+                taken = _reach(code, x, u, d, work, left)
+                _call_step(code[STEP], x, u, d, work.p, work.b, there, taken)
+            for i in range(x.size):
+                x[i] = there[i]
             left -= taken
             if not left > 0.0:
                 break
-    return x
 
 
-@compiled(innermost=True)
+@compiled(inside=True)
 def tick_with_tangents(
-    x: Any, u: float, d: Any, p: Any, c: Any, period: float, steps: int,
-    which: Any, columns: FloatArray, du: FloatArray, fp: FloatArray,
-) -> Any:  # fmt: skip
-    """States one period later, in the same steps as `tick`.
+    code: Code, x: FloatArray, u: FloatArray, d: FloatArray, work: Work, period: float, steps: int,
+    which: NDArray[np.int64], columns: FloatArray, du: FloatArray,
+) -> None:  # fmt: skip
+    """Move the states one period on, in the same steps as `tick`, and their derivatives with them, in place.
 
-    Their derivatives `columns`, shape (N_STATES, m), are updated in place.
+    `columns`, shape (n, k), are the derivatives by the parameters `which`, indices of those with tangents,
+    and then by others; `du`, shape (m, k), are those of the inputs.
     """
+    there = work.there
     for _ in range(steps):
         left = period / steps
         for event in range(MOST_EVENTS):
-            b = switches(x, u, d, p, c)
             h = left
-            while True:
-                k1, fx1, fu1 = rates_and_slopes(x, u, d, p, c, b, fp, 0)
-                x2 = shifted(x, k1, 0.5 * h)
-                k2, fx2, fu2 = rates_and_slopes(x2, u, d, p, c, b, fp, 1)
-                x3 = shifted(x, k2, 0.5 * h)
-                k3, fx3, fu3 = rates_and_slopes(x3, u, d, p, c, b, fp, 2)
-                x4 = shifted(x, k3, h)
-                k4, fx4, fu4 = rates_and_slopes(x4, u, d, p, c, b, fp, 3)
-                there = combined(x, k1, k2, k3, k4, h)
-                if N_SWITCHES == 0 or h < left or event == MOST_EVENTS - 1:
-                    break
-                crossed = _crossed(there, u, d, p, c, b) or _crossed(x4, u, d, p, c, b)
-                if not (crossed or _crossed(x3, u, d, p, c, b) or _crossed(x2, u, d, p, c, b)):
-                    break
-                reach = _reach(x, u, d, p, c, b, left)
-                if not reach < h:
-                    break
-                h = reach
-            tangents(columns, du, fp, which, h, fx1, fu1, fx2, fu2, fx3, fu3, fx4, fu4)
-            x = there
+            if code[N_SWITCHES]:
+                _call_step(code[STEP], x, u, d, work.p, work.b, there, left)
+                if there[x.size] != 0.0 and event < MOST_EVENTS - 1:
+                    h = _reach(code, x, u, d, work, left)
+            _call_tangents(
+                code[TANGENTS], x, u, d, work.p, work.b, there, h, columns, du, which, which.size,
+                columns.shape[1],
+            )  # fmt: skip
+            for i in range(x.size):
+                x[i] = there[i]
             left -= h
             if not left > 0.0:
                 break
-    return x
+
+
+@compiled(inside=True)
+def _scalar(u: float) -> FloatArray:
+    values = np.empty(1)
+    values[0] = u
+    return values
 
 
 @compiled
 def advance(
-    vector: FloatArray, x: FloatArray, u: float, d: FloatArray, period: float, steps: int
+    code: Code, vector: FloatArray, x: FloatArray, u: float, d: FloatArray, period: float, steps: int
 ) -> FloatArray:
-    """The states one period later under constant drive and disturbances, shape (N_STATES,)."""
-    after = np.zeros(N_STATES)
-    p = parameters(vector)
-    c = prepare(p)
-    unpack(tick(packed(x), u, row(d.reshape((1, d.size)), 0), p, c, period, steps), after)
+    """The states one period later under constant inputs and disturbances, shape (n,)."""
+    after = x.copy()
+    tick(code, after, _scalar(u), d, work_for(code, vector), period, steps)
     return after
 
 
 @compiled
-def begin(vector: FloatArray, y: float, u: float, d: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Initial states after a drive u, and their derivatives by y, (N_STATES,), and p, (N_STATES, n)."""
-    x = np.zeros(N_STATES)
-    xy, xp = np.zeros(N_STATES), np.zeros((N_STATES, N_UNKNOWN))
-    p = parameters(vector)
-    c = prepare(p)
-    given = row(d.reshape((1, d.size)), 0)
-    start(y, u, given, p, c, x)
-    start_slopes(y, u, given, p, c, xy, xp)
-    return x, xy, xp
+def begin(
+    code: Code, vector: FloatArray, y: float, u: float, d: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Initial states after an input u, and their derivatives by y, shape (n,), and the unknowns, (n, q)."""
+    n, q = code[N], code[N_UNKNOWN]
+    work = work_for(code, vector)
+    found = np.empty(n * (2 + q))
+    call(code[START], _scalar(y), _scalar(u), d, work.p, work.b, found)
+    return found[:n].copy(), found[n : 2 * n].copy(), found[2 * n :].copy().reshape((n, q))
 
 
 @compiled
-def outputs_at(vector: FloatArray, x: FloatArray, u: float, d: FloatArray) -> tuple[float, FloatArray]:
-    """The output, and the plant's other quantities, shape (N_QUANTITIES,)."""
-    q = np.zeros(N_QUANTITIES)
-    p = parameters(vector)
-    c = prepare(p)
-    at, given = packed(x), row(d.reshape((1, d.size)), 0)
-    quantities(at, u, given, p, c, switches(at, u, given, p, c), q)
-    return output(at, given, p, c), q
+def outputs_at(
+    code: Code, vector: FloatArray, x: FloatArray, u: float, d: FloatArray
+) -> tuple[float, FloatArray]:
+    """The output, and the plant's other quantities."""
+    work, found, of_u = work_for(code, vector), np.zeros(code[N_QUANTITIES]), _scalar(u)
+    call(code[SWITCHES], x, of_u, d, work.p, work.b, work.b)
+    call(code[QUANTITIES], x, of_u, d, work.p, work.b, found)
+    call(code[OUTPUTS], x, of_u, d, work.p, work.b, work.seen)
+    return work.seen[0], found
 
 
 @compiled
 def parts(
-    vector: FloatArray,
-    y: float,
-    before: FloatArray,
-    u: float,
-    rest: float,
-    d: FloatArray,
-    period: float,
-    steps: int,
-) -> tuple[float, float, FloatArray]:
+    code: Code, vector: FloatArray, y: float, before: FloatArray, u: float, rest: float, d: FloatArray,
+    period: float, steps: int,
+) -> tuple[float, float, FloatArray]:  # fmt: skip
     """Movement of a measured output in one period due to the drive and to all else, and the states after it.
 
     States that the output does not show start from `before`, unless that is NaN. Those whose initial value
     depends on the output, such as a heater that starts at the temperature of what it heats, are shifted by
     the output's error: their distance from the output is kept, so that errors of the plant do not accumulate.
     """
-    x, after = np.zeros(N_STATES), np.zeros(N_STATES)
-    shown, shown_by = np.zeros(N_STATES), np.zeros(N_UNKNOWN)
-    xy, xp = np.zeros(N_STATES), np.zeros((N_STATES, N_UNKNOWN))
-    p = parameters(vector)
-    c = prepare(p)
-    given = row(d.reshape((1, d.size)), 0)
-    start(y, u, given, p, c, x)
-    start_slopes(y, u, given, p, c, xy, xp)
-    output_slopes(packed(x), given, p, c, shown, shown_by)
+    n, work = code[N], work_for(code, vector)
+    of_u, of_rest, started = _scalar(u), _scalar(rest), np.empty(code[N] * (2 + code[N_UNKNOWN]))
+    call(code[START], _scalar(y), of_u, d, work.p, work.b, started)
+    call(code[OUTPUT_SLOPES], started, of_u, d, work.p, work.b, work.shown)
     if not np.isnan(before[0]):
-        off = y - output(packed(before), given, p, c)
-        for i in range(N_STATES):
-            if shown[i] == 0.0:
-                x[i] = before[i] + (xy[i] * off if xy[i] != 0.0 else 0.0)
-    at = packed(x)
-    driven = tick(at, u, given, p, c, period, steps)
-    idle = output(tick(at, rest, given, p, c, period, steps), given, p, c)
-    unpack(driven, after)
-    return output(driven, given, p, c) - idle, idle - output(at, given, p, c), after
+        call(code[OUTPUTS], before, of_u, d, work.p, work.b, work.seen)
+        off = y - work.seen[0]
+        for i in range(n):
+            if work.shown[i] == 0.0:
+                started[i] = before[i] + (started[n + i] * off if started[n + i] != 0.0 else 0.0)
+    call(code[OUTPUTS], started, of_u, d, work.p, work.b, work.seen)
+    begun, after, idle = work.seen[0], started[:n].copy(), started[:n].copy()
+    tick(code, after, of_u, d, work, period, steps)
+    tick(code, idle, of_rest, d, work, period, steps)
+    call(code[OUTPUTS], idle, of_rest, d, work.p, work.b, work.seen)
+    passive = work.seen[0]
+    call(code[OUTPUTS], after, of_u, d, work.p, work.b, work.seen)
+    return work.seen[0] - passive, passive - begun, after
 
 
 @compiled
 def slopes_at(
-    vector: FloatArray, x: FloatArray, u: float, d: FloatArray
+    code: Code, vector: FloatArray, x: FloatArray, u: float, d: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
     """Rates, their derivatives by states, drive and parameters, and the output's by states, parameters."""
-    fp = np.zeros((1, N_STATES, N_UNKNOWN))
-    hx, hp = np.zeros(N_STATES), np.zeros(N_UNKNOWN)
-    p = parameters(vector)
-    c = prepare(p)
-    at, given = packed(x), row(d.reshape((1, d.size)), 0)
-    f, fx, fu = rates_and_slopes(at, u, given, p, c, switches(at, u, given, p, c), fp, 0)
-    output_slopes(at, given, p, c, hx, hp)
-    return np.array(f), np.array(fx).reshape((N_STATES, N_STATES)), np.array(fu), fp[0], hx, hp
+    n, q, m = code[N], code[N_UNKNOWN], code[N_INPUTS]
+    work, of_u, found = work_for(code, vector), _scalar(u), np.empty(n * (q + 1 + n + m))
+    call(code[SWITCHES], x, of_u, d, work.p, work.b, work.b)
+    call(code[SLOPES], x, of_u, d, work.p, work.b, found)
+    call(code[OUTPUT_SLOPES], x, of_u, d, work.p, work.b, work.shown)
+    rates, rest = found[n * q : n * q + n].copy(), found[n * q + n :]
+    return (
+        rates, rest[: n * n].copy().reshape((n, n)), rest[n * n :].copy(),
+        found[: n * q].copy().reshape((n, q)), work.shown[:n].copy(), work.shown[n:].copy(),
+    )  # fmt: skip
 
 
 @compiled
 def step_count(
-    vector: FloatArray, corners: FloatArray, drives: FloatArray, d: FloatArray, period: float, limit: float
-) -> int:
+    code: Code, vector: FloatArray, corners: FloatArray, drives: FloatArray, d: FloatArray, period: float,
+    limit: float,
+) -> int:  # fmt: skip
     """Runge–Kutta steps per sample, none longer than `limit` times the fastest time constant; more than
     MOST_STEPS where the plant is too fast.
 
-    The fastest rate decides: the largest over the states `corners`, shape (m, N_STATES), the drives, and all
+    The fastest rate decides: the largest over the states `corners`, shape (k, n), the drives, and all
     branches of the kinks, of the least of three norms of df/dx (rows, columns, Frobenius), each of which
     bounds the eigenvalues.
     """
-    fp = np.zeros((1, N_STATES, N_UNKNOWN))
-    p = parameters(vector)
-    c = prepare(p)
-    given, fastest = row(d.reshape((1, d.size)), 0), 0.0
+    n, q, switched, fastest = code[N], code[N_UNKNOWN], code[N_SWITCHES], 0.0
+    work, of_u, found = work_for(code, vector), np.empty(1), np.empty(n * (q + 1 + n + code[N_INPUTS]))
     for k in range(corners.shape[0]):
-        at = packed(corners[k])
         for u in drives:
-            for code in range(2 ** min(N_SWITCHES, MOST_SWITCHES)):
-                fx = rates_and_slopes(at, u, given, p, c, branch(code), fp, 0)[1]
+            of_u[0] = u
+            for branch in range(2 ** min(switched, MOST_SWITCHES)):
+                for i in range(switched):
+                    work.b[i] = float(branch >> i & 1)
+                call(code[SLOPES], corners[k], of_u, d, work.p, work.b, found)
+                fx = found[n * q + n :]
                 rows, columns, squares = 0.0, 0.0, 0.0
-                for i in range(N_STATES):
+                for i in range(n):
                     in_row, in_column = 0.0, 0.0
-                    for m in range(N_STATES):
-                        in_row += abs(fx[i * N_STATES + m])
-                        in_column += abs(fx[m * N_STATES + i])
-                        squares += fx[i * N_STATES + m] ** 2
+                    for m in range(n):
+                        in_row += abs(fx[i * n + m])
+                        in_column += abs(fx[m * n + i])
+                        squares += fx[i * n + m] ** 2
                     rows, columns = max(rows, in_row), max(columns, in_column)
                 fastest = max(fastest, min(rows, columns, np.sqrt(squares)))
     count = np.ceil(period * fastest / limit)

@@ -1,4 +1,4 @@
-"""Derives and compiles everything for a plant in advance."""
+"""Compiles everything for a plant in advance: its equations, and the kernels, which are the same for all."""
 
 from __future__ import annotations
 
@@ -27,23 +27,24 @@ _SAMPLES = 8
 
 
 def prepare(plant: type[Plant]) -> Iterator[Model]:
-    """Derive and compile all structures of a plant, one at a time; each is yielded when it is ready.
+    """Compile all structures of a plant, one at a time; each is yielded when it is ready.
 
     Those already on disk are only loaded.
 
     Raises:
         PlantError: the equations cannot be used, or the cache folder cannot be written.
     """
-    for name, structure in plant.structures.items():
-        if structure.external is not None:
-            continue
+    own = [name for name, structure in plant.structures.items() if structure.external is None]
+    for name in own:
         model = plant.model(name)
-        _use(model.parameters())
+        model.kernels  # noqa: B018 (compiled at the first use)
+        if name == own[0]:
+            _use(model.parameters())
         yield model
 
 
 def _use(parameters: Parameters) -> None:
-    """Call every kernel of this structure once: numba compiles at the first call.
+    """Call every kernel once: numba compiles at the first call.
 
     The other kernels of linearisations are called by the observer, too.
     """

@@ -1,7 +1,4 @@
-"""Compiled runs of every plant: over a record, with exact tangents, and in a least-squares search.
-
-The store puts this file behind `kernels`, so that all is written against one plant's functions.
-"""
+"""Compiled runs of every plant: over a record, with exact tangents, and in a least-squares search."""
 
 # ruff: noqa: PLR0912, PLR0917 (kernels are long and take arrays in a row)
 
@@ -12,18 +9,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from twinmatch.compiled import compiled
-from twinmatch.dynamics.derived import (
-    N_STATES,
-    N_UNKNOWN,
-    output,
-    output_slopes,
-    packed,
-    parameters,
-    prepare,
-    row,
-)
 from twinmatch.dynamics.descent import Search, update_search
-from twinmatch.dynamics.kernels import MOST_STEPS, begin, step_count, tick, tick_with_tangents
+from twinmatch.dynamics.kernels import (
+    MOST_STEPS,
+    OUTPUT_SLOPES,
+    OUTPUTS,
+    Code,
+    begin,
+    call,
+    step_count,
+    tick,
+    tick_with_tangents,
+    work_for,
+)
 from twinmatch.dynamics.loop import Gains, loop_step, pid_step, reading
 from twinmatch.signals import FloatArray
 
@@ -57,40 +55,40 @@ def add_row(normal: FloatArray, of: FloatArray, weight: float, robust: bool) -> 
 
 @compiled
 def run(
-    vector: FloatArray, x: FloatArray, closed: bool, gains: Gains, reference: FloatArray, given: FloatArray,
-    disturbances: FloatArray, noise: FloatArray, frozen: Any, resolution: float,
+    code: Code, vector: FloatArray, x: FloatArray, closed: bool, gains: Gains, reference: FloatArray,
+    given: FloatArray, disturbances: FloatArray, noise: FloatArray, frozen: Any, resolution: float,
     integral: float, previous_error: float, period: float, steps: int,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
-    """Output, input, both shape (N,), and states before each tick, shape (N + 1, N_STATES).
+    """Output, input, both shape (N,), and states before each tick, shape (N + 1, nx).
 
     The loop over the reference if `closed`, else the plant under the inputs given.
     """
     size = disturbances.shape[0]
-    y, u, states = np.empty(size), np.empty(size), np.empty((size + 1, N_STATES))
-    p = parameters(vector)
-    c = prepare(p)
-    at = packed(x)
+    y, u, states = np.empty(size), np.empty(size), np.empty((size + 1, x.size))
+    work, at, of_u = work_for(code, vector), x.copy(), np.zeros(1)
     last = 0.0
     for k in range(size):
-        d = row(disturbances, k)
-        for i in range(N_STATES):
+        d = disturbances[k]
+        for i in range(x.size):
             states[k, i] = at[i]
-        last = reading(output(at, d, p, c), noise[k], frozen[k] and k > 0, resolution, last)
+        call(code[OUTPUTS], at, of_u, d, work.p, work.b, work.seen)
+        last = reading(work.seen[0], noise[k], frozen[k] and k > 0, resolution, last)
         y[k] = last
         if closed:
             u[k], integral, previous_error = pid_step(gains, integral, previous_error, reference[k], last)
         else:
             u[k] = given[k]
-        at = tick(at, u[k], d, p, c, period, steps)
-    for i in range(N_STATES):
+        of_u[0] = u[k]
+        tick(code, at, of_u, d, work, period, steps)
+    for i in range(x.size):
         states[size, i] = at[i]
     return y, u, states
 
 
 @compiled
 def run_with_tangents(
-    vector: FloatArray, which: Any, x: FloatArray, columns: FloatArray, closed: bool, gains: Gains,
-    reference: FloatArray, given: FloatArray, disturbances: FloatArray, integral: float,
+    code: Code, vector: FloatArray, which: Any, x: FloatArray, columns: FloatArray, closed: bool,
+    gains: Gains, reference: FloatArray, given: FloatArray, disturbances: FloatArray, integral: float,
     previous_error: float, period: float, steps: int, measured: FloatArray, weights: FloatArray,
     robust: bool, stored: bool, limit: float,
 ) -> tuple[
@@ -98,38 +96,37 @@ def run_with_tangents(
 ]:  # fmt: skip
     """The run with its derivatives; either its arrays are stored, or the normal equations are summed.
 
-    `columns`, shape (N_STATES, n), are the derivatives of x by the n unknowns: the parameters `which`,
+    `columns`, shape (nx, n), are the derivatives of x by the n unknowns: the parameters `which`,
     indices into UNKNOWN, then others (initial states) that act only through x. `measured` holds output and
     input, shape (2, N), and `weights` the weight of every sample of both, shape (2, N). Returns output,
-    input, their derivatives (2, N, n), the derivatives of every tick by state (N, N_STATES, N_STATES) and
-    drive (N, N_STATES), whether the controller was free (N,), the derivatives of the output by state (N,
-    N_STATES), and [J r]ᵀ[J r] of the weighed residuals r = weights·(simulated − measured), shape (n + 1, n +
+    input, their derivatives (2, N, n), the derivatives of every tick by state (N, nx, nx) and
+    drive (N, nx), whether the controller was free (N,), the derivatives of the output by state (N,
+    nx), and [J r]ᵀ[J r] of the weighed residuals r = weights·(simulated − measured), shape (n + 1, n +
     1); its last entry is the sum of r², or of 2(√(1 + r²) − 1) if `robust`, with rows weighted by 1/√(1 +
     r²). A run ends when its sum exceeds `limit`.
     """
-    size, n = disturbances.shape[0], columns.shape[1]
+    size, n, nx = disturbances.shape[0], columns.shape[1], x.size
     kept = size if stored else 0
-    extra = N_STATES + 1 if stored else 0
+    extra = nx + 1 if stored else 0
     m = n + extra
     y_all, u_all, by = np.empty(kept), np.empty(kept), np.empty((2, kept, n))
-    by_state, by_drive = np.empty((kept, N_STATES, N_STATES)), np.empty((kept, N_STATES))
-    free_all, seen = np.empty(kept), np.empty((kept, N_STATES))
+    by_state, by_drive = np.empty((kept, nx, nx)), np.empty((kept, nx))
+    free_all, seen = np.empty(kept), np.empty((kept, nx))
     normal, dy = np.zeros((n + 1, n + 1)), np.zeros(n + 1)
-    fp = np.zeros((4, N_STATES, N_UNKNOWN))
-    hx, hp = np.zeros(N_STATES), np.zeros(N_UNKNOWN)
-    all_columns, du, of_u = np.zeros((N_STATES, m)), np.zeros(m), np.zeros(n + 1)
+    all_columns, by_inputs, of_u = np.zeros((nx, m)), np.zeros((1, m)), np.zeros(n + 1)
     all_columns[:, :n] = columns
+    du = by_inputs[0]
     d_integral, d_error = np.zeros(n), np.zeros(n)
-    p = parameters(vector)
-    c = prepare(p)
-    at = packed(x)
+    work, at, inputs = work_for(code, vector), x.copy(), np.zeros(1)
+    hx, hp = work.shown[:nx], work.shown[nx:]
     for k in range(size):
-        d = row(disturbances, k)
-        y = output(at, d, p, c)
-        output_slopes(at, d, p, c, hx, hp)
+        d = disturbances[k]
+        call(code[OUTPUTS], at, inputs, d, work.p, work.b, work.seen)
+        call(code[OUTPUT_SLOPES], at, inputs, d, work.p, work.b, work.shown)
+        y = work.seen[0]
         for j in range(n):
             slope = hp[which[j]] if j < which.size else 0.0
-            for i in range(N_STATES):
+            for i in range(nx):
                 slope += hx[i] * all_columns[i, j]
             dy[j] = slope
         u, free = 0.0, 0.0
@@ -143,7 +140,7 @@ def run_with_tangents(
             y_all[k], u_all[k], free_all[k] = y, u, free
             for j in range(n):
                 by[0, k, j], by[1, k, j] = dy[j], du[j]
-            for i in range(N_STATES):
+            for i in range(nx):
                 seen[k, i] = hx[i]
                 for q in range(extra):
                     all_columns[i, n + q] = 1.0 if i == q else 0.0
@@ -158,11 +155,12 @@ def run_with_tangents(
                 add_row(normal, of_u, weights[1, k], robust)
             if normal[n, n] > limit:
                 break
-        at = tick_with_tangents(at, u, d, p, c, period, steps, which, all_columns, du, fp)
+        inputs[0] = u
+        tick_with_tangents(code, at, inputs, d, work, period, steps, which, all_columns, by_inputs)
         if stored:
-            for i in range(N_STATES):
+            for i in range(nx):
                 by_drive[k, i] = all_columns[i, m - 1]
-                for q in range(N_STATES):
+                for q in range(nx):
                     by_state[k, i, q] = all_columns[i, n + q]
     for i in range(n + 1):
         for j in range(i):
@@ -171,16 +169,18 @@ def run_with_tangents(
 
 
 @compiled
-def start_at(problem: LeastSquares, values: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, int]:
+def start_at(
+    code: Code, problem: LeastSquares, values: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, int]:
     """Parameters, states at the start, their derivatives by the unknowns, and steps per sample."""
     n = problem.which.size
     p = problem.base.copy()
     for j in range(n):
         p[problem.places[j]] = values[j]
     given = problem.disturbances[0]
-    x, _, by_parameters = begin(p, problem.first, problem.input_before, given)
-    columns = np.zeros((N_STATES, values.size))
-    for i in range(N_STATES):
+    x, _, by_parameters = begin(code, p, problem.first, problem.input_before, given)
+    columns = np.zeros((x.size, values.size))
+    for i in range(x.size):
         for j in range(n):
             columns[i, j] = by_parameters[i, problem.which[j]]
     for k in range(problem.started.size):
@@ -193,6 +193,7 @@ def start_at(problem: LeastSquares, values: FloatArray) -> tuple[FloatArray, Flo
         x,
         columns,
         step_count(
+            code,
             p,
             problem.corners,
             problem.drives,
@@ -205,18 +206,18 @@ def start_at(problem: LeastSquares, values: FloatArray) -> tuple[FloatArray, Flo
 
 @compiled
 def normal_at(
-    problem: LeastSquares, values: FloatArray, limit: float
+    code: Code, problem: LeastSquares, values: FloatArray, limit: float
 ) -> tuple[float, FloatArray, FloatArray]:
     """Sum, gradient Jᵀr and JᵀJ of the weighed residuals, as far as the sum does not come above `limit`; it
     is infinite where the plant is too fast. What is known beforehand counts like so many residuals more."""
     n = values.size
-    p, x, columns, steps = start_at(problem, values)
+    p, x, columns, steps = start_at(code, problem, values)
     if steps > MOST_STEPS:
         return np.inf, np.zeros(n), np.zeros((n, n))
     normal = run_with_tangents(
-        p, problem.which, x, columns, problem.closed, problem.gains, problem.reference, problem.measured[1],
-        problem.disturbances, problem.integral, problem.previous, problem.period, steps, problem.measured,
-        problem.weights, problem.robust, False, limit,
+        code, p, problem.which, x, columns, problem.closed, problem.gains, problem.reference,
+        problem.measured[1], problem.disturbances, problem.integral, problem.previous, problem.period,
+        steps, problem.measured, problem.weights, problem.robust, False, limit,
     )[7]  # fmt: skip
     cost, gradient, hessian = normal[n, n], normal[n, :n].copy(), normal[:n, :n].copy()
     for j in range(n):
@@ -229,9 +230,9 @@ def normal_at(
 
 
 @compiled
-def search(problem: LeastSquares, state: Search) -> None:
+def search(code: Code, problem: LeastSquares, state: Search) -> None:
     """Run a search to its end."""
-    cost, gradient, hessian = normal_at(problem, state.point, np.inf)
+    cost, gradient, hessian = normal_at(code, problem, state.point, np.inf)
     while update_search(state, cost, gradient, hessian):
         # A run whose cost exceeds the best one's can stop early.
-        cost, gradient, hessian = normal_at(problem, state.point, state.best[0])
+        cost, gradient, hessian = normal_at(code, problem, state.point, state.best[0])

@@ -1,51 +1,81 @@
-"""Storage of the code generated from a plant's equations: one Python module per plant and set of parts.
+"""Storage of the machine code made from a plant's equations: one file per plant and set of parts.
 
-The module consists of `kernels.py`, `runs.py` and so on, with the plant's functions in place of `derived.py`.
-Its name carries a hash of everything it is generated from: the sources of plant and generator, and the
-versions of the libraries involved. So any change gives a new module, and an outdated one is never run. The
-folder is `$TWINMATCH_CACHE`, or `twinmatch` in the user's cache folder; numba keeps its machine code there,
-too.
+Its name carries a hash of everything it is made from: the sources of plant and compiler, the versions of the
+libraries involved, and the processor. So any change gives a new file, and an outdated one is never run. The
+folder is `$TWINMATCH_CACHE`, or `twinmatch` in the user's cache folder.
 """
 
 from __future__ import annotations
 
-import ast
 import contextlib
+import functools
 import hashlib
 import importlib.metadata
-import importlib.util
 import inspect
+import json
 import os
 import sys
 import tempfile
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from types import ModuleType
-from typing import Any
+from typing import TYPE_CHECKING, Any, Final
 
-from twinmatch.dynamics.code import derived_source
+import numpy as np
+
+from twinmatch.dynamics import filters, kernels, runs
+from twinmatch.dynamics.code import plant_formulas
 from twinmatch.dynamics.declarations import PlantError
 from twinmatch.dynamics.definition import PlantDefinition
 from twinmatch.dynamics.equations import derive
+from twinmatch.dynamics.machine import FUNCTIONS, compiled_object, host, linked
 
-__all__ = ["cache_folder", "kernels_of", "source_hash"]
+__all__ = ["Kernels", "cache_folder", "kernels_of", "source_hash"]
 
 _HERE = Path(__file__).parent
-_TEMPLATES = ("kernels.py", "runs.py", "filters.py")
-_GENERATOR = (
+_COMPILER = (
     "code.py",
     "declarations.py",
     "definition.py",
     "equations.py",
+    "machine.py",
     "store.py",
     "terms.py",
-    *_TEMPLATES,
 )
-_JOINED = ("__future__", "twinmatch.dynamics.derived", "twinmatch.dynamics.kernels")
-_PROGRAMS = ("numba", "numpy", "sympy")
+_PROGRAMS = ("llvmlite", "sympy")
+
+
+_KERNELS: Final = (
+    kernels.advance, kernels.begin, kernels.outputs_at, kernels.parts, kernels.slopes_at, kernels.step_count,
+    runs.normal_at, runs.run, runs.run_with_tangents, runs.search, runs.start_at,
+    filters.correct, filters.predict, filters.track,
+)  # fmt: skip
+
+
+class Kernels:
+    """The kernels, each called with one plant's code; and the names of the plant's quantities."""
+
+    RATE_LIMIT = kernels.RATE_LIMIT
+    MOST_STEPS = kernels.MOST_STEPS
+
+    def __init__(
+        self, machine_code: bytes, names: Mapping[str, Sequence[str]], sizes: Mapping[str, int]
+    ) -> None:
+        self._owner, addresses = linked(machine_code)
+        self.STATES, self.PARAMETERS, self.UNKNOWN, self.QUANTITIES = (
+            tuple(names[of]) for of in ("states", "parameters", "unknown", "quantities")
+        )
+        known = {**addresses, **sizes, **{f"n_{of}": len(found) for of, found in names.items()}}
+        self.code = np.array([known[name] for name in (*FUNCTIONS, *kernels.SIZES)], dtype=np.int64)
+        for kernel in _KERNELS:
+            setattr(self, kernel.__name__, functools.partial(kernel, self.code))
+
+    if TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any: ...
 
 
 def cache_folder() -> Path:
-    """Where generated modules are kept."""
+    """Where machine code is kept."""
     given = os.environ.get("TWINMATCH_CACHE")
     if given:
         return Path(given)
@@ -53,68 +83,66 @@ def cache_folder() -> Path:
     return (Path(base) if base else Path.home() / ".cache") / "twinmatch"
 
 
-def kernels_of(plant: type[PlantDefinition], parts: frozenset[str], unknown: frozenset[str]) -> Any:
-    """The compiled kernels of a plant with some of its parts, with tangents for the parameters `unknown`.
+def kernels_of(plant: type[PlantDefinition], parts: frozenset[str], unknown: frozenset[str]) -> Kernels:
+    """The kernels of a plant with some of its parts, with tangents for the parameters `unknown`.
 
-    They are generated if they are not there yet.
+    Its equations are compiled if they are not there yet.
 
     Raises:
         PlantError: the equations cannot be used, or the cache folder cannot be written.
     """
     key = (plant, parts, unknown)
     if key not in _LOADED:
-        _LOADED[key] = _module_for(plant, parts, unknown)
+        path = cache_folder() / f"{plant.name}_{_fingerprint(plant, parts, unknown)}.code"
+        content = _whole(path)
+        if content is None:
+            content = _compiled(plant, parts, unknown)
+            _write_atomically(path, hashlib.sha256(content).digest() + content)
+        head, _, machine_code = content.partition(b"\n")
+        _LOADED[key] = Kernels(machine_code, **json.loads(head))
     return _LOADED[key]
 
 
-_LOADED: dict[tuple[type[PlantDefinition], frozenset[str], frozenset[str]], ModuleType] = {}
+_LOADED: dict[tuple[type[PlantDefinition], frozenset[str], frozenset[str]], Kernels] = {}
 
 
-def _module_for(plant: type[PlantDefinition], parts: frozenset[str], unknown: frozenset[str]) -> ModuleType:
-    name = f"{plant.name}_{_fingerprint(plant, parts, unknown)}"
-    path = cache_folder() / f"{name}.py"
-    if not path.exists():
-        what = f"{plant.title}, {', '.join(sorted(parts))}" if parts else plant.title
-        print(f"twinmatch: preparing the equations of: {what} (some seconds, once)", file=sys.stderr)
-        _write_atomically(path, _module_text(plant, parts, unknown))
-    return _load(f"twinmatch_plants_{name}", path)
+def _whole(path: Path) -> bytes | None:
+    """The content of a file, or None if there is none or it is damaged: damaged machine code must not run."""
+    try:
+        content = path.read_bytes()
+    except OSError:
+        return None
+    return content[32:] if hashlib.sha256(content[32:]).digest() == content[:32] else None
 
 
-def _module_text(plant: type[PlantDefinition], parts: frozenset[str], unknown: frozenset[str]) -> str:
+def _compiled(plant: type[PlantDefinition], parts: frozenset[str], unknown: frozenset[str]) -> bytes:
+    """A line with all names and sizes, and the machine code."""
     derived = derive(plant(), parts, unknown)
-    known = {
-        "STATES": derived.states,
-        "PARAMETERS": derived.parameters,
-        "UNKNOWN": derived.unknown,
-        "QUANTITIES": derived.quantities,
+    formulas = plant_formulas(derived)
+    every = {
+        "states": derived.states,
+        "parameters": derived.parameters,
+        "unknown": derived.unknown,
+        "quantities": derived.quantities,
     }
-    names = "".join(f"{name} = {tuple(map(str, what))}\n" for name, what in known.items())
-    head = (
-        f'"""Generated from the equations of {plant.name}; generated again when they change."""\n\n'
-        "import math\n\nfrom twinmatch.compiled import compiled\n\n"
-    )
-    body = "\n".join([names, derived_source(derived), *map(_template, _TEMPLATES)])
-    return "from __future__ import annotations\n\n" + head + body + "\n"
+    names = {what: [str(symbol) for symbol in symbols] for what, symbols in every.items()}
+    sizes = {
+        "n_inputs": formulas.n_inputs,
+        "n_outputs": formulas.n_outputs,
+        "n_constants": len(formulas.constants.results),
+        "n_switches": len(formulas.switches.results),
+    }
+    return json.dumps({"names": names, "sizes": sizes}).encode() + b"\n" + compiled_object(formulas)
 
 
-def _template(file: str) -> str:
-    """The text of one of the files, without imports from files that become part of the same module."""
-    text = (_HERE / file).read_text(encoding="utf-8")
-    lines = text.splitlines()
-    for node in reversed(ast.parse(text).body):
-        if isinstance(node, ast.ImportFrom) and node.module in _JOINED:
-            del lines[node.lineno - 1 : node.end_lineno]
-    return "\n".join(lines)
-
-
-def _write_atomically(path: Path, text: str) -> None:
+def _write_atomically(path: Path, content: bytes) -> None:
     """Write a file atomically: several processes may write it at the same time."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, draft = tempfile.mkstemp(dir=path.parent, suffix=".tmp")
         try:
-            with os.fdopen(handle, "w", encoding="utf-8") as file:
-                file.write(text)
+            with os.fdopen(handle, "wb") as file:
+                file.write(content)
             Path(draft).replace(path)
         except BaseException:
             with contextlib.suppress(OSError):
@@ -122,26 +150,16 @@ def _write_atomically(path: Path, text: str) -> None:
             raise
     except OSError as error:
         msg = (
-            f"{path.parent}: cannot keep the prepared equations there: {error.strerror}; "
+            f"{path.parent}: cannot keep the compiled equations there: {error.strerror}; "
             "set TWINMATCH_CACHE to a writable folder"
         )
         raise PlantError(msg) from error
 
 
-def _load(name: str, path: Path) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(name, path)
-    if spec is None or spec.loader is None:
-        raise PlantError(f"{path}: is not a Python module; remove it")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module  # numba looks its functions' module up there
-    spec.loader.exec_module(module)
-    return module
-
-
 def _fingerprint(plant: type[PlantDefinition], parts: frozenset[str], unknown: frozenset[str]) -> str:
-    what = (sys.version_info[:2], plant.__qualname__, sorted(parts), sorted(unknown))
+    what = (sys.version_info[:2], host(), plant.__qualname__, sorted(parts), sorted(unknown))
     digest = hashlib.sha256(repr(what).encode())
-    for file in (_HERE / name for name in _GENERATOR):
+    for file in (_HERE / name for name in _COMPILER):
         digest.update(file.read_bytes())
     for program in _PROGRAMS:
         digest.update(importlib.metadata.version(program).encode())
