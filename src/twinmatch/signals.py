@@ -9,16 +9,27 @@ the output is the plate's temperature in °C and the input the PWM command, −2
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twinmatch.errors import TwinmatchError
 
-__all__ = ["KELVIN", "FloatArray", "Sample", "SignalError", "Window", "not_one_loop", "unbroken"]
+__all__ = [
+    "KELVIN",
+    "BoolArray",
+    "FloatArray",
+    "Sample",
+    "SignalError",
+    "Window",
+    "bridge",
+    "not_one_loop",
+    "unbroken",
+]
 
 FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
 
 KELVIN = 273.15
 """Zero Celsius in kelvin."""
@@ -47,6 +58,8 @@ class Sample:
     """Command u computed at this tick."""
     disturbances: tuple[float, ...] = ()
     """Measured disturbances, in the plant's order; the rig has none."""
+    seen: bool = True
+    """Whether it was received; False: its values are those that `bridge` puts in the place of a lost one."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,6 +78,9 @@ class Window:
     """Sample time, s."""
     disturbances: FloatArray = field(default_factory=lambda: _NONE)
     """Measured disturbances, shape (N, m); by default none, m = 0."""
+    seen: BoolArray | None = None
+    """Which samples were received, shape (N,); the values of the others are estimates, which no fit and no
+    score counts. None: all."""
 
     def __post_init__(self) -> None:
         lengths = set()
@@ -87,6 +103,13 @@ class Window:
             )
             raise SignalError(msg)
         self._keep("disturbances", disturbances)
+        if self.seen is not None:
+            seen = np.array(self.seen, dtype=np.bool_)
+            if seen.shape != (len(self),):
+                msg = f"window: seen has shape {seen.shape}; give one truth value for each of {len(self)}"
+                raise SignalError(msg)
+            seen.flags.writeable = False
+            object.__setattr__(self, "seen", None if seen.all() else seen)
         if not (np.isfinite(self.period) and self.period > 0):
             msg = f"window: the period is {self.period} s; it must be positive"
             raise SignalError(msg)
@@ -134,6 +157,7 @@ class Window:
             first=int(indices[0]),
             period=period,
             disturbances=np.array([s.disturbances for s in samples]).reshape(len(samples), number),
+            seen=np.array([s.seen for s in samples]),
         )
 
     def __len__(self) -> int:
@@ -167,7 +191,34 @@ class Window:
             first=first,
             period=self.period,
             disturbances=self.disturbances[span],
+            seen=None if self.seen is None else self.seen[span],
         )
+
+    @property
+    def share_seen(self) -> float:
+        """Share of its samples that were received."""
+        return 1.0 if self.seen is None else float(np.mean(self.seen))
+
+
+def bridge(before: Sample, after: Sample, longest: int) -> list[Sample]:
+    """Stand-ins for the samples lost between two, oldest first; none if more than `longest` are missing.
+
+    The loop went on meanwhile: set-point, input and disturbances are held, and the output is interpolated, so
+    that what sums up the output's movements stays right. Stand-ins are marked as not seen.
+    """
+    steps = after.index - before.index
+    if not 1 < steps <= longest + 1 or len(before.disturbances) != len(after.disturbances):
+        return []
+    return [
+        replace(
+            before,
+            index=before.index + k,
+            stamp=before.stamp + (after.stamp - before.stamp) * k // steps,
+            output=before.output + (after.output - before.output) * k / steps,
+            seen=False,
+        )
+        for k in range(1, steps)
+    ]
 
 
 def not_one_loop(index: int, lengths: Sequence[int]) -> str:

@@ -157,6 +157,8 @@ class Experiment:
         self._kernels = model.kernels_by(self.free)
         weighed = np.repeat(np.array(weights, dtype=np.float64)[:, None], self.measured.shape[1], 1)
         weighed[:, :settle] = 0.0
+        if window.seen is not None:
+            weighed[:, ~window.seen[SKIPPED:]] = 0.0
         expected, pull = np.zeros((2, self.size))
         for name, value in (beforehand or {}).items():
             place = self.free.index(name)

@@ -192,7 +192,8 @@ def track(
 
         # Correct.
         innovation = y[k + 2] - work.seen[0] - at[offset] - at[passing]
-        reading = noise[k] ** 2
+        lost = math.isinf(noise[k])
+        reading = STALE if lost else noise[k] ** 2
         seen = 0.0
         for i in range(size):
             reach[i] = 0.0
@@ -200,8 +201,8 @@ def track(
                 reach[i] += covariance[i, j] * slope[j]
             seen += slope[i] * reach[i]
         variance = seen + reading
-        stale = False
-        if innovation**2 > SUSPECT**2 * variance:
+        stale = lost
+        if not lost and innovation**2 > SUSPECT**2 * variance:
             if y[k + 2] == y[k + 1]:
                 stale = True
                 variance = STALE

@@ -70,7 +70,7 @@ class Readings(NamedTuple):
     disturbances: FloatArray
     """Shape (N, m)."""
     noise: FloatArray
-    """Standard deviation of each reading, shape (N,)."""
+    """Standard deviation of each reading, shape (N,); infinite where it was lost."""
 
 
 class Traces(NamedTuple):

@@ -62,7 +62,7 @@ class Estimate:
     @property
     def chi2(self) -> float:
         """Mean squared weighted residual; near 1 if only noise remains."""
-        return float(np.mean(np.square(self.residuals)))
+        return self.problem.mean_square(self.residuals)
 
 
 def starts_for(problem: Problem, start: Parameters) -> list[FloatArray]:

@@ -62,6 +62,8 @@ class GateLimits:
     """Factor by which chance may make the held-back residuals larger than the incumbent's."""
     held_back: float = 0.3
     """Share of the window that is held back from the test fit."""
+    least_seen: float = 0.9
+    """Least share of the window's samples that were received."""
     least_samples: int = 20
     """Least samples between the first excitation and the held-back part, and in that part."""
 
@@ -70,9 +72,10 @@ class GateLimits:
             if not getattr(self, name) > 0:
                 msg = f"gate: the limit {name} is {getattr(self, name)}; it must be positive"
                 raise FittingError(msg)
-        if not 0 < self.held_back < 1:
-            msg = f"gate: held_back is {self.held_back}; give a share of the window between 0 and 1"
-            raise FittingError(msg)
+        for name in ("held_back", "least_seen"):
+            if not 0 < getattr(self, name) < 1:
+                msg = f"gate: {name} is {getattr(self, name)}; give a share of the window between 0 and 1"
+                raise FittingError(msg)
 
 
 @dataclass(frozen=True, eq=False)

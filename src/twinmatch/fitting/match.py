@@ -154,7 +154,8 @@ def match(
     window does not determine is kept as near to its value in `incumbent` or `start` as the window allows.
 
     Args:
-        window: recorded samples; should hold two levels and the transition between them.
+        window: recorded samples; should hold two levels and the transition between them. Stand-ins for lost
+            samples are not fitted.
         start: plant, structure, start of the search, and values of the parameters not free.
         free: names of the parameters to fit; default: those of the structure.
         incumbent: present parameters of this regime, of any structure of the plant.
@@ -175,6 +176,12 @@ def match(
     names = checked_free(model, free)
     unknown_parameters(model, names, bounds)
     problem = Problem(window, names, start, noise or Noise.of(model.plant), gains, bounds)
+    if window.share_seen < limits.least_seen:
+        reason = (
+            f"only {window.share_seen:.0%} of the window's samples were received; "
+            f"a match needs {limits.least_seen:.0%}"
+        )
+        return without_fit(window, problem.names, start, Status.DID_NOT_CONVERGE, reason)
     split, missing = _split(problem, min_step, limits)
     if missing:
         return without_fit(window, problem.names, start, Status.NO_EXCITATION, missing)
@@ -228,8 +235,8 @@ def _with_fit(problem: Problem, split: int, rival: Parameters, limits: GateLimit
         bounds_hit=bounds_hit,
         converged=final.converged,
         chi2=final.chi2,
-        held_back_chi2=float(np.mean(np.square(tested))),
-        incumbent_chi2=float(np.mean(np.square(standing))),
+        held_back_chi2=problem.mean_square(tested),
+        incumbent_chi2=problem.mean_square(standing),
         kept=_kept_sentence(problem, found),
     )
     status, reason = judge(evidence, limits)

@@ -11,6 +11,7 @@ import numpy as np
 
 from twinmatch.dynamics import (
     FROM_PLANT_FILE,
+    SKIPPED,
     Descended,
     Experiment,
     LoopGains,
@@ -225,6 +226,12 @@ class Problem:
         return np.array([[1.0 / self.noise.output], [1.0 / self.noise.input]])[: self.outputs]
 
     @property
+    def seen(self) -> FloatArray:
+        """1 for samples that were received, 0 for stand-ins, shape (N − 2,)."""
+        seen = self.window.seen
+        return np.ones(len(self.window) - SKIPPED) if seen is None else seen[SKIPPED:].astype(np.float64)
+
+    @property
     def measured(self) -> FloatArray:
         """The compared signals as recorded, shape (outputs, N − 2)."""
         return self.experiment.measured[: self.outputs]
@@ -244,11 +251,16 @@ class Problem:
     def weigh(self, response: Response | Tangents) -> FloatArray:
         """Measured minus simulated in units of the noise, shape (outputs, N − 2)."""
         simulated = np.stack([response.output, response.input][: self.outputs])
-        return np.asarray((self.measured - simulated) * self.weights, dtype=np.float64)
+        return np.asarray((self.measured - simulated) * (self.weights * self.seen), dtype=np.float64)
 
     def evaluate(self, values: FloatArray) -> Evaluation:
         """Residuals and Jacobian at some values."""
         return Evaluation(self, values)
+
+    def mean_square(self, residuals: FloatArray) -> float:
+        """Mean square of the weighted residuals of the window's last samples, stand-ins left out."""
+        counted = float(np.mean(self.seen[-residuals.shape[1] :]))
+        return float(np.mean(np.square(residuals))) / counted if counted else math.nan
 
     def residuals(self, values: FloatArray) -> FloatArray:
         """Weighted residuals of all signals in one row, shape (outputs·(N − 2),)."""
@@ -292,7 +304,8 @@ class Evaluation:
     @cached_property
     def jacobian(self) -> FloatArray:
         """Derivatives of the residuals, shape (outputs·(N − 2), n)."""
-        derivative = self.tangents.by[: self.problem.outputs] * -self.problem.weights[:, :, None]
+        weights = self.problem.weights * self.problem.seen
+        derivative = self.tangents.by[: self.problem.outputs] * -weights[:, :, None]
         return derivative.reshape(-1, derivative.shape[2])
 
     @cached_property
@@ -300,6 +313,7 @@ class Evaluation:
         """Jᵀ times the residuals caused by the nominal noise of each sample alone, shape (N − 2, n), and the
         mean squared residual caused by all of it."""
         noise = self.problem.noise
-        weighed = self.tangents.by * -np.array([1.0 / noise.output, 1.0 / noise.input])[:, None, None]
+        by = self.tangents.by * self.problem.seen[:, None]
+        weighed = by * -np.array([1.0 / noise.output, 1.0 / noise.input])[:, None, None]
         weights = (1.0, noise.output / noise.input)
         return noise_scores(self.problem.experiment, self.tangents, weighed, weights)

@@ -72,7 +72,8 @@ class StateFilter:
         if self._observer is not None:
             self._observer.predict(self._input)
             try:
-                self._observer.correct(sample.output, row)
+                if sample.seen:
+                    self._observer.correct(sample.output, row)
             except PlantError:
                 self.restart()
         if self._observer is None:

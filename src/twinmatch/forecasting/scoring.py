@@ -84,9 +84,9 @@ class Calibration:
 
     def learn(self, quotients: FloatArray, before: int = 0) -> None:
         """Learn from one forecast: quotients of the signals at N samples ahead, shape (signals, N), at leads
-        beyond `before`."""
+        beyond `before`; NaN where a sample was lost."""
         for place, lead in enumerate(self.leads):
-            if before < lead <= quotients.shape[1]:
+            if before < lead <= quotients.shape[1] and not np.isnan(quotients[0, lead - 1]):
                 self.add(place, quotients[:, lead - 1])
 
     def add(self, lead: int, quotients: FloatArray) -> None:

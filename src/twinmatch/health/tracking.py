@@ -113,7 +113,10 @@ class TrackedBlocks:
         if len(self._samples) < self.size:
             return None
         y = np.array([*self._last, *(s.output for s in self._samples)])
-        for size in np.abs(y[2:] - 2 * y[1:-1] + y[:-2]).tolist():
+        seen = np.array([s.seen for s in self._samples])
+        read = y.copy()
+        read[2:][~seen] = math.nan
+        for size in np.abs(read[2:] - 2 * read[1:-1] + read[:-2]).tolist():
             if not math.isnan(size):
                 self._rough += (min(size, 3.0 * self._rough) - self._rough) / 100.0
         self._last = [float(y[-2]), float(y[-1])]
@@ -121,7 +124,7 @@ class TrackedBlocks:
         model = self.tracker.parameters.model
         rows = np.array([model.disturbance_row(s.disturbances or None) for s in self._samples])
         noise = min(max(self._rough / _SECOND, 0.3 * self._noise), 1.5 * self._noise)
-        return Readings(y, u, rows.reshape(u.size, -1), np.full(u.size, noise))
+        return Readings(y, u, rows.reshape(u.size, -1), np.where(seen, noise, math.inf))
 
     def take(self, stretch: Readings, traces: Traces, *, settled: bool) -> None:
         """Track a block; the level is kept if `settled`."""

@@ -138,6 +138,7 @@ def request_message(request: MatchRequest, stamp: int) -> messages.MatchRequest:
         period=window.period,
         start=parameters_message(request.start),
         incumbent=parameters_message(request.incumbent),
+        lost=[] if window.seen is None else (window.first + np.flatnonzero(~window.seen)).tolist(),
         **{name: getattr(window, name).ravel().tolist() for name in _SAMPLED},
     )
     return stamped(message, stamp)
@@ -155,7 +156,13 @@ def request_from(message: messages.MatchRequest) -> MatchRequest:
         raise SignalError(msg)
     arrays = {name: np.array(getattr(message, name)) for name in _SAMPLED}
     arrays["disturbances"] = arrays["disturbances"].reshape(samples, -1)
-    window = Window(**arrays, first=message.first, period=message.period)
+    lost = np.array(message.lost, dtype=np.int64) - message.first
+    if lost.size and not (lost.min() >= 0 and lost.max() < samples):
+        msg = f"match request: lost samples {list(message.lost)} lie outside its window of {samples} samples"
+        raise SignalError(msg)
+    seen = np.ones(samples, dtype=np.bool_)
+    seen[lost] = False
+    window = Window(**arrays, first=message.first, period=message.period, seen=seen)
     start, incumbent = parameters_from(message.start), parameters_of(tree_of_message(message.incumbent))
     return MatchRequest(message.sample, message.operating_point, window, start, incumbent)
 

@@ -24,7 +24,11 @@ class TwinSimulatorNode(SampleNode):
     def open(self) -> None:
         """Start to mirror the samples."""
         self._mirror = Mirror(
-            self.settings.start, self.settings.gains, self.values["recent"], self.settings.period
+            self.settings.start,
+            self.settings.gains,
+            self.values["recent"],
+            self.settings.period,
+            self.settings.schedule.gap,
         )
         self._leader = ""
         self._made = 0  # states

@@ -21,7 +21,7 @@ from twinmatch.dynamics import Parameters
 from twinmatch.errors import TwinmatchError
 from twinmatch.fitting import Status
 from twinmatch.health import SLOW, Alarm, Health, HealthState, Monitor
-from twinmatch.signals import Sample, Window
+from twinmatch.signals import Sample, Window, bridge
 from twinmatch.twin.candidates import UNSCORED, CandidatePool
 from twinmatch.twin.forecaster import Forecaster
 from twinmatch.twin.matcher import MatchReport, MatchRequest, carry_out, one_thread
@@ -92,6 +92,7 @@ class Discriminator:
         self._bands = BandHistory(self.settings.limits.doubtful, self.settings.noise.output)
         self._given = list(given)
         self._waiting: deque[Sample | Trigger] = deque()
+        self._newest: Sample | None = None
         self._request: MatchRequest | None = None
         self._settled: int | None = None
         self._recent: deque[Sample] = deque(maxlen=self.settings.schedule.stride)
@@ -118,11 +119,17 @@ class Discriminator:
         return self._pool.nominal
 
     def push_sample(self, sample: Sample) -> Step:
-        """Take one sample; return the verdicts now due, and the match to request."""
-        self._waiting.append(sample)
-        trigger = self._schedule.push(sample)
-        if trigger is not None:
-            self._waiting.append(trigger)
+        """Take one sample; return the verdicts now due, and the match to request.
+
+        A few samples lost before it are bridged: what they would have shown counts nowhere. More begin anew.
+        """
+        before = self._newest or sample
+        self._newest = sample
+        for one in (*bridge(before, sample, self.settings.schedule.gap), sample):
+            self._waiting.append(one)
+            trigger = self._schedule.push(one)
+            if trigger is not None:
+                self._waiting.append(trigger)
         return Step((), None) if self._request is not None else self._settle([])
 
     def push_match(self, report: MatchReport) -> Step:
@@ -146,7 +153,8 @@ class Discriminator:
                 due = self._watch(item)
                 self.forecaster.push(item)
                 self.forecaster.notes = self._notes()
-                self._followed(item)
+                if item.seen:
+                    self._followed(item)
                 if due is not None:
                     verdicts.append(due())
             elif not item.excited:

@@ -25,7 +25,7 @@ from twinmatch.forecasting import (
     leads_of,
     time_scale,
 )
-from twinmatch.signals import FloatArray, Sample
+from twinmatch.signals import BoolArray, FloatArray, Sample
 from twinmatch.twin.trust import BandCheck, LeaderConfidence, check_band
 
 _RUN_IN: Final = (60.0, 300.0)
@@ -303,7 +303,10 @@ class Forecaster:
             return None
         newest_of = came[-samples:]
         output, input_ = (np.array([getattr(s, name) for s in newest_of]) for name in ("output", "input"))
-        return check_band(forecast, output, None if self._gains is None else input_)
+        seen = _seen(newest_of)
+        if seen is not None and not seen.any():
+            return None
+        return check_band(forecast, output, None if self._gains is None else input_, seen)
 
     @contextmanager
     def _removing_lost(self, name: str) -> Iterator[None]:
@@ -361,7 +364,9 @@ class Forecaster:
         past = list(self._recent)[-ahead - 1 :]
         given, rows, signals = self._condition(past[1:]), _rows(past), self._signals
         measured = np.array([[s.output for s in past[1:]], [s.input for s in past[1:]]])[:signals]
-        before = max((h for h in self.horizons if h < ahead), default=0)
+        before, seen = max((h for h in self.horizons if h < ahead), default=0), _seen(past[1:])
+        if seen is not None and not seen[before:].any():
+            return
         last = np.array([[past[0].output], [past[0].input]])[:signals]
         errors, paths = {PERSISTENCE: (measured - last)[:, before:]}, {}
         skipped = sample // self._stride % _OTHERS_EVERY
@@ -375,12 +380,23 @@ class Forecaster:
                     predicted = outlook.predicted(given, rows)
                     off = measured - np.stack([predicted.output, predicted.input])[:signals]
                     quotients = np.abs(off) / outlook.deviations(predicted)[:signals]
+                    if seen is not None:
+                        quotients[:, ~seen] = np.nan
                     self._twins[name].calibration.learn(quotients, before)
                 errors[name] = off[:, before:]
-                paths[name] = float(np.sqrt(np.mean(np.square(off / ledger.noise[:, None]))))
+                counted = off if seen is None else off[:, seen]
+                paths[name] = float(np.sqrt(np.mean(np.square(counted / ledger.noise[:, None]))))
+        if seen is not None:
+            errors = {name: error[:, seen[before:]] for name, error in errors.items()}
         ledger.add(errors, place)
         if ahead == self._longest and departure.leader in paths:
             self._leader_confidence.add(paths[departure.leader], min(paths.values()))
+
+
+def _seen(samples: Sequence[Sample]) -> BoolArray | None:
+    """Which samples were received, shape (N,); None: all."""
+    seen = np.array([s.seen for s in samples], dtype=np.bool_)
+    return None if seen.all() else seen
 
 
 def _rows(samples: Sequence[Sample]) -> FloatArray | None:

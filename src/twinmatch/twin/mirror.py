@@ -28,7 +28,7 @@ from twinmatch.dynamics import (
 )
 from twinmatch.fitting.problem import unknown_starts
 from twinmatch.forecasting import StateFilter
-from twinmatch.signals import FloatArray, Sample, Window
+from twinmatch.signals import FloatArray, Sample, Window, bridge
 
 _ESTIMATED_OVER: Final = 300.0
 """Newest stretch over which the states of a new structure are estimated, s."""
@@ -68,8 +68,8 @@ class Mirror:
 
     New parameters take over without a jump: states that both structures have, and the controller's state, are
     kept. A state that only the new structure has is estimated by an observer with the new parameters from the
-    newest samples: a heat sink may be far from its initial temperature. A gap in the samples restarts both
-    twins from the measured output.
+    newest samples: a heat sink may be far from its initial temperature. A gap of more than a few
+    samples restarts both twins from the measured output.
     """
 
     _closed: FloatArray
@@ -82,6 +82,7 @@ class Mirror:
         gains: LoopGains = FROM_PLANT_FILE,
         recent: int = 60,
         period: float = 1.0,
+        gap: int = 0,
     ) -> None:
         """Start with these parameters.
 
@@ -90,8 +91,9 @@ class Mirror:
             gains: those of the running controller, None if the loop is not known; default: the plant file's.
             recent: samples over which residuals are averaged.
             period: sample time, s; ignored with a controller, which has its own.
+            gap: most samples lost in a row that do not restart the twins.
         """
-        self._parameters = parameters
+        self._parameters, self._gap = parameters, gap
         self._gains = gains_for(parameters.model.plant, period, gains)
         self._period = period if self._gains is None else self._gains.period
         self._recent: deque[tuple[float, float, float]] = deque(maxlen=recent)
@@ -115,6 +117,11 @@ class Mirror:
 
     def push(self, sample: Sample) -> MirrorState:
         """Take one sample; return the state of the twins at its tick."""
+        for lost in bridge(self._previous or sample, sample, self._gap):
+            self._push(lost)
+        return self._push(sample)
+
+    def _push(self, sample: Sample) -> MirrorState:
         if self._previous is None or sample.index != self._previous.index + 1:
             self._restart(sample)
         row = _disturbances(sample)
@@ -170,7 +177,8 @@ class Mirror:
     ) -> MirrorState:
         driven = read(self._parameters, self._driven, row)
         residual = (sample.output - closed, sample.input - closed_input, sample.output - driven)
-        self._recent.append(residual)
+        if sample.seen or not self._recent:
+            self._recent.append(residual)
         closed_rms_y, closed_rms_u, driven_rms_y = np.sqrt(np.mean(np.square(self._recent), axis=0)).tolist()
         names = self._parameters.model.states
         return MirrorState(
@@ -215,11 +223,11 @@ def residuals(parameters: Parameters, window: Window, gains: PidGains | None) ->
     driven = simulate_driven(
         parameters, window.input[SKIPPED:], states=states, period=window.period, disturbances=disturbances
     )
-    off = _rms(window.output[SKIPPED:] - driven.output)
+    off = _rms(_received(window, window.output[SKIPPED:] - driven.output))
     if gains is None:
         return Residuals(off, float("nan"))
     closed = simulate_window(parameters, window, gains=gains)
-    return Residuals(off, _rms(window.input[SKIPPED:] - closed.input))
+    return Residuals(off, _rms(_received(window, window.input[SKIPPED:] - closed.input)))
 
 
 def window_fit(parameters: Parameters, window: Window, gains: PidGains | None) -> tuple[float, float]:
@@ -268,6 +276,11 @@ def nrmse(measured: FloatArray, simulated: FloatArray) -> float:
     """1 − ‖measured − simulated‖ / ‖measured − mean‖; NaN for a measured signal that is constant."""
     spread = float(np.linalg.norm(measured - np.mean(measured)))
     return 1.0 - float(np.linalg.norm(measured - simulated)) / spread if spread > 0 else float("nan")
+
+
+def _received(window: Window, values: FloatArray) -> FloatArray:
+    """Of values from the third sample on, those at samples that were received."""
+    return values if window.seen is None else values[window.seen[SKIPPED:]]
 
 
 def _rms(values: FloatArray) -> float:

@@ -57,12 +57,16 @@ class ScheduleSettings:
     lead: int = setting(LEAD, "Samples kept before the previous regime's step.", "samples", 1, 1000)
     """The steady state from which the window starts."""
     capacity: int = setting(720, "Longest window.", "samples", 40, 100000)
+    gap: int = setting(5, "Most samples lost in a row that windows reach across.", "samples", 0, 1000)
+    """Choose less than a tenth of the plant's main time constant."""
 
     def __post_init__(self) -> None:
         for name in ("stride", "min_span", "span", "lead", "capacity"):
             if getattr(self, name) < 1:
                 msg = f"schedule: {name} is {getattr(self, name)}; it must be at least 1 sample"
                 raise ScheduleError(msg)
+        if self.gap < 0:
+            raise ScheduleError(f"schedule: gap is {self.gap}; it must not be negative")
         for name in ("min_step", "min_input_step"):
             if not getattr(self, name) > 0:
                 msg = f"schedule: {name} is {getattr(self, name)}; it must be positive"

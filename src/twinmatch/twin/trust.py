@@ -8,7 +8,7 @@ import numpy as np
 
 from twinmatch.comparing import TrustLevel
 from twinmatch.forecasting import Forecast
-from twinmatch.signals import FloatArray
+from twinmatch.signals import BoolArray, FloatArray
 
 _NEIGHBOURS: Final = 10.0
 """Spans of output closer than this, in units of its noise, are merged: samples of a fast step are that far
@@ -36,19 +36,25 @@ class BandCheck(NamedTuple):
         return self.miss_y if np.isnan(self.miss_u) else max(self.miss_y, self.miss_u)
 
 
-def check_band(forecast: Forecast, output: FloatArray, input: FloatArray | None) -> BandCheck:
-    """Compare the last N samples with a forecast, shape (N,) each; `input` is None where it was given."""
+def check_band(
+    forecast: Forecast, output: FloatArray, input: FloatArray | None, seen: BoolArray | None = None
+) -> BandCheck:
+    """Compare the last N samples with a forecast, shape (N,) each; `input` is None where it was given.
+
+    Only those that were `seen` count; None: all.
+    """
     figures: list[float] = []
     signals = [(output, forecast.output)]
     if input is not None:
         signals.append((input, forecast.input))
     for values, band in signals:
-        mean, low, high = (part[-values.size :] for part in (band.mean, band.low, band.high))
-        half = np.where(values > mean, high - mean, mean - low)
+        parts = (values, *(part[-values.size :] for part in (band.mean, band.low, band.high)))
+        came, mean, low, high = parts if seen is None else (part[seen] for part in parts)
+        half = np.where(came > mean, high - mean, mean - low)
         # At a limit of the controller a band has one side only.
         half = np.maximum(half, 0.5 * (high - low))
-        figures.append(float(np.sqrt(np.mean(np.square((values - mean) / half)))))
-        figures.append(float(np.mean((low <= values) & (values <= high))))
+        figures.append(float(np.sqrt(np.mean(np.square((came - mean) / half)))))
+        figures.append(float(np.mean((low <= came) & (came <= high))))
     return BandCheck(*figures)
 
 
