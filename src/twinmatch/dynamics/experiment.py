@@ -11,57 +11,16 @@ from numpy.typing import NDArray
 
 from twinmatch.dynamics.declarations import PlantError
 from twinmatch.dynamics.descent import Descended, new_search, search_result
-from twinmatch.dynamics.loop import Gains, PidState, controller_state
+from twinmatch.dynamics.loop import PidState, controller_state
 from twinmatch.dynamics.plant import Parameters
+from twinmatch.dynamics.runs import LeastSquares
 from twinmatch.dynamics.simulation import FROM_PLANT_FILE, NO_GAINS, SKIPPED, LoopGains, Response, gains_for
 from twinmatch.signals import FloatArray, Window
 
-__all__ = ["Experiment", "Known", "LeastSquares", "Tangents"]
+__all__ = ["Experiment", "Known", "Tangents"]
 
 _COARSE = 0.5
 """Longest step of a coarse run, in units of the fastest time constant."""
-
-
-class LeastSquares(NamedTuple):
-    """A window's least-squares problem for compiled code: all but the values of the unknowns."""
-
-    base: FloatArray
-    """Values of all parameters, shape (n,); those of the unknown ones are ignored."""
-    which: NDArray[np.int64]
-    """Indices of the unknown parameters among those with tangents, shape (m,)."""
-    places: NDArray[np.int64]
-    """Their indices among all parameters."""
-    started: NDArray[np.int64]
-    """Indices of the states with unknown initial value."""
-    first: float
-    """Output measured at the start."""
-    input_before: float
-    """Input until the start."""
-    closed: bool
-    gains: Gains
-    reference: FloatArray
-    measured: FloatArray
-    """Output and input, shape (2, N)."""
-    weights: FloatArray
-    """Weights of their residuals, shape (2, N)."""
-    robust: bool
-    disturbances: FloatArray
-    """Shape (N, number of disturbances)."""
-    default_disturbances: FloatArray
-    """Defaults of the disturbances."""
-    corners: FloatArray
-    """States at which the fastest rate is searched, shape (k, number of states); `drives` likewise."""
-    drives: FloatArray
-    integral: float
-    previous: float
-    """The controller's state, with `integral`."""
-    period: float
-    rate_limit: float
-    """Longest Runge–Kutta step in units of the fastest time constant."""
-    expected: FloatArray
-    """Prior values of the unknowns, shape (m + starts,)."""
-    pull: FloatArray
-    """Weight of their squared distance from it in the cost; zero without prior."""
 
 
 class Known(NamedTuple):

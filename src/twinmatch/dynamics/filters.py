@@ -9,7 +9,7 @@ of the parameters it estimates; `track` belongs to a `Tracker`.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,10 +27,7 @@ from twinmatch.dynamics.kernels import (
 )
 from twinmatch.signals import FloatArray
 
-if TYPE_CHECKING:
-    from twinmatch.dynamics.tracker import TrackerConstants
-
-__all__ = ["correct", "predict", "track"]
+__all__ = ["TrackerConstants", "correct", "predict", "track"]
 
 CLIPPED = 3.0
 """Innovations are clipped at so many of their standard deviations."""
@@ -38,6 +35,31 @@ SUSPECT = 2.0
 """Innovation, in standard deviations, above which a repeated reading counts as the sensor's fault."""
 STALE = 1e6
 """Variance given to a reading that is not used."""
+
+
+class TrackerConstants(NamedTuple):
+    """Constants for m tracked parameters and a belief of n numbers."""
+
+    vector: FloatArray
+    """Initial values of all parameters of the plant."""
+    places: Any
+    """Indices of the m parameters among them, integers, shape (m,)."""
+    which: Any
+    """Indices of their tangents, integers, shape (m,)."""
+    logged: Any
+    """Whether a parameter is tracked as the logarithm of its ratio to the initial value, shape (m,)."""
+    least: FloatArray
+    """Lower limit of each parameter, in that form, shape (m,)."""
+    most: FloatArray
+    """Upper limit, shape (m,)."""
+    keeps: FloatArray
+    """Factor per period on each number: below 1 for those that fade, 1 for the others, shape (n,)."""
+    rest: float
+    """Rest value of the drive."""
+    period: float
+    """Sample time, s."""
+    steps: int
+    """Runge–Kutta steps per sample."""
 
 
 @compiled

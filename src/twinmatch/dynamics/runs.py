@@ -4,9 +4,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twinmatch.compiled import compiled
 from twinmatch.dynamics.descent import Search, update_search
@@ -25,10 +26,49 @@ from twinmatch.dynamics.kernels import (
 from twinmatch.dynamics.loop import Gains, loop_step, pid_step, reading
 from twinmatch.signals import FloatArray
 
-if TYPE_CHECKING:
-    from twinmatch.dynamics.experiment import LeastSquares
+__all__ = ["LeastSquares", "normal_at", "run", "run_with_tangents", "search", "start_at"]
 
-__all__ = ["normal_at", "run", "run_with_tangents", "search", "start_at"]
+
+class LeastSquares(NamedTuple):
+    """A window's least-squares problem for compiled code: all but the values of the unknowns."""
+
+    base: FloatArray
+    """Values of all parameters, shape (n,); those of the unknown ones are ignored."""
+    which: NDArray[np.int64]
+    """Indices of the unknown parameters among those with tangents, shape (m,)."""
+    places: NDArray[np.int64]
+    """Their indices among all parameters."""
+    started: NDArray[np.int64]
+    """Indices of the states with unknown initial value."""
+    first: float
+    """Output measured at the start."""
+    input_before: float
+    """Input until the start."""
+    closed: bool
+    gains: Gains
+    reference: FloatArray
+    measured: FloatArray
+    """Output and input, shape (2, N)."""
+    weights: FloatArray
+    """Weights of their residuals, shape (2, N)."""
+    robust: bool
+    disturbances: FloatArray
+    """Shape (N, number of disturbances)."""
+    default_disturbances: FloatArray
+    """Defaults of the disturbances."""
+    corners: FloatArray
+    """States at which the fastest rate is searched, shape (k, number of states); `drives` likewise."""
+    drives: FloatArray
+    integral: float
+    previous: float
+    """The controller's state, with `integral`."""
+    period: float
+    rate_limit: float
+    """Longest Runge–Kutta step in units of the fastest time constant."""
+    expected: FloatArray
+    """Prior values of the unknowns, shape (m + starts,)."""
+    pull: FloatArray
+    """Weight of their squared distance from it in the cost; zero without prior."""
 
 
 @compiled(innermost=True)

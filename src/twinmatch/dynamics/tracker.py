@@ -11,15 +11,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
+from twinmatch.dynamics.filters import TrackerConstants
 from twinmatch.dynamics.plant import Parameters
 from twinmatch.dynamics.simulation import begin
 from twinmatch.signals import FloatArray
 
-__all__ = ["Belief", "Readings", "Traces", "Tracker", "TrackerConstants", "no_traces"]
+__all__ = ["Belief", "Readings", "Traces", "Tracker", "no_traces"]
 
 _PUSH_TIME: Final = 100.0
 """Time constant of the fading push, s."""
@@ -33,31 +34,6 @@ _MODEL_ERROR: Final = np.array([0.6, 0.001, 5e-4, 0.2, 0.15])
 """Model error of a real rig, as standard deviations: drift of a state that the output shows, in noises, and
 of another, in scales, per root of a sample; drift of a parameter, in scales, per root of a second; the fading
 push, in noises per sample; and the error of a movement, as a share of it."""
-
-
-class TrackerConstants(NamedTuple):
-    """Constants for m tracked parameters and a belief of n numbers."""
-
-    vector: FloatArray
-    """Initial values of all parameters of the plant."""
-    places: Any
-    """Indices of the m parameters among them, integers, shape (m,)."""
-    which: Any
-    """Indices of their tangents, integers, shape (m,)."""
-    logged: Any
-    """Whether a parameter is tracked as the logarithm of its ratio to the initial value, shape (m,)."""
-    least: FloatArray
-    """Lower limit of each parameter, in that form, shape (m,)."""
-    most: FloatArray
-    """Upper limit, shape (m,)."""
-    keeps: FloatArray
-    """Factor per period on each number: below 1 for those that fade, 1 for the others, shape (n,)."""
-    rest: float
-    """Rest value of the drive."""
-    period: float
-    """Sample time, s."""
-    steps: int
-    """Runge–Kutta steps per sample."""
 
 
 class Readings(NamedTuple):

@@ -15,8 +15,8 @@ from typing import Any, Final
 import numpy as np
 
 from twinmatch.dynamics.descent import Search, update_search
-from twinmatch.dynamics.experiment import LeastSquares
 from twinmatch.dynamics.loop import Gains
+from twinmatch.dynamics.runs import LeastSquares
 from twinmatch.fmu.archive import MODEL_EXCHANGE, FmuError
 from twinmatch.fmu.differences import Differences
 from twinmatch.fmu.runner import Runner, Signals
