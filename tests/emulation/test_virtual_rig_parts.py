@@ -496,8 +496,8 @@ def test_any_structure_of_the_rig_can_be_the_truth() -> None:
     for _ in range(100):
         plant.advance(PinDrive(0.0, 200.0, enabled=True), 0.02)
     assert plant.plate - plant.seen > 2.0  # the camera lags behind
-    held = VirtualPlant(Peltier.model().parameters(ambient=290.0))
-    held.fan_failed = True
-    held.advance(PinDrive(0.0, 200.0, enabled=True), 10.0)
-    assert held.sink == pytest.approx(290.0 - KELVIN)
-    assert held.plate > 30.0
+    massless = VirtualPlant(Peltier.model().parameters(ambient=290.0))
+    massless.fan_failed = True
+    massless.advance(PinDrive(0.0, 200.0, enabled=True), 10.0)
+    assert massless.sink == pytest.approx(290.0 - KELVIN)
+    assert massless.plate > 30.0

@@ -58,8 +58,8 @@ def test_from_the_topics_of_a_foreign_rig_to_verdicts_that_verify(
         forecasts = listener.hear(Forecast, "twin/forecast", 10)
         requests = listener.hear(MatchRequest, "twin/match_request", 10)
         listener.spin_until(lambda: verdicts and matches and forecasts, lambda: run.text, FIRST)
-        held = matches[-1].parameters
-        found = dict(zip(held.names, held.values, strict=True))
+        matched = matches[-1].parameters
+        found = dict(zip(matched.names, matched.values, strict=True))
         # The rig's own numbers: 0.5 W/% and 4 J/K, of a plant file that begins at 0.8 and 6.
         assert found["gain"] == pytest.approx(0.5, rel=0.05)
         assert found["capacity"] == pytest.approx(4.0, rel=0.1)

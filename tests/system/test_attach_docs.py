@@ -44,7 +44,7 @@ def test_the_page_leads_from_a_rig_to_a_verdict_and_through_a_bag(
         (tmp_path / name).write_text(text, encoding="utf-8")
     assert "python oven_rig.py" in PAGE
     rig = processes.python("oven_rig.py", folder=tmp_path)
-    attach, verify, look, take, judge = COMMANDS
+    attach, verify, list_topics, take, judge = COMMANDS
     run = shell(processes, tmp_path, attach)
     run.said(r"^ *\d+ +(unknown|usable|doubtful|trusted|unusable|good|faulty)", 4 * PATIENCE)
     assert run.end(signal.SIGINT) == 0
@@ -54,7 +54,7 @@ def test_the_page_leads_from_a_rig_to_a_verdict_and_through_a_bag(
     assert recorded >= 50
     for command, words in (
         (verify, "identical"),
-        (look, "/oven/temperature"),
+        (list_topics, "/oven/temperature"),
         (take, "of oven, from first"),
         (judge, "the set-point did not move"),
     ):
