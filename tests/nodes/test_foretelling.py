@@ -99,13 +99,20 @@ REFUSED = {
 def test_every_sample_has_the_offline_forecast(
     start_process: Start, listener: Listener, ask: Asker, steps: list[Sample], offline: Offline
 ) -> None:
-    """And every leader the offline one; the answers at the end are the core's to the last bit."""
+    """And every leader the offline one; the answers at the end are the core's to the last bit.
+
+    The discriminator that gives them follows one that was killed.
+    """
     assert not listener.health
     assert len(offline.forecasts) > len(steps) / 2
     forecasts = listener.hear(Forecast, "twin/forecast", EVERYTHING)
     leaders = listener.hear(ForecastScore, "twin/leader", LATCHED)
-    for name in ("matcher", "discriminator"):
-        start_process(name)
+    start_process("matcher")
+    killed = start_process("discriminator")
+    listener.spin_until(ask.found, "the first service")
+    killed.kill()
+    listener.spin_until(lambda: not ask.found(), "its end")
+    start_process("discriminator")
     listener.wait_for_nodes("twin/forecast", "twin/leader", "twin/match", "twin/match_request")
     listener.spin_until(ask.found, "the service")
     assert ask().message.startswith("forecast: there is no candidate yet; the first comes with")

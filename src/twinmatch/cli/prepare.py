@@ -1,24 +1,53 @@
-"""`twinmatch prepare`: derive and compile beforehand what a first run would wait for."""
+"""`twinmatch prepare`: compile beforehand what a first run would wait for."""
 
 from __future__ import annotations
 
 import argparse
 
-from twinmatch.cli.shared import add_options
+__all__ = ["add_arguments", "run"]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    add_options(parser, "--plant", help="only this plant (default: all that come with twinmatch)")
+    parser.add_argument(
+        "--plant", metavar="NAME|FILE.py", help="only this plant (default: all that come with twinmatch)"
+    )
 
 
 def run(options: argparse.Namespace) -> int:
-    """Derive and compile; returns the exit code."""
-    from twinmatch.dynamics.prepare import prepare  # noqa: PLC0415 — keeps --help fast
+    """Compile; returns the exit code.
+
+    Raises:
+        TwinmatchError: there is no such plant, or its equations cannot be used.
+    """
+    import multiprocessing  # noqa: PLC0415 — keeps --help fast
+
+    from twinmatch.dynamics.prepare import prepare  # noqa: PLC0415
     from twinmatch.dynamics.store import cache_folder  # noqa: PLC0415
     from twinmatch.plants import PLANTS, find_plant  # noqa: PLC0415
 
+    # Beside the plants: a compiler uses one core.
+    other = multiprocessing.get_context("spawn").Process(target=_identify_and_compare, daemon=True)
+    if not options.plant:
+        other.start()
     for plant in [find_plant(options.plant)] if options.plant else PLANTS.values():
         count = sum(1 for _ in prepare(plant))
         print(f"{plant.title}: {count} structures are ready in {cache_folder()}")
+    if not options.plant:
+        other.join()
     return 0
+
+
+def _identify_and_compare() -> None:
+    """Use the kernels that compare models once, which compiles them."""
+    import numpy as np  # noqa: PLC0415
+
+    from twinmatch.comparing import identify, nu_gap_matrix  # noqa: PLC0415
+    from twinmatch.signals import Window  # noqa: PLC0415
+
+    reference = np.repeat([0.0, 1.0, 0.0], 100)
+    output, noise = np.zeros(reference.size), np.random.default_rng(1).normal(0.0, 0.01, reference.size)
+    for k in range(1, output.size):
+        output[k] = 0.9 * output[k - 1] + 0.1 * reference[k - 1]
+    models = identify(Window(reference, output + noise, reference - output - noise))
+    nu_gap_matrix([model.symbol for model in models])
