@@ -63,6 +63,7 @@ class InStep:
         """
         self._client = ClockClient(parse_address(address), lambda _: None)
         self._news = threading.Condition()
+        self._told = False  # of news since the last look
         self._now = 0
         self._tasks: list[_Task] = []
         self._driving = False
@@ -102,7 +103,7 @@ class InStep:
         if stamp != self._applied:
             with self._news:
                 self._applied = stamp
-                self._news.notify()
+                self._tell()
 
     def image(self, stamp: int) -> None:
         """Note that the image of this time was taken."""
@@ -123,7 +124,7 @@ class InStep:
         """End the connection, so that the plant no longer waits; returns whether its threads ended."""
         with self._news:
             self._ending = True
-            self._news.notify()
+            self._tell()
         self._thread.join(2.0)
         return self._client.close() and not self._thread.is_alive()
 
@@ -135,14 +136,20 @@ class InStep:
         with self._news:
             self._busy = False
             if self._driving or now + LEAD - self._until >= LEAD // 2:
-                self._news.notify()
+                self._tell()
+
+    def _tell(self) -> None:
+        """Wake the thread, also if it is just about to sleep; with the lock held."""
+        self._told = True
+        self._news.notify()
 
     def _run(self) -> None:
         while not self._ending:
+            with self._news:
+                self._told = False
             settled = self._let_if_done()
             with self._news:
-                if not self._ending:
-                    self._news.wait(IDLE if settled else SOON)
+                self._news.wait_for(lambda: self._told or self._ending, IDLE if settled else SOON)
 
     def _let_if_done(self) -> bool:
         """Let the plant continue if all work is done; returns whether it is."""
