@@ -121,8 +121,8 @@ class Loop:
     The first tick that has a reading and a set-point starts the grid and is sample 0. A tick without them
     (none yet, or the newest reading is stale) makes no sample and switches the output off; a tick that is
     late by a period or more means that others were missed. Neither is filled in: a sample's index is the
-    number of its tick on the grid, so a gap in the indices is a gap in time, after which windows of samples
-    start over. The controller restarts after a gap too, bumplessly from the current output.
+    number of its tick on the grid, so a gap in the indices is a gap in time; behind a long one windows of
+    samples start over. The controller restarts after a gap too, bumplessly from the current output.
 
     A tick slightly before its time moves the grid, because those before it were late. One that is early by
     half a period or more does not count: a busy machine makes up for a late call with an immediate second

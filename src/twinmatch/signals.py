@@ -201,13 +201,15 @@ class Window:
 
 
 def bridge(before: Sample, after: Sample, longest: int) -> list[Sample]:
-    """Stand-ins for the samples lost between two, oldest first; none if more than `longest` are missing.
+    """Stand-ins for the samples lost between two, oldest first; none if more than `longest` are missing, or the
+    clock was set back meanwhile.
 
     The loop went on meanwhile: set-point, input and disturbances are held, and the output is interpolated, so
     that what sums up the output's movements stays right. Stand-ins are marked as not seen.
     """
     steps = after.index - before.index
-    if not 1 < steps <= longest + 1 or len(before.disturbances) != len(after.disturbances):
+    alike = after.stamp > before.stamp and len(before.disturbances) == len(after.disturbances)
+    if not (alike and 1 < steps <= longest + 1):
         return []
     return [
         replace(

@@ -58,7 +58,10 @@ def test_watch_of_gaps_and_silence() -> None:
     watch.push(8, 1.0)
     assert health.report()[:2] == (Level.OK, "working")
     watch.push(11, 2.0)
-    assert health.report()[:2] == (Level.ERROR, "samples 9 to 10 are missing; windows start over")
+    assert health.report()[:2] == (
+        Level.ERROR,
+        "samples 9 to 10 are missing; behind a long gap windows start over",
+    )
     watch.push(12, 3.0)
     assert health.report().level is Level.ERROR
     watch.push(13, 4.0)

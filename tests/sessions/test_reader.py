@@ -111,7 +111,7 @@ def test_gaps_are_noted(tmp_path, samples, note):
     session = read_session(record(tmp_path / "run", (SAMPLE, samples)))
     assert session.samples == samples
     assert session.period == 1.0
-    assert session.notes[0] == f"the samples' indices {note}: windows start over there"
+    assert session.notes[0] == f"the samples' indices {note}: samples are missing there"
 
 
 def test_a_window_has_no_gap(tmp_path):

@@ -59,7 +59,9 @@ def test_stand_ins_fill_a_short_gap_and_say_what_they_are(
 def test_nothing_bridges_a_clock_that_was_set_back() -> None:
     sample = Sample(10, 0, 30.0, 30.0, 0.0)
     for index in (9, 10, 11):
-        assert bridge(sample, replace(sample, index=index), LONGEST) == []
+        assert bridge(sample, replace(sample, index=index, stamp=1), LONGEST) == []
+    for stamp, count in ((-1, 0), (0, 0), (1, 1)):
+        assert len(bridge(sample, replace(sample, index=12, stamp=stamp), LONGEST)) == count
 
 
 @pytest.mark.parametrize("seed", [0, 4])

@@ -261,7 +261,7 @@ class Missed:
         """Take the number of missed ticks so far and the newest index."""
         if count != self._count:
             self._count, self._index = count, index
-            text = f"{self._subject}ticks were missed, {count} in all; windows start over"
+            text = f"{self._subject}ticks were missed, {count} in all; behind a long gap windows start over"
             self._health.flag("missed", Level.WARN, text)
         elif index - self._index > self.REMEMBER:
             self._health.withdraw("missed")

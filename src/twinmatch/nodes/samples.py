@@ -45,7 +45,7 @@ class SampleWatch:
             between = f"samples {self.last + 1} to {index - 1} are missing"
             message = between if index > self.last else f"sample {index} came after sample {self.last}"
             self._health.count("gaps")
-            self._health.flag("gap", Level.ERROR, f"{message}; windows start over")
+            self._health.flag("gap", Level.ERROR, f"{message}; behind a long gap windows start over")
             self._since_gap = 0
         self._since_gap += 1
         if self._since_gap > self._remember:

@@ -214,7 +214,7 @@ def _gaps(samples: list[Sample]) -> list[str]:
         return []
     shown = ", ".join(f"from {before} to {behind}" for before, behind in gaps[:3])
     more = f" and {len(gaps) - 3} more" if len(gaps) > 3 else ""
-    return [f"the samples' indices step {shown}{more}: windows start over there"]
+    return [f"the samples' indices step {shown}{more}: samples are missing there"]
 
 
 def _clock(samples: list[Sample]) -> list[str]:

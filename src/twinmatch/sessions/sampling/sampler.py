@@ -79,7 +79,7 @@ class Grid:
         return self._number
 
     def _restart(self, number: int, now: int) -> int:
-        """Restart the grid and leave out one number, so that windows of samples start over."""
+        """Restart the grid and leave out one number: nothing reaches across a clock that was set back."""
         self.missed += 1
         self.jitter = 0
         self._number, self._newest, self._due = number, now, now
