@@ -201,11 +201,12 @@ class Window:
 
 
 def bridge(before: Sample, after: Sample, longest: int) -> list[Sample]:
-    """Stand-ins for the samples lost between two, oldest first; none if more than `longest` are missing, or the
-    clock was set back meanwhile.
+    """Stand-ins for the samples lost between two, oldest first.
 
-    The loop went on meanwhile: set-point, input and disturbances are held, and the output is interpolated, so
-    that what sums up the output's movements stays right. Stand-ins are marked as not seen.
+    There are none if more than `longest` are missing, or if the clock was set back meanwhile.
+
+    The loop is taken to have continued: set-point, input and disturbances are held, and the output is
+    interpolated, so that what sums up its movements stays right. Stand-ins are marked as not seen.
     """
     steps = after.index - before.index
     alike = after.stamp > before.stamp and len(before.disturbances) == len(after.disturbances)

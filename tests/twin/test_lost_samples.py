@@ -105,7 +105,7 @@ def test_a_step_that_falls_into_a_gap_counts_from_the_next_sample(simulated_sess
     assert all(0 <= shifted - first <= 2 for shifted, first in firsts)
 
 
-def test_a_long_gap_still_begins_anew(simulated_session: list[Sample]) -> None:
+def test_behind_a_long_gap_windows_start_over(simulated_session: list[Sample]) -> None:
     def oldest_behind(missing: int) -> int:
         rest = [s for s in simulated_session if not 300 <= s.index < 300 + missing]
         return min(v.first for v in verdicts_of(outcomes_of(rest[:420])) if v.sample > 310)
@@ -160,11 +160,13 @@ def test_the_mirrored_twins_run_through(simulated_session: list[Sample]) -> None
         for mirror in mirrors:
             if mirror is mirrors[0] or sample.index not in {250, 251}:
                 mirror.push(sample)
-    whole, through, anew = (mirror.push(simulated_session[300]) for mirror in mirrors)
+    whole, through, restarted = (mirror.push(simulated_session[300]) for mirror in mirrors)
     # Held inputs differ from the real ones for two of 300 samples; a restart takes the twin to the reading.
     assert abs(through.closed_output - whole.closed_output) < 0.05
     assert abs(through.driven_output - whole.driven_output) < 0.05
-    assert abs(anew.driven_output - whole.driven_output) > abs(through.driven_output - whole.driven_output)
+    assert abs(restarted.driven_output - whole.driven_output) > abs(
+        through.driven_output - whole.driven_output
+    )
 
 
 def test_a_window_says_what_it_holds_wherever_it_goes(simulated_session: list[Sample]) -> None:

@@ -121,7 +121,8 @@ class Discriminator:
     def push_sample(self, sample: Sample) -> Step:
         """Take one sample; return the verdicts now due, and the match to request.
 
-        A few samples lost before it are bridged: what they would have shown counts nowhere. More begin anew.
+        A few samples lost before it are bridged: what they would have shown counts nowhere. After more,
+        everything starts over.
         """
         before = self._newest or sample
         self._newest = sample
