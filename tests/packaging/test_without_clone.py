@@ -97,7 +97,7 @@ def test_the_virtual_rig_runs_live_until_ctrl_c(installed: Path, programs: Proce
     words = ["live", "--virtual", "--speed", "2", "--board", "python", "--session", "first"]
     process = programs.start(installed / "twinmatch", *words, folder=tmp_path)
     process.said("recording into", patience=120)
-    process.said(r"level +leader", patience=120)
+    process.said(r"level +decided", patience=120)
     time.sleep(5)  # of samples
     process.send(signal.SIGINT)
     assert process.wait(patience=60) == 0, process.text
