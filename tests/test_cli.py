@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import fcntl
+import itertools
 import json
 import os
 import pty
@@ -204,13 +205,14 @@ def test_a_pipe_gets_plain_lines_and_the_sentence_last(fault_session: Path) -> N
     assert "\x1b" not in result.stdout
     header, *lines = result.stdout.splitlines()
     assert header.startswith("t / s")
-    verdicts = [line for line in lines if re.match(r"\d+ ", line)]
-    columns = header.index("why")
-    assert all(len(line) > columns and line[columns - 2 : columns] == "  " for line in verdicts)
-    told = next(line for line in verdicts if " fault " in line[:columns])
+    verdicts = [(line, below) for line, below in itertools.pairwise(lines) if re.match(r"\d+ ", line)]
+    leader = header.index("leader")
+    assert all(len(line) > leader and line[leader - 2 : leader] == "  " for line, _ in verdicts)
+    assert all(below.startswith(" " * header.index("level")) for _, below in verdicts)
+    told, reason = next((line, below) for line, below in verdicts if " fault " in line)
     assert 640 <= int(told.split()[0]) < 660  # at once, not at the next trigger
-    assert told[columns:].startswith("drive-lost: ")
-    assert len({line[:columns].split()[0] for line in verdicts}) == len(verdicts)
+    assert reason.lstrip().startswith("drive-lost: ")
+    assert len({line.split()[0] for line, _ in verdicts}) == len(verdicts)
     assert lines[-1].startswith("Leader")
     assert "ominal: " in lines[-1]
     assert lines[-1].endswith(".")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import shlex
 import sys
 from pathlib import Path
@@ -30,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Write the report; returns the exit code."""
-    session = options.session.resolve()
+    session = Path(os.path.realpath(options.session))  # does not raise on a loop of links
     output: Path = options.output or Path(f"{session.name if session.is_dir() else session.stem}.html")
     check_writable(output, example="report.html")
     with held_interrupts():
