@@ -22,6 +22,7 @@ from twinmatch.dynamics.kernels import (
     Work,
     call,
     prepare,
+    scalar,
     tick_with_tangents,
     work_for,
 )
@@ -127,13 +128,13 @@ def predict(
     """
     n, m = x.size, which.shape[1]
     size = n + m
-    du, inputs, way = np.zeros((1, size + 1)), np.empty(1), np.zeros((size, size))
+    du, way = np.zeros((1, size + 1)), np.zeros((size, size))
     columns[:] = 0.0
     for i in range(n):
         columns[i, m + i] = 1.0
     du[0, size] = 1.0
-    inputs[0] = u
-    tick_with_tangents(code, x, inputs, d, work_for(code, vector), period, steps, which[0], columns, du)
+    work = work_for(code, vector)
+    tick_with_tangents(code, x, scalar(u), d, work, period, steps, which[0], columns, du)
     for j in range(size):
         for i in range(n):
             for q in range(size):

@@ -38,6 +38,8 @@ __all__ = [
     "call",
     "outputs_at",
     "parts",
+    "prepare",
+    "scalar",
     "slopes_at",
     "step_count",
     "tick",
@@ -112,24 +114,22 @@ def _by_address(context: Any, builder: Any, signature: Any, arguments: Any) -> A
 
 
 @compiled(inside=True)
-def work_for(code: Code, vector: FloatArray) -> Work:
-    """The arrays for a plant with these parameters."""
-    own = code[N_PARAMETERS]
-    p = np.empty(own + code[N_CONSTANTS])
-    for i in range(own):
-        p[i] = vector[i]
-    b, there, seen = np.zeros(code[N_SWITCHES]), np.zeros(code[N] + 1), np.zeros(code[N_OUTPUTS])
-    shown = np.zeros(code[N_OUTPUTS] * (code[N] + code[N_UNKNOWN]))
-    call(code[CONSTANTS], p, p, p, p, b, p[own:])
-    return Work(p, b, there, seen, shown)
-
-
-@compiled(inside=True)
 def prepare(code: Code, vector: FloatArray, work: Work) -> None:
     """Change the parameters."""
     for i in range(code[N_PARAMETERS]):
         work.p[i] = vector[i]
     call(code[CONSTANTS], vector, vector, vector, work.p, work.b, work.p[code[N_PARAMETERS] :])
+
+
+@compiled(inside=True)
+def work_for(code: Code, vector: FloatArray) -> Work:
+    """The arrays for a plant with these parameters."""
+    p = np.empty(code[N_PARAMETERS] + code[N_CONSTANTS])
+    b, there, seen = np.zeros(code[N_SWITCHES]), np.zeros(code[N] + 1), np.zeros(code[N_OUTPUTS])
+    shown = np.zeros(code[N_OUTPUTS] * (code[N] + code[N_UNKNOWN]))
+    work = Work(p, b, there, seen, shown)
+    prepare(code, vector, work)
+    return work
 
 
 @compiled(inside=True)
@@ -198,7 +198,8 @@ def tick_with_tangents(
 
 
 @compiled(inside=True)
-def _scalar(u: float) -> FloatArray:
+def scalar(u: float) -> FloatArray:
+    """The one value of a signal, as an array."""
     values = np.empty(1)
     values[0] = u
     return values
@@ -210,7 +211,7 @@ def advance(
 ) -> FloatArray:
     """The states one period later under constant inputs and disturbances, shape (n,)."""
     after = x.copy()
-    tick(code, after, _scalar(u), d, work_for(code, vector), period, steps)
+    tick(code, after, scalar(u), d, work_for(code, vector), period, steps)
     return after
 
 
@@ -222,7 +223,7 @@ def begin(
     n, q = code[N], code[N_UNKNOWN]
     work = work_for(code, vector)
     found = np.empty(n * (2 + q))
-    call(code[START], _scalar(y), _scalar(u), d, work.p, work.b, found)
+    call(code[START], scalar(y), scalar(u), d, work.p, work.b, found)
     return found[:n].copy(), found[n : 2 * n].copy(), found[2 * n :].copy().reshape((n, q))
 
 
@@ -231,7 +232,7 @@ def outputs_at(
     code: Code, vector: FloatArray, x: FloatArray, u: float, d: FloatArray
 ) -> tuple[float, FloatArray]:
     """The output, and the plant's other quantities."""
-    work, found, of_u = work_for(code, vector), np.zeros(code[N_QUANTITIES]), _scalar(u)
+    work, found, of_u = work_for(code, vector), np.zeros(code[N_QUANTITIES]), scalar(u)
     call(code[SWITCHES], x, of_u, d, work.p, work.b, work.b)
     call(code[QUANTITIES], x, of_u, d, work.p, work.b, found)
     call(code[OUTPUTS], x, of_u, d, work.p, work.b, work.seen)
@@ -250,8 +251,8 @@ def parts(
     the output's error: their distance from the output is kept, so that errors of the plant do not accumulate.
     """
     n, work = code[N], work_for(code, vector)
-    of_u, of_rest, started = _scalar(u), _scalar(rest), np.empty(code[N] * (2 + code[N_UNKNOWN]))
-    call(code[START], _scalar(y), of_u, d, work.p, work.b, started)
+    of_u, of_rest, started = scalar(u), scalar(rest), np.empty(code[N] * (2 + code[N_UNKNOWN]))
+    call(code[START], scalar(y), of_u, d, work.p, work.b, started)
     call(code[OUTPUT_SLOPES], started, of_u, d, work.p, work.b, work.shown)
     if not np.isnan(before[0]):
         call(code[OUTPUTS], before, of_u, d, work.p, work.b, work.seen)
@@ -275,7 +276,7 @@ def slopes_at(
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
     """Rates, their derivatives by states, drive and parameters, and the output's by states, parameters."""
     n, q, m = code[N], code[N_UNKNOWN], code[N_INPUTS]
-    work, of_u, found = work_for(code, vector), _scalar(u), np.empty(n * (q + 1 + n + m))
+    work, of_u, found = work_for(code, vector), scalar(u), np.empty(n * (q + 1 + n + m))
     call(code[SWITCHES], x, of_u, d, work.p, work.b, work.b)
     call(code[SLOPES], x, of_u, d, work.p, work.b, found)
     call(code[OUTPUT_SLOPES], x, of_u, d, work.p, work.b, work.shown)

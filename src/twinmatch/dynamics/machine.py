@@ -8,15 +8,16 @@ from __future__ import annotations
 
 import ast
 import functools
-import itertools
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import operator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, Final
 
 from llvmlite import binding, ir
 
 from twinmatch.dynamics.code import Formulas, PlantFormulas
+from twinmatch.dynamics.declarations import PlantError
 
 __all__ = ["FUNCTIONS", "compiled_object", "host", "linked"]
 
@@ -31,9 +32,12 @@ _INTRINSICS: Final = ("sqrt", "exp", "log", "sin", "cos", "fabs", "pow")
 _LIBRARY: Final = (
     "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh", "erf", "erfc"
 )  # fmt: skip
-_SIGNS: Final[Mapping[type[ast.cmpop], str]] = {
-    ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!=",
-}  # fmt: skip
+_OPERATIONS: Final[dict[type[ast.operator], tuple[Callable[..., float], Callable[..., Any]]]] = {
+    ast.Add: (operator.add, ir.IRBuilder.fadd),
+    ast.Sub: (operator.sub, ir.IRBuilder.fsub),
+    ast.Mult: (operator.mul, ir.IRBuilder.fmul),
+    ast.Div: (operator.truediv, ir.IRBuilder.fdiv),
+}
 _DOUBLE, _INT = ir.DoubleType(), ir.IntType(64)
 _POINTER = _DOUBLE.as_pointer()
 _PLAIN = ir.FunctionType(ir.VoidType(), [_POINTER] * 6)
@@ -46,7 +50,11 @@ Values = dict[str, Any]
 
 
 def compiled_object(formulas: PlantFormulas) -> bytes:
-    """Machine code of a plant's functions for this processor."""
+    """Machine code of a plant's functions for this processor.
+
+    Raises:
+        PlantError: an expression cannot be compiled; `derive` lets none through.
+    """
     module = binding.parse_assembly(str(_module(formulas)))
     module.verify()
     machine = _target_machine()
@@ -267,7 +275,7 @@ class _Function:
         b.position_at_end(after)
 
     def _evaluated(self, tree: ast.expr, known: Values) -> Any:  # noqa: PLR0911 (a case for each kind)
-        """The value of an expression."""
+        """The value of an expression; kinks are switches by now, so there are no conditions."""
         b = self.builder
 
         def of(part: ast.expr) -> Any:
@@ -284,33 +292,12 @@ class _Function:
                 return _negated(b, of(operand))
             case ast.BinOp(left=left, op=ast.Pow(), right=right):
                 return self._power(of(left), of(right))
-            case ast.BinOp(left=left, op=op, right=right):
+            case ast.BinOp(left=left, op=op, right=right) if type(op) in _OPERATIONS:
                 return _folded(b, op, of(left), of(right))
-            case ast.IfExp(test=test, body=body, orelse=other):
-                return b.select(self._condition(test, known), of(body), of(other))
             case ast.Call(func=function, args=arguments):
                 name = function.attr if isinstance(function, ast.Attribute) else ast.unparse(function)
                 return self._call({"abs": "fabs"}.get(name, name), [of(a) for a in arguments])
-        raise NotImplementedError(ast.unparse(tree))
-
-    def _condition(self, tree: ast.expr, known: Values) -> Any:
-        b = self.builder
-        match tree:
-            case ast.Constant(value=bool() as value):
-                return ir.Constant(ir.IntType(1), int(value))
-            case ast.Compare(left=left, ops=ops, comparators=others):
-                sides = [self._evaluated(side, known) for side in (left, *others)]
-                found = [
-                    b.fcmp_ordered(_SIGNS[type(op)], one, other)
-                    for op, (one, other) in zip(ops, itertools.pairwise(sides), strict=True)
-                ]
-                return functools.reduce(b.and_, found)
-            case ast.BoolOp(op=op, values=values):
-                join = b.and_ if isinstance(op, ast.And) else b.or_
-                return functools.reduce(join, [self._condition(v, known) for v in values])
-            case ast.UnaryOp(op=ast.Not(), operand=operand):
-                return b.not_(self._condition(operand, known))
-        raise NotImplementedError(ast.unparse(tree))
+        raise PlantError(f"plant: the equations contain {ast.unparse(tree)}, which cannot be compiled")
 
     def _power(self, base: Any, exponent: Any) -> Any:
         """Whole constant powers are products; any other is the library's."""
@@ -328,11 +315,6 @@ class _Function:
         return b.fdiv(_number(1.0), result) if exponent.constant < 0 else result
 
     def _call(self, name: str, arguments: list[Any]) -> Any:
-        if name in {"max", "min"}:
-            sign = ">" if name == "max" else "<"
-            return functools.reduce(
-                lambda a, c: self.builder.select(self.builder.fcmp_ordered(sign, c, a), c, a), arguments
-            )
         module = self.llvm.module
         if name in _INTRINSICS:
             function = module.declare_intrinsic(f"llvm.{name}", [_DOUBLE])
@@ -340,23 +322,16 @@ class _Function:
             kind = ir.FunctionType(_DOUBLE, [_DOUBLE] * len(arguments))
             function = module.globals.get(name) or ir.Function(module, kind, name)
         else:
-            raise NotImplementedError(name)
+            raise PlantError(f"plant: the equations use {name}, which cannot be compiled")
         return self.builder.call(function, arguments)
 
 
 def _folded(b: ir.IRBuilder, op: ast.operator, left: Any, right: Any) -> Any:
     """A sum, difference, product or quotient; of two constants a constant."""
-    constants = isinstance(left, ir.Constant) and isinstance(right, ir.Constant)
-    match op:
-        case ast.Add():
-            return _number(left.constant + right.constant) if constants else b.fadd(left, right)
-        case ast.Sub():
-            return _number(left.constant - right.constant) if constants else b.fsub(left, right)
-        case ast.Mult():
-            return _number(left.constant * right.constant) if constants else b.fmul(left, right)
-        case ast.Div():
-            return _number(left.constant / right.constant) if constants else b.fdiv(left, right)
-    raise NotImplementedError(type(op).__name__)
+    of_numbers, of_values = _OPERATIONS[type(op)]
+    if isinstance(left, ir.Constant) and isinstance(right, ir.Constant):
+        return _number(of_numbers(left.constant, right.constant))
+    return of_values(b, left, right)
 
 
 def _negated(b: ir.IRBuilder, value: Any) -> Any:

@@ -62,8 +62,8 @@ class InStep:
             ClockError: the address is invalid.
         """
         self._client = ClockClient(parse_address(address), lambda _: None)
-        self._news = threading.Condition()
-        self._told = False  # of news since the last look
+        self._lock = threading.Lock()
+        self._news = threading.Event()  # since the last look
         self._now = 0
         self._tasks: list[_Task] = []
         self._driving = False
@@ -101,9 +101,9 @@ class InStep:
     def applied(self, stamp: float) -> None:
         """Note that commands up to this time are applied, or cannot be."""
         if stamp != self._applied:
-            with self._news:
+            with self._lock:
                 self._applied = stamp
-                self._tell()
+            self._news.set()
 
     def image(self, stamp: int) -> None:
         """Note that the image of this time was taken."""
@@ -122,9 +122,8 @@ class InStep:
 
     def close(self) -> bool:
         """End the connection, so that the plant no longer waits; returns whether its threads ended."""
-        with self._news:
-            self._ending = True
-            self._tell()
+        self._ending = True
+        self._news.set()
         self._thread.join(2.0)
         return self._client.close() and not self._thread.is_alive()
 
@@ -133,29 +132,23 @@ class InStep:
         self._busy, self._now = True, now
         for task in self._tasks:
             task.run_if_due(now)
-        with self._news:
+        with self._lock:
             self._busy = False
-            if self._driving or now + LEAD - self._until >= LEAD // 2:
-                self._tell()
-
-    def _tell(self) -> None:
-        """Wake the thread, also if it is just about to sleep; with the lock held."""
-        self._told = True
-        self._news.notify()
+        if self._driving or now + LEAD - self._until >= LEAD // 2:
+            self._news.set()
 
     def _run(self) -> None:
         while not self._ending:
-            with self._news:
-                self._told = False
+            self._news.clear()
             settled = self._let_if_done()
-            with self._news:
-                self._news.wait_for(lambda: self._told or self._ending, IDLE if settled else SOON)
+            if not self._ending:  # it may have been set before the news were cleared
+                self._news.wait(IDLE if settled else SOON)
 
     def _let_if_done(self) -> bool:
         """Let the plant continue if all work is done; returns whether it is."""
         if not self._now:
             return True  # not even the clock has been received
-        with self._news:
+        with self._lock:
             if self._busy or (self._driving and self._applied < self._sent):
                 return False
             until = min(task.due for task in self._tasks) if self._driving else self._now + LEAD
@@ -166,7 +159,7 @@ class InStep:
         return True
 
     def _let(self, until: int, driving: str) -> None:
-        with self._news:
+        with self._lock:
             if until > self._until:
                 self._until = until
                 self._client.say(driving if self._driving else "follow", until)
