@@ -27,8 +27,6 @@ from numba.core.caching import CompileResultCacheImpl, FunctionCache, NullCache
 from numba.core.dispatcher import Dispatcher
 from numba.core.runtime import rtsys
 
-__all__ = ["compiled"]
-
 # numba numbers compiled functions from one in every process, so kernels cached by two processes may have the
 # same name. If such a kernel is loaded twice, alone and inside another, one uses the other's data and fails
 # ("'descr' is NULL"). So every process starts from a different number.

@@ -9,8 +9,6 @@ exception is a bug and keeps its traceback.
 
 from __future__ import annotations
 
-__all__ = ["EXIT_USER_ERROR", "TwinmatchError"]
-
 EXIT_USER_ERROR = 2
 
 

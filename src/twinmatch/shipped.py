@@ -9,8 +9,6 @@ from pathlib import Path
 
 from twinmatch.errors import TwinmatchError
 
-__all__ = ["NotShippedError", "shipped"]
-
 
 class NotShippedError(TwinmatchError):
     """Neither the checkout nor the installation has the file."""

@@ -16,18 +16,6 @@ from numpy.typing import NDArray
 
 from twinmatch.errors import TwinmatchError
 
-__all__ = [
-    "KELVIN",
-    "BoolArray",
-    "FloatArray",
-    "Sample",
-    "SignalError",
-    "Window",
-    "bridge",
-    "not_one_loop",
-    "unbroken",
-]
-
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
@@ -97,11 +85,10 @@ class Window:
         given = np.empty((len(self), 0)) if self.disturbances is _NONE else self.disturbances
         disturbances = np.array(given, dtype=np.float64)
         if disturbances.ndim != 2 or len(disturbances) != len(self):
-            msg = (
+            raise SignalError(
                 f"window: disturbances have shape {disturbances.shape}; "
                 f"give one row for each of the {len(self)} samples"
             )
-            raise SignalError(msg)
         self._keep("disturbances", disturbances)
         if self.seen is not None:
             seen = np.array(self.seen, dtype=np.bool_)
@@ -118,11 +105,10 @@ class Window:
         """Store finite values as a read-only field."""
         bad = np.argwhere(~np.isfinite(values))
         if bad.size:
-            msg = (
+            raise SignalError(
                 f"window: {name} is {values[tuple(bad[0])]} at sample {self.first + int(bad[0][0])}; "
                 "only finite values can be used"
             )
-            raise SignalError(msg)
         values.flags.writeable = False
         object.__setattr__(self, name, values)
 
@@ -145,11 +131,10 @@ class Window:
         number = len(samples[0].disturbances)
         for sample in samples:
             if len(sample.disturbances) != number:
-                msg = (
+                raise SignalError(
                     f"window: sample {sample.index} has {len(sample.disturbances)} disturbances, "
                     f"sample {samples[0].index} has {number}; they must be equal"
                 )
-                raise SignalError(msg)
         return cls(
             reference=_array(s.reference for s in samples),
             output=_array(s.output for s in samples),

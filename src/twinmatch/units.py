@@ -14,7 +14,6 @@ from twinmatch.errors import TwinmatchError
 if TYPE_CHECKING:
     import pint
 
-__all__ = ["Conversion", "Measure", "UnitError", "conversion", "measure"]
 
 _COLUMN_WORDS = {"C": "degC", "c": "degC", "°c": "degC", "F": "degF", "°f": "degF", "k": "K"}
 """Abbreviations of temperature units that pint would read as coulomb or farad."""

@@ -22,8 +22,6 @@ from twinmatch.cli import main
 from twinmatch.plants import PLANTS
 from twinmatch.sessions import write_session
 
-__all__ = ["SOURCES", "MissingSourceError", "documents_of"]
-
 Documents = dict[str, Any]
 """What the commands wrote, by the name of the command."""
 

@@ -8,8 +8,6 @@ from tests.support.plants import Box
 from twinmatch.dynamics import Parameters, advance, begin, read, simulate_driven
 from twinmatch.signals import FloatArray, Sample
 
-__all__ = ["PERIOD", "TRUTH", "step_test", "switched"]
-
 PERIOD = 3.0
 TRUTH = Box.model().parameters(air_capacity=650.0, bed_conductance=1.2, box_conductance=0.9)
 _LEVELS = (0.0, 0.4, 0.15, 0.6, 0.3, 0.1, 0.5, 0.2)

@@ -19,8 +19,6 @@ from twinmatch.health import Alarm, Fault, HealthSettings, Monitor
 from twinmatch.plants import Incubator
 from twinmatch.signals import Sample
 
-__all__ = ["Lid", "run", "some_incubator", "watch"]
-
 PERIOD = 3.0
 """Seconds."""
 RESOLUTION = 0.0625

@@ -27,19 +27,6 @@ from twinmatch.plants import TCLab
 from twinmatch.plants.tclab import RESOLUTION
 from twinmatch.signals import FloatArray, Sample
 
-__all__ = [
-    "HEALTHY",
-    "Broken",
-    "Published",
-    "Simulated",
-    "hold",
-    "levels",
-    "rest_level",
-    "run",
-    "some_levels",
-    "watch",
-]
-
 SECOND = 1_000_000_000
 NEVER = 1_000_000_000
 NOISE = 0.043

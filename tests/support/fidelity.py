@@ -24,8 +24,6 @@ from numpy.typing import ArrayLike, NDArray
 from twinmatch.compiled import compiled
 from twinmatch.signals import FloatArray
 
-__all__ = ["Fidelity", "fidelity"]
-
 _PAIR, _TWIN, _PLANT = 0, 1, 2
 """Last step of an alignment: both traces advance, the twin's alone, or the plant's alone."""
 _OPENING: Final = 1.0

@@ -10,8 +10,6 @@ from pathlib import Path
 
 import yaml
 
-__all__ = ["CULPRITS", "build_c_fmu", "build_c_fmu_3", "build_python_fmu", "python_slave", "write_map"]
-
 PARAMETERS = {
     "seebeck": 0.075,
     "resistance": 3.3,

@@ -10,8 +10,6 @@ from std_srvs.srv import Trigger
 
 from tests.support.ros import Listener
 
-__all__ = ["HeaterRig"]
-
 
 class HeaterRig:
     """Controller and sensor as a bridge sees them, and what it says; a subclass publishes in `feed`."""

@@ -9,8 +9,6 @@ import numpy as np
 from twinmatch.sessions import resample
 from twinmatch.signals import FloatArray, Window
 
-__all__ = ["FIRST", "LID", "SECOND", "published_twin", "read_run"]
-
 FIRST, SECOND, LID = "exp1_ht3_hg2", "exp2_ht20_hg30", "lid_opening_jan_2021"
 PERIOD = 3.0
 

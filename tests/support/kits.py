@@ -7,8 +7,6 @@ from pathlib import Path
 
 from twinmatch.emulation.kit import KitBoard
 
-__all__ = ["BenchKit"]
-
 
 class BenchKit:
     """A board that runs by itself; its sensors show what the test wants."""

@@ -10,8 +10,6 @@ from types import FrameType
 
 from tests.support.waiting import PATIENCE
 
-__all__ = ["within"]
-
 
 @contextmanager
 def within(seconds: int, megabytes: float) -> Iterator[None]:

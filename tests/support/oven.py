@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-__all__ = ["HOLD", "MAP", "PERIOD", "RIG", "oven_file"]
-
 RIG = Path(__file__).with_name("foreign_rig.py")
 PERIOD = 0.1
 HOLD = 80

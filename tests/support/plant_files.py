@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-__all__ = ["HEATED", "plant_file"]
-
 HEATED = '''\
 """A heated block in a room whose temperature is measured; nobody knows its loop."""
 

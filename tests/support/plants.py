@@ -17,8 +17,6 @@ from twinmatch.dynamics import (
     magnitude,
 )
 
-__all__ = ["Box", "Exchanger", "Lag", "Motor", "Tank"]
-
 
 class Lag(Plant, name="lag"):
     """dx/dt = (gain·u − x)/lag."""

@@ -16,8 +16,6 @@ from twinmatch.sessions.metadata import CANDIDATES, parameters_record
 from twinmatch.signals import Sample
 from twinmatch.twin import Outcome
 
-__all__ = ["Change", "write_judged"]
-
 Change = Callable[[list[Any], list[Any]], None]
 """May spoil messages of matches and of scores before they are written."""
 

@@ -12,8 +12,6 @@ from twinmatch.dynamics import Parameters
 from twinmatch.plants import Peltier
 from twinmatch.signals import Window
 
-__all__ = ["RIG", "apart", "recorded"]
-
 RIG = rig(
     "sink with mass, free ambient, switched drive",
     seebeck=0.06,

@@ -9,8 +9,6 @@ from twinmatch.dynamics import Parameters, PidGains, Sensor, begin, simulate_clo
 from twinmatch.plants import Peltier
 from twinmatch.signals import Window
 
-__all__ = ["GAINS", "SENSOR", "rig", "run"]
-
 assert Peltier.loop is not None
 assert Peltier.sensor is not None
 GAINS: PidGains = Peltier.loop

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-__all__ = ["bare"]
-
 
 def bare(text: str) -> str:
     """Without comments and blank lines: releases of ROS 2 comment on their own types in other words."""

@@ -18,8 +18,6 @@ from twinmatch.dynamics import (
 )
 from twinmatch.signals import Window
 
-__all__ = ["PERIOD", "Servo", "turns"]
-
 PERIOD = 0.01
 """Sample time, s."""
 

@@ -9,8 +9,6 @@ from typing import Any
 from tests.support.rig import rig
 from twinmatch.comparing import CandidateScore, Criteria, ForecastScore, OrderScore, TrustLevel, Verdict
 
-__all__ = ["CANDIDATE", "CRITERIA", "LED", "NONE_YET", "verdict"]
-
 CRITERIA = Criteria(1000, 400, 600, 0.6, 1.5, 900.0, 40.0)
 CANDIDATE = CandidateScore(
     name="50 °C",

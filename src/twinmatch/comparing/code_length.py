@@ -71,10 +71,9 @@ def code_length(values: ArrayLike, decimals: int) -> int:
     table = np.asarray(values, dtype=np.float64).ravel()
     bad = np.flatnonzero(~np.isfinite(table))
     if bad.size:
-        msg = (
+        raise DiscriminationError(
             f"code length: entry {bad[0]} of the table is {table[bad[0]]}; only finite values can be written"
         )
-        raise DiscriminationError(msg)
     if not table.size:
         return 0
     scale = 10.0**decimals
@@ -110,11 +109,10 @@ def information_gain(
     observed = np.asarray(measured, dtype=np.float64)
     modelled = np.asarray(simulated, dtype=np.float64)
     if observed.ndim != 1 or observed.shape != modelled.shape or not observed.size:
-        msg = (
+        raise DiscriminationError(
             f"information gain: the measured signal has shape {observed.shape}, the simulated one "
             f"{modelled.shape}; give two signals of the same number of samples"
         )
-        raise DiscriminationError(msg)
     if not 0 <= copied <= observed.size:
         msg = f"information gain: {copied} of {observed.size} samples copied; give 0 to {observed.size}"
         raise DiscriminationError(msg)
@@ -156,11 +154,10 @@ def _differences(observed: FloatArray, modelled: FloatArray, first: int) -> Floa
     bad = np.flatnonzero(~np.isfinite(rest))
     if bad.size:
         k = int(bad[0])
-        msg = (
+        raise DiscriminationError(
             f"information gain: at sample {first + k} the measured value is {observed[k]} and the simulated "
             f"one {modelled[k]}; their difference must be finite"
         )
-        raise DiscriminationError(msg)
     return rest
 
 

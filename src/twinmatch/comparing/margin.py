@@ -56,11 +56,10 @@ def stability_margin(plant: Any, controller: Any) -> float:
     g = graph_symbol(plant)
     k = controller if isinstance(controller, GraphSymbol) else graph_symbol(_transposed(controller))
     if g.outputs != k.outputs:
-        msg = (
+        raise DiscriminationError(
             f"stability margin: the plant has {g.outputs} outputs, the controller {k.outputs} inputs; "
             "they must be equal"
         )
-        raise DiscriminationError(msg)
     common_period(g, k)
     products = [multiply(a, b) for a, b in zip(g.column, k.column, strict=True)]
     characteristic = [sum(terms) for terms in zip(*products, strict=True)]
@@ -217,11 +216,10 @@ def _plant(parameters: Parameters, operating_point: float, gains: PidGains, scal
     linear = linearised(parameters, operating_point, gains.period)
     if gains.saturates(linear.rest.input):
         plant = parameters.model.plant
-        msg = (
+        raise DiscriminationError(
             f"stability margin: {plant.title} needs {linear.rest.input:.4g} {plant.drive.unit} at "
             f"{operating_point:g} {plant.output.unit}, beyond the controller's limits {gains.low:g} and "
             f"{gains.high:g}; give an operating point at which it can be held"
         )
-        raise DiscriminationError(msg)
     scaled = linear.C * (scales.input / scales.output)
     return GraphSymbol.of_state_space(linear.A, linear.B, scaled, np.zeros((1, 1)), gains.period)

@@ -256,10 +256,9 @@ def column_of(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray) -> Col
 def _integers(matrix: FloatArray) -> tuple[Any, int]:
     """A matrix times the smallest power of two that makes its entries integers, and that power."""
     if not np.isfinite(matrix).all():
-        msg = (
+        raise DiscriminationError(
             f"model: a state-space matrix {np.asarray(matrix).tolist()} is not finite; it cannot be compared"
         )
-        raise DiscriminationError(msg)
     ratios: Sequence[tuple[int, int]] = [float(x).as_integer_ratio() for x in np.ravel(matrix)]
     scale = max((d for _, d in ratios), default=1)
     whole = np.empty(len(ratios), dtype=object)

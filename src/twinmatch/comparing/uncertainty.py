@@ -239,11 +239,10 @@ class Uncertain:
         scales = np.array([self.parameters.model.declared[name].scale for name in self.loose])
         wrong = len(self.covariance) and self.covariance.shape != (scales.size, scales.size)
         if wrong or np.isnan(self.covariance).any():
-            msg = (
+            raise DiscriminationError(
                 f"uncertainty: a covariance of shape {self.covariance.shape} for {len(self.free)} "
                 "parameters; give one row and one column of numbers for each, or none"
             )
-            raise DiscriminationError(msg)
         if not scales.size:
             return np.zeros((0, 0))
         relative = self.covariance / np.outer(scales, scales)

@@ -12,8 +12,6 @@ from typing import Any, NamedTuple
 
 from twinmatch.dynamics.equations import Derived
 
-__all__ = ["Formulas", "PlantFormulas", "plant_formulas"]
-
 Expression = Any
 
 

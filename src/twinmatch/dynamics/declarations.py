@@ -14,22 +14,6 @@ from typing import Any, Protocol, TypeVar, overload
 
 from twinmatch.errors import TwinmatchError
 
-__all__ = [
-    "Declaration",
-    "Disturbance",
-    "Drive",
-    "ExternalEquations",
-    "Output",
-    "Parameter",
-    "PlantError",
-    "State",
-    "Structure",
-    "StructureLostError",
-    "require_number",
-    "require_range",
-    "require_text",
-]
-
 _Self = TypeVar("_Self", bound="Declaration")
 
 _STEP = 20.0
@@ -218,10 +202,9 @@ class Parameter(Declaration):
             object.__setattr__(self, "scale", abs(self.default) or 1.0)
         low, high = self.bounds
         if not low < high or not self.possible(low) or not self.possible(high):
-            msg = (
+            raise PlantError(
                 f"plant: bounds {self.bounds} of a parameter ({self.text}); give possible values, lower first"
             )
-            raise PlantError(msg)
         if not self.possible(self.default):
             msg = f"plant: default of a parameter is {self.default:g}; it must be {self.requirement}"
             raise PlantError(msg)

@@ -21,8 +21,6 @@ from twinmatch.dynamics.declarations import (
 )
 from twinmatch.dynamics.loop import PidGains, Sensor
 
-__all__ = ["Equations", "PlantDefinition", "PlantType", "require_consistent", "require_structure"]
-
 Expression = Any
 """A SymPy expression; SymPy has no types of its own for mypy."""
 
@@ -106,10 +104,9 @@ def require_consistent(plant: type[PlantDefinition], base: type[PlantDefinition]
     _require_names(plant, base)
     if not isinstance(plant.structures, Mapping):
         kind = type(plant.structures).__name__
-        msg = (
+        raise PlantError(
             f"plant {plant.name}: `structures` is of type {kind}; write a dictionary of names and Structures"
         )
-        raise PlantError(msg)
     if not plant.structures:
         raise PlantError(f"plant {plant.name}: has no structure; declare at least one in `structures`")
     if plant.followed and plant.followed not in plant.structures:

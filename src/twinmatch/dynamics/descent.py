@@ -23,17 +23,6 @@ import numpy as np
 from twinmatch.compiled import compiled
 from twinmatch.signals import FloatArray
 
-__all__ = [
-    "LEAST_DAMPING",
-    "Descended",
-    "Search",
-    "box_step",
-    "descend",
-    "new_search",
-    "search_result",
-    "update_search",
-]
-
 _TOLERANCE = 1e-9
 """Predicted decrease, in units of the sum of squares, below which the search ends."""
 _NOTHING = 1e-10

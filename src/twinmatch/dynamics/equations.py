@@ -16,8 +16,6 @@ from twinmatch.dynamics.declarations import PlantError
 from twinmatch.dynamics.definition import Equations, Expression, PlantDefinition
 from twinmatch.dynamics.terms import Kinks, Roots
 
-__all__ = ["PATIENCE", "Derived", "TooLongError", "at_most", "derive", "error_words", "written_equations"]
-
 PATIENCE: Final = 60.0
 """Time for loading a plant's file, and for one call of its equations, s. Both take well below a second, or
 some seconds if the file reads a table or imports a large library."""
@@ -180,11 +178,10 @@ def _require_usable(plant: PlantDefinition, written: Equations) -> None:
         _require(f"{title}: the rate of {state}", written.rates[state], {*known, drive}, declared)
         _require(f"{title}: the start of {state}", written.start[state], {*inputs, drive, measured}, declared)
     if _symbols(written.output) & {drive}:
-        msg = (
+        raise PlantError(
             f"{title}: the output depends on the drive at the same instant; add a state between, or declare "
             "a disturbance, map the drive's column to it too, and use it in the output"
         )
-        raise PlantError(msg)
     _require(f"{title}: the output", written.output, known, declared)
     if not _symbols(written.output) & set(states):
         raise PlantError(f"{title}: the output depends on no state; write it in terms of the states")

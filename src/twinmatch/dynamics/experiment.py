@@ -17,8 +17,6 @@ from twinmatch.dynamics.runs import LeastSquares
 from twinmatch.dynamics.simulation import FROM_PLANT_FILE, NO_GAINS, SKIPPED, LoopGains, Response, gains_for
 from twinmatch.signals import FloatArray, Window
 
-__all__ = ["Experiment", "Known", "Tangents"]
-
 _COARSE = 0.5
 """Longest step of a coarse run, in units of the fastest time constant."""
 
@@ -106,11 +104,10 @@ class Experiment:
         loop = gains_for(model.plant, window.period, gains)
         self.closed, self.gains = loop is not None, loop or NO_GAINS
         if self.closed and self.gains.period != window.period:
-            msg = (
+            raise PlantError(
                 f"{model.title}: the controller runs every {self.gains.period} s but the window's samples "
                 f"come every {window.period} s; give both the same period"
             )
-            raise PlantError(msg)
         self.controller = controller_state(window, self.gains) if self.closed else PidState()
         self.measured = np.ascontiguousarray(np.stack([window.output, window.input])[:, SKIPPED:])
         self._kernels = model.kernels_by(self.free)

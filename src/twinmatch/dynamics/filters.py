@@ -28,8 +28,6 @@ from twinmatch.dynamics.kernels import (
 )
 from twinmatch.signals import FloatArray
 
-__all__ = ["TrackerConstants", "correct", "predict", "track"]
-
 CLIPPED = 3.0
 """Innovations are clipped at so many of their standard deviations."""
 SUSPECT = 2.0

@@ -18,8 +18,6 @@ from twinmatch.dynamics.plant import Parameters
 from twinmatch.dynamics.simulation import NO_GAINS, gains_of
 from twinmatch.signals import FloatArray
 
-__all__ = ["LoopForecast", "forecast_loop", "noise_scores"]
-
 
 class LoopForecast(NamedTuple):
     """Forecast of the N samples after the newest one, shape (N,) each."""

@@ -25,28 +25,6 @@ from numpy.typing import NDArray
 from twinmatch.compiled import compiled
 from twinmatch.signals import FloatArray
 
-__all__ = [
-    "MOST_STEPS",
-    "OUTPUTS",
-    "OUTPUT_SLOPES",
-    "RATE_LIMIT",
-    "SIZES",
-    "Code",
-    "Work",
-    "advance",
-    "begin",
-    "call",
-    "outputs_at",
-    "parts",
-    "prepare",
-    "scalar",
-    "slopes_at",
-    "step_count",
-    "tick",
-    "tick_with_tangents",
-    "work_for",
-]
-
 RATE_LIMIT = 0.06
 """Runge–Kutta step in units of the fastest time constant: its error is below 1e-7 of the step."""
 MOST_STEPS = 2000

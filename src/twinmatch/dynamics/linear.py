@@ -11,8 +11,6 @@ from twinmatch.dynamics.declarations import PlantError
 from twinmatch.dynamics.plant import Parameters
 from twinmatch.signals import FloatArray
 
-__all__ = ["Linear", "Rest", "linearised", "linearised_at", "rest_at"]
-
 MOST_STEPS = 60
 STEADY = 1e-9
 """Newton step, in units of the states' spans and the drive's range, below which the equilibrium is found."""
@@ -72,11 +70,10 @@ def rest_at(parameters: Parameters, output: float, disturbances: ArrayLike | Non
                 return Rest(states, u)
             break
     unit, name = model.plant.output.unit, drive.unit or drive.name
-    msg = (
+    raise PlantError(
         f"{model.title}: no {name} between {drive.limits[0]:g} and {drive.limits[1]:g} holds it at "
         f"{output:g} {unit}; give an operating point at which it can be held"
     )
-    raise PlantError(msg)
 
 
 def linearised(

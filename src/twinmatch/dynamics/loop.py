@@ -19,19 +19,6 @@ from twinmatch.compiled import compiled
 from twinmatch.dynamics.declarations import PlantError
 from twinmatch.signals import FloatArray, Window
 
-__all__ = [
-    "Gains",
-    "Pid",
-    "PidGains",
-    "PidState",
-    "Sensor",
-    "SensorRealisation",
-    "controller_state",
-    "loop_step",
-    "pid_step",
-    "reading",
-]
-
 _MOST_AMPLIFICATION = 1e3
 
 
@@ -119,11 +106,10 @@ class PidGains:
             msg = f"PID gains: {self} holds a value that is not finite"
             raise PlantError(msg)
         if self.period <= 0 or not self.low < self.high:
-            msg = (
+            raise PlantError(
                 f"PID gains: the period {self.period} s must be positive and the limits {self.low} and "
                 f"{self.high} in increasing order"
             )
-            raise PlantError(msg)
 
     @property
     def constants(self) -> Gains:
@@ -262,11 +248,10 @@ class SensorRealisation:
         object.__setattr__(self, "noise", np.array(self.noise, dtype=np.float64))
         object.__setattr__(self, "frozen", np.array(self.frozen, dtype=np.bool_))
         if self.noise.ndim != 1 or self.noise.shape != self.frozen.shape:
-            msg = (
+            raise PlantError(
                 f"sensor realisation: noise has shape {self.noise.shape} and frozen {self.frozen.shape}; "
                 "give one value per sample in both"
             )
-            raise PlantError(msg)
         if not (np.isfinite(self.noise).all() and math.isfinite(self.resolution) and self.resolution >= 0):
             msg = "sensor realisation: noise and resolution must be finite, the resolution not negative"
             raise PlantError(msg)
@@ -316,11 +301,10 @@ class Sensor:
                 raise PlantError(msg)
         period = self.pause_period
         if period is not None and not (math.isfinite(period) and period > self.pause_duration):
-            msg = (
+            raise PlantError(
                 f"sensor: a pause every {period} s leaves no time between pauses of "
                 f"{self.pause_duration} s; make the period longer or None"
             )
-            raise PlantError(msg)
 
     def realise(self, samples: int, period: float, seed: int) -> SensorRealisation:
         """Draw noise and pauses for `samples` ticks of `period` seconds; the same seed gives the same run.

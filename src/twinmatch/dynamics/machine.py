@@ -19,8 +19,6 @@ from llvmlite import binding, ir
 from twinmatch.dynamics.code import Formulas, PlantFormulas
 from twinmatch.dynamics.declarations import PlantError
 
-__all__ = ["FUNCTIONS", "compiled_object", "host", "linked"]
-
 FUNCTIONS: Final = (
     "constants", "switches", "step", "tangents", "slopes", "outputs", "output_slopes", "start", "quantities"
 )  # fmt: skip

@@ -15,8 +15,6 @@ from twinmatch.dynamics.plant import Parameters
 from twinmatch.dynamics.simulation import begin
 from twinmatch.signals import FloatArray
 
-__all__ = ["Observer", "RandomWalk"]
-
 _STEPS_EVERY = 60
 """Samples after which the Runge–Kutta steps are computed again for the estimated parameters."""
 
@@ -135,11 +133,10 @@ class Observer:
     def states(self, states: ArrayLike) -> None:
         given = np.array(states, dtype=np.float64)
         if given.shape != (len(self._model.states),) or not np.isfinite(given).all():
-            msg = (
+            raise PlantError(
                 f"{self._title}: states {given.tolist()} given; give finite values of "
                 f"{', '.join(self._model.states)}"
             )
-            raise PlantError(msg)
         self._states: FloatArray = given
 
     @property
@@ -213,9 +210,8 @@ class Observer:
     def _deviations(self, name: str, values: ArrayLike | None, size: int) -> FloatArray:
         given = np.array(values, dtype=np.float64)
         if given.shape != (size,) or not (np.isfinite(given) & (given >= 0)).all():
-            msg = (
+            raise PlantError(
                 f"{self._title}: {name} {given.tolist()} given; give {size} finite standard deviations, "
                 f"none negative ({', '.join((*self._model.states, *self.estimated)[:size])})"
             )
-            raise PlantError(msg)
         return given

@@ -25,8 +25,6 @@ from twinmatch.dynamics.definition import PlantDefinition, require_consistent, r
 from twinmatch.dynamics.store import kernels_of
 from twinmatch.signals import FloatArray
 
-__all__ = ["Model", "Parameters", "Plant"]
-
 
 class Plant(PlantDefinition):
     """One kind of plant. A subclass declares its quantities, its structures and its `equations`.
@@ -196,11 +194,10 @@ class Model:
             return self.disturbances
         row = np.array(values, dtype=np.float64)
         if row.shape != self.disturbances.shape or not np.isfinite(row).all():
-            msg = (
+            raise PlantError(
                 f"{self.title}: disturbances {row.tolist()} given; give {self.disturbances.size} finite "
                 f"values ({', '.join(self.plant.disturbances) or 'none'})"
             )
-            raise PlantError(msg)
         return row
 
     def disturbance_rows(self, values: ArrayLike | None, size: int) -> FloatArray:
@@ -213,11 +210,10 @@ class Model:
             return np.tile(self.disturbances, (size, 1))
         rows = np.array(values, dtype=np.float64)
         if rows.shape != (size, self.disturbances.size) or not np.isfinite(rows).all():
-            msg = (
+            raise PlantError(
                 f"{self.title}: disturbances of shape {rows.shape} given; give {self.disturbances.size} "
                 f"finite values ({', '.join(self.plant.disturbances) or 'none'}) at each of {size} samples"
             )
-            raise PlantError(msg)
         return rows
 
     def steps(self, vector: FloatArray, period: float) -> int:
@@ -233,11 +229,10 @@ class Model:
             vector, self.corners, self.drives, self.disturbances, float(period), kernels.RATE_LIMIT
         )
         if not count <= self.kernels.MOST_STEPS:
-            msg = (
+            raise PlantError(
                 f"{self.title}: its shortest time constant is too short for a period of {period:g} s; "
                 f"a sample would take more than {self.kernels.MOST_STEPS} steps"
             )
-            raise PlantError(msg)
         return int(count)
 
     @cached_property
@@ -267,11 +262,10 @@ class Parameters(Mapping[str, float]):
         """Give the values of some parameters; the others have the structure's defaults."""
         unknown = [name for name in values if name not in model.declared]
         if unknown:
-            msg = (
+            raise PlantError(
                 f"{model.title}: no parameter {unknown[0]!r} in this structure; it has "
                 f"{', '.join(model.names)}"
             )
-            raise PlantError(msg)
         found = {}
         for name, declared in model.declared.items():
             value = float(values.get(name, model.defaults[name]))

@@ -21,8 +21,6 @@ from twinmatch.dynamics.simulation import (
 )
 from twinmatch.signals import Window
 
-__all__ = ["prepare"]
-
 _SAMPLES = 8
 
 

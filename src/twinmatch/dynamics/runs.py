@@ -26,8 +26,6 @@ from twinmatch.dynamics.kernels import (
 from twinmatch.dynamics.loop import Gains, loop_step, pid_step, reading
 from twinmatch.signals import FloatArray
 
-__all__ = ["LeastSquares", "normal_at", "run", "run_with_tangents", "search", "start_at"]
-
 
 class LeastSquares(NamedTuple):
     """A window's least-squares problem for compiled code: all but the values of the unknowns."""

@@ -21,25 +21,6 @@ from twinmatch.dynamics.loop import PidGains, PidState, Sensor, SensorRealisatio
 from twinmatch.dynamics.plant import Parameters, Plant
 from twinmatch.signals import FloatArray, Window
 
-__all__ = [
-    "FROM_PLANT_FILE",
-    "NO_GAINS",
-    "SKIPPED",
-    "FromPlantFile",
-    "LoopGains",
-    "Response",
-    "advance",
-    "begin",
-    "begin_window",
-    "gains_for",
-    "gains_of",
-    "quantities",
-    "read",
-    "simulate_closed_loop",
-    "simulate_driven",
-    "simulate_window",
-]
-
 SKIPPED = 2
 """A closed-loop twin starts at a window's third sample, where the controller's state is known."""
 NO_GAINS = PidGains(0.0, 0.0, 0.0, 0.0, -1.0, 1.0)

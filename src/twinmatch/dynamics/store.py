@@ -29,8 +29,6 @@ from twinmatch.dynamics.definition import PlantDefinition
 from twinmatch.dynamics.equations import derive
 from twinmatch.dynamics.machine import FUNCTIONS, compiled_object, host, linked
 
-__all__ = ["Kernels", "cache_folder", "kernels_of", "source_hash"]
-
 _HERE = Path(__file__).parent
 _COMPILER = (
     "code.py",
@@ -149,11 +147,10 @@ def _write_atomically(path: Path, content: bytes) -> None:
                 Path(draft).unlink()
             raise
     except OSError as error:
-        msg = (
+        raise PlantError(
             f"{path.parent}: cannot keep the compiled equations there: {error.strerror}; "
             "set TWINMATCH_CACHE to a writable folder"
-        )
-        raise PlantError(msg) from error
+        ) from error
 
 
 def _fingerprint(plant: type[PlantDefinition], parts: frozenset[str], unknown: frozenset[str]) -> str:

@@ -30,8 +30,6 @@ from typing import Any, Final, NamedTuple, overload
 from twinmatch.dynamics.declarations import PlantError, State, require_range
 from twinmatch.dynamics.definition import Expression, PlantDefinition
 
-__all__ = ["DeadTime", "DelayLine", "Delayed", "Kinks", "Roots", "limited", "magnitude", "maximum", "minimum"]
-
 _SHARE: Final = 1e-3
 """δ as a share of the largest value."""
 _MOST_CORNERS: Final = 4096

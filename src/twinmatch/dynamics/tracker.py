@@ -20,8 +20,6 @@ from twinmatch.dynamics.plant import Parameters
 from twinmatch.dynamics.simulation import begin
 from twinmatch.signals import FloatArray
 
-__all__ = ["Belief", "Readings", "Traces", "Tracker", "no_traces"]
-
 _PUSH_TIME: Final = 100.0
 """Time constant of the fading push, s."""
 _OFFSET_TIME: Final = 14.0

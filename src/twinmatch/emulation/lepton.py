@@ -81,11 +81,10 @@ class LeptonSettings:
             msg = f"emulated Lepton: rate {self.rate} and resolution {self.resolution} must be positive"
             raise LeptonError(msg)
         if self.flat_field_duration + self.flat_field_warning >= self.flat_field_period:
-            msg = (
+            raise LeptonError(
                 f"emulated Lepton: a flat-field correction every {self.flat_field_period} s has no room for "
                 f"a warning of {self.flat_field_warning} s and a duration of {self.flat_field_duration} s"
             )
-            raise LeptonError(msg)
 
 
 class EmulatedLepton:

@@ -36,7 +36,6 @@ from twinmatch.signals import FloatArray
 
 if TYPE_CHECKING:
     import control
-__all__ = ["BoxJenkins", "estimate", "estimate_ladder"]
 
 Outcome = tuple[Place, bool, int]
 """Final place of a search, whether it converged, and the number of steps."""
@@ -110,10 +109,9 @@ class BoxJenkins:
             FittingError: more than one input or output, continuous time, or not proper.
         """
         if system.ninputs != 1 or system.noutputs != 1:
-            msg = (
+            raise FittingError(
                 f"transfer function: {system.ninputs} inputs and {system.noutputs} outputs; give one of each"
             )
-            raise FittingError(msg)
         if system.dt is None or not system.dt > 0:
             msg = f"transfer function: sample time {system.dt}; discretise it first"
             raise FittingError(msg)
@@ -266,10 +264,9 @@ def estimate(
     thetas = list(start_values(u, y, task.counts))
     if start is not None:
         if not parsed.covers(start.order):
-            msg = (
+            raise FittingError(
                 f"start: a model of order {start.order} cannot start one of order {parsed}; give a lower one"
             )
-            raise FittingError(msg)
         # Inserted first: the lower the cost to beat, the sooner the other starts are abandoned.
         thetas.insert(0, _padded(start, parsed))
     return _model(task, parsed, _best(task, parsed, thetas, hops), period)

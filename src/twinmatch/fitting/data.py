@@ -11,8 +11,6 @@ from numpy.typing import ArrayLike
 from twinmatch.errors import TwinmatchError
 from twinmatch.signals import FloatArray
 
-__all__ = ["ORDERS", "FittingError", "Order", "checked_pair", "checked_signal", "parse_order"]
-
 ORDERS = ("22221", "33331", "44441", "55551")
 """The ladder of orders of the paper (table II), each nb nc nd nf nk."""
 

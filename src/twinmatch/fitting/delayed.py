@@ -14,22 +14,6 @@ from numpy.typing import NDArray
 from twinmatch.compiled import compiled
 from twinmatch.signals import FloatArray
 
-__all__ = [
-    "COUNT",
-    "DELAY",
-    "SIGNAL",
-    "SLACK",
-    "Spans",
-    "cholesky",
-    "column_norms",
-    "corners_of",
-    "correlate",
-    "ridge_solve",
-    "solve_triangle",
-    "substitute_back",
-    "triangularise",
-]
-
 Spans = NDArray[np.int64]
 """Columns of a matrix in groups, shape (g, 3): signal, first delay, count; delays increase by one."""
 SIGNAL, DELAY, COUNT = range(3)

@@ -20,8 +20,6 @@ from twinmatch.fitting.polynomials import boundary_normals, copy_into, dot
 from twinmatch.fitting.prediction import ROWS, Place, Task, curvature, evaluate, linearise
 from twinmatch.signals import FloatArray
 
-__all__ = ["Rules", "descend"]
-
 FLAT = 10.0
 """A step that gains less than this factor times `Rules.settled` is idle; after `PATIENCE` of these, stop."""
 PATIENCE = 3

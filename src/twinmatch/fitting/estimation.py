@@ -17,18 +17,6 @@ from twinmatch.dynamics import Descended, Parameters, box_step
 from twinmatch.fitting.problem import Evaluation, Problem
 from twinmatch.signals import FloatArray
 
-__all__ = [
-    "QUANTILE",
-    "Estimate",
-    "Uncertainty",
-    "on_bounds",
-    "profile_end",
-    "profile_intervals",
-    "solve",
-    "starts_for",
-    "uncertainty",
-]
-
 _MOST_EVALUATIONS = 100
 _ON_BOUND = 1e-4
 """Distance from a bound, in units of the interval, below which a parameter counts as on it."""

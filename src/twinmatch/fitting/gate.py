@@ -26,8 +26,6 @@ from twinmatch.fitting.data import FittingError
 from twinmatch.fitting.problem import Unknown
 from twinmatch.signals import FloatArray
 
-__all__ = ["FitEvidence", "GateLimits", "Status", "first_excited", "judge", "undetermined"]
-
 
 class Status(Enum):
     """Result of a match."""

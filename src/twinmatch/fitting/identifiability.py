@@ -28,8 +28,6 @@ from twinmatch.fitting.estimation import (
 from twinmatch.fitting.problem import Problem
 from twinmatch.signals import FloatArray, Window
 
-__all__ = ["Identified", "identify", "suggest_step", "unidentified"]
-
 _LEVELS = 8
 """Number of set-points considered, over the range that the plant declares for them."""
 _LEAST_STEP = 0.5

@@ -16,8 +16,6 @@ from twinmatch.fitting.identifiability import Identified, identify, unidentified
 from twinmatch.fitting.problem import Bounds, Noise, Problem, checked_free, checked_gains, unknown_parameters
 from twinmatch.signals import FloatArray, Window
 
-__all__ = ["Fit", "Match", "match", "without_fit"]
-
 
 class Fit(NamedTuple):
     """NRMSE 1 − ‖measured − simulated‖/‖measured − mean‖: 1 is perfect, 0 no better than the mean."""

@@ -12,20 +12,6 @@ from numpy.typing import NDArray
 from twinmatch.compiled import compiled
 from twinmatch.signals import FloatArray
 
-__all__ = [
-    "LARGEST_ROOT",
-    "all_pole",
-    "all_pole_into",
-    "boundary_normals",
-    "continue_outputs",
-    "copy_into",
-    "dot",
-    "fir",
-    "fir_into",
-    "is_stable",
-    "stabilise",
-]
-
 REACH = 48
 """Interval, in samples, at which a filter is checked for being at rest."""
 VANISHED = 1e-140

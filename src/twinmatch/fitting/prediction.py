@@ -38,22 +38,6 @@ from twinmatch.fitting.delayed import (
 from twinmatch.fitting.polynomials import LARGEST_ROOT, all_pole_into, copy_into, dot, fir_into, stabilise
 from twinmatch.signals import FloatArray
 
-__all__ = [
-    "INITIALS",
-    "MEMORY",
-    "Place",
-    "Polynomials",
-    "Task",
-    "curvature",
-    "errors_of",
-    "evaluate",
-    "linear_size",
-    "linearise",
-    "smallest_errors",
-    "task_of",
-    "unknowns",
-]
-
 INITIALS = ("estimate", "zero")
 MEMORY = 6.0
 """Predictor and noise must forget their initial conditions to e^−MEMORY by the end of the window: roots of

@@ -28,19 +28,6 @@ from twinmatch.dynamics import (
 from twinmatch.fitting.data import FittingError
 from twinmatch.signals import FloatArray, Window
 
-__all__ = [
-    "Bounds",
-    "Evaluation",
-    "Noise",
-    "Problem",
-    "Unknown",
-    "checked_free",
-    "checked_gains",
-    "unknown_parameters",
-    "unknown_starts",
-]
-
-
 Bounds = Mapping[str, tuple[float, float]]
 
 
@@ -66,10 +53,9 @@ def checked_free(model: Model, free: Iterable[str] | None) -> tuple[str, ...]:
     names = tuple(model.structure.free if free is None else free)
     unknown = [name for name in names if name not in model.names]
     if unknown:
-        msg = (
+        raise FittingError(
             f"matching: {unknown[0]!r} cannot be free in {model.title}; choose from {', '.join(model.names)}"
         )
-        raise FittingError(msg)
     if not names or len(set(names)) != len(names):
         msg = f"matching: free is {names}; give at least one parameter and none twice"
         raise FittingError(msg)
@@ -150,11 +136,10 @@ def checked_gains(model: Model, window: Window, gains: LoopGains = FROM_PLANT_FI
     """
     held = gains_for(model.plant, window.period, gains)
     if held is not None and held.period != window.period:
-        msg = (
+        raise FittingError(
             f"matching: the controller runs every {held.period} s but the window's samples come every "
             f"{window.period} s; give both the same period"
         )
-        raise FittingError(msg)
     return held
 
 

@@ -26,8 +26,6 @@ from twinmatch.fitting.polynomials import LARGEST_ROOT, all_pole_into, copy_into
 from twinmatch.fitting.prediction import Polynomials, errors_of
 from twinmatch.signals import FloatArray
 
-__all__ = ["Hops", "start_values"]
-
 LONG = 20
 """Order of the long autoregressions, if the window is long enough."""
 ROUNDS = 8

@@ -30,8 +30,6 @@ from twinmatch.fitting.data import FittingError
 from twinmatch.fitting.problem import Noise, checked_gains, unknown_parameters, unknown_starts
 from twinmatch.signals import FloatArray, Window
 
-__all__ = ["SETTLE", "StructureFit", "fit_structure"]
-
 SETTLE: Final = 60
 """Samples at a window's start that are simulated but not compared, until the loop has forgotten the twin's
 initial state and the sensor its first readings."""
@@ -152,11 +150,10 @@ def _runs(
     runs = []
     for window in windows:
         if len(window) <= SETTLE + _SKIPPED:
-            msg = (
+            raise FittingError(
                 f"structures: the window from sample {window.first} has {len(window)} samples; "
                 f"the first {SETTLE + _SKIPPED} are not compared, give more"
             )
-            raise FittingError(msg)
         own = checked_gains(model, window, gains)
         runs.append(
             Experiment(

@@ -15,20 +15,6 @@ from xml.etree import ElementTree
 
 from twinmatch.dynamics import PlantError
 
-__all__ = [
-    "CO_SIMULATION",
-    "MODEL_EXCHANGE",
-    "MOST_BYTES",
-    "Described",
-    "FmuArchiveError",
-    "FmuError",
-    "Variable",
-    "described_from",
-    "digest_of",
-    "read_description",
-    "unpack",
-]
-
 MOST_BYTES: Final = 512 * 1024 * 1024
 """Largest file, and largest total size of its content, bytes."""
 MOST_FILES: Final = 20_000

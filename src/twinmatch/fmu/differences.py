@@ -11,8 +11,6 @@ from twinmatch.dynamics import Parameter, Plant, State
 from twinmatch.fmu.mapping import Formula
 from twinmatch.signals import FloatArray
 
-__all__ = ["Differences", "Points"]
-
 STEP: Final = 1e-4
 """Half width of a central difference, relative to the size of the variable: the truncation error is 1e-8;
 with a variable-step solver accurate to 1e-8, the derivative is accurate to 1e-4."""

@@ -11,8 +11,6 @@ from typing import Any, Final
 from twinmatch.fmu.archive import CO_SIMULATION, Described
 from twinmatch.fmu.machine import Addresses, Buffers, Calls, CoSimulation, FmuRunError, References
 
-__all__ = ["ModelExchange", "machine_of"]
-
 MOST_ROUNDS: Final = 100
 """Most event iterations at one time."""
 BISECTIONS: Final = 48

@@ -22,8 +22,6 @@ from twinmatch.fmu.differences import Differences
 from twinmatch.fmu.runner import Runner, Signals
 from twinmatch.signals import FloatArray
 
-__all__ = ["FmuKernels", "cost_of", "normal_of"]
-
 
 def _weighted(
     simulated: FloatArray, measured: FloatArray, weights: FloatArray, robust: bool

@@ -24,20 +24,6 @@ from twinmatch.compiled import compiled
 from twinmatch.dynamics.loop import Gains, pid_step, reading
 from twinmatch.signals import FloatArray
 
-__all__ = [
-    "DONE",
-    "EVENT",
-    "Addresses",
-    "Buffers",
-    "Calls",
-    "CoSimulation",
-    "FmuRunError",
-    "Group",
-    "References",
-    "compile_runs",
-    "compiled_run",
-]
-
 _WARNING: Final = 1
 """Highest status that is not an error."""
 _POINTER, _SIZE, _REAL = ctypes.c_void_p, ctypes.c_size_t, ctypes.c_double

@@ -23,8 +23,6 @@ from twinmatch.plants import find_plant
 from twinmatch.sessions.documents import DocumentError, read_yaml
 from twinmatch.signals import KELVIN
 
-__all__ = ["FmuMap", "Formula", "Link", "draft", "overview", "read_maps"]
-
 _BINARY: Final[dict[type, Callable[[float, float], float]]] = {
     ast.Add: operator.add,
     ast.Sub: operator.sub,

@@ -31,17 +31,6 @@ import numpy as np
 from twinmatch.fmu.archive import FmuError
 from twinmatch.signals import FloatArray
 
-__all__ = [
-    "MARK",
-    "FmuProcess",
-    "MessageError",
-    "ProcessLostError",
-    "ProcessMessage",
-    "end_marked",
-    "packed",
-    "unpacked",
-]
-
 MOST_HEADER: Final = 1 << 24
 MOST_NUMBERS: Final = 1 << 27
 """Largest header, and largest block of numbers after it, bytes."""

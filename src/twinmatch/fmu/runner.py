@@ -16,8 +16,6 @@ from twinmatch.fmu.mapping import FmuMap, Link
 from twinmatch.fmu.process import START, FmuProcess, ProcessLostError
 from twinmatch.signals import FloatArray
 
-__all__ = ["Runner", "Signals", "described_by", "loading"]
-
 _SAMPLES = 1000
 """Most samples of one request; the map's `patience` applies to so many."""
 

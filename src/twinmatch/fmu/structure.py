@@ -22,8 +22,6 @@ from twinmatch.fmu.mapping import FmuMap, read_maps
 from twinmatch.fmu.runner import Runner
 from twinmatch.plants.records import MARK, is_marked
 
-__all__ = ["FmuSource", "adopt_fmus", "check_restart", "is_fmu", "unmarked"]
-
 SAMPLES = 8
 _STATE = 1e-4
 """Tolerance of a state, in units of its span: a restarted solver chooses other steps."""
@@ -55,11 +53,10 @@ def check_restart(model: Model) -> None:
             if off.max() > _STATE:
                 name = model.states[int(np.argmax(off))]
                 what = f"{name} {after[np.argmax(off)]:g} instead of {run.states[k + 1][np.argmax(off)]:g}"
-            msg = (
+            raise FmuError(
                 f"{model.title}: restarted from its states, the FMU has {what}; it has internal states that "
                 "its map does not name: name all, or export it as model exchange"
             )
-            raise FmuError(msg)
 
 
 class FmuSource:

@@ -44,11 +44,10 @@ class SetPoints:
 
     def __post_init__(self) -> None:
         if len(self.times) != len(self.levels):
-            msg = (
+            raise ForecastError(
                 f"profile: {len(self.times)} times and {len(self.levels)} {self.kind}s are given; give one "
                 f"{self.kind} per time"
             )
-            raise ForecastError(msg)
         self._check_level(f"the {self.kind} now", self.before)
         before = -math.inf
         for number, (time, level) in enumerate(zip(self.times, self.levels, strict=True), 1):
@@ -58,11 +57,10 @@ class SetPoints:
                 msg = f"profile: row {number}: {time:g} s lies in the past; give seconds ahead of now"
                 raise ForecastError(msg)
             if time <= before:
-                msg = (
+                raise ForecastError(
                     f"profile: row {number}: its time {time:g} s is not after the {before:g} s of the row "
                     "before; give increasing times"
                 )
-                raise ForecastError(msg)
             self._check_level(f"row {number}: the {self.kind}", level)
             before = time
 
@@ -76,11 +74,10 @@ class SetPoints:
         if not math.isfinite(level):
             raise ForecastError(f"profile: {what} is {level:g}; give a finite number")
         if not low <= level <= high:
-            msg = (
+            raise ForecastError(
                 f"profile: {what} is {_with(level, unit)}; give one from {low:g} to {_with(high, unit)}, "
                 f"the range of the plant's {self.kind}s"
             )
-            raise ForecastError(msg)
 
     @classmethod
     def constant(cls, level: float, signal: Output | Drive | None = None) -> SetPoints:
@@ -114,11 +111,10 @@ class SetPoints:
                 continue
             header = False
             if len(values) != 2 or values[0] is None or values[1] is None:
-                msg = (
+                raise ForecastError(
                     f"profile: line {number}: {', '.join(cells)!r} is not a pair of numbers; give the time "
                     "in s ahead and the set-point"
                 )
-                raise ForecastError(msg)
             found.append((values[0], values[1]))
         if not found:
             raise ForecastError("profile: it has no row; give at least one pair of time and set-point")

@@ -77,8 +77,7 @@ class HealthSettings:
                 msg = f"health: {name} is {value}; it must be positive"
                 raise HealthError(msg)
         if not self.lost <= self.weak < 1:
-            msg = (
+            raise HealthError(
                 f"health: lost is {self.lost} and weak is {self.weak}; give shares of the expected effect, "
                 "lost at most weak and weak below 1"
             )
-            raise HealthError(msg)

@@ -92,11 +92,10 @@ def _run_live(live: Live) -> int:
         live.plan.wiring.check(live.plan.port)
     settings = read_settings(live.plan.twin_config)
     if settings.plant.name != live.plan.plant:
-        msg = (
+        raise LaunchError(
             f"{live.plan.twin_config or 'the twin'} is for plant {settings.plant.name}, "
             f"but this run is of plant {live.plan.plant}; give another --twin-config"
         )
-        raise LaunchError(msg)
     view = view_on(live.console, "live", settings.period)
     with lease(PATIENCE if live.plan.in_step else None):
         code = _LiveRun(live, view).run()
@@ -208,11 +207,10 @@ class _LiveRun(Supervised):
         """Refuse to run beside another controller on the same topics: both would drive the plate."""
         time.sleep(DISCOVERY)
         if node.count_publishers("plant/sample"):
-            msg = (
+            raise LaunchError(
                 f"live: {node.resolve_topic_name('plant/sample')} already has a publisher; end that "
                 "graph first, or set another ROS_DOMAIN_ID or namespace for this one"
             )
-            raise LaunchError(msg)
 
     def _lost(self) -> tuple[int, str] | None:
         """Restart processes that may be restarted; returns exit code and reason when the run is over."""

@@ -236,11 +236,10 @@ def attach_plan(
     driven = REFERENCE not in sources_of(SAMPLER, values)
     found = read_settings(twin_config, written_name(plant), driven=driven)
     if driven and found.gains is not None:
-        msg = (
+        raise LaunchError(
             f"{twin_config}: the twin runs in closed loop, but no topic is mapped to its reference; map one, "
             "or set loop: unknown"
         )
-        raise LaunchError(msg)
     settings = at_period(found, values["period"], twin_config)
     twin_values = values_of(settings)
     sampler, twin = folder / "sampler.yaml", folder / "twin.yaml"

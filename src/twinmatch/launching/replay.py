@@ -130,11 +130,10 @@ class _ReplayRun(Supervised):
             replay.whole = True
             return 0
         if time.monotonic() - self._changed > STALLED:
-            msg = (
+            raise LaunchError(
                 f"replay: no verdict for {STALLED:g} s after {len(replay.verdicts)} verdicts, although "
                 "samples are still to be judged; look at /diagnostics"
             )
-            raise LaunchError(msg)
         return None
 
     def _played(self) -> bool:

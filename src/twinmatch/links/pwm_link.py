@@ -337,11 +337,10 @@ class PwmLink:
         if isinstance(reply, Refusal):
             raise self._refused(reply)
         if not isinstance(reply, Banner) or reply.protocol != PROTOCOL:
-            msg = (
+            raise PwmVersionError(
                 f"PWM link: the board at {self.port} answers {reply}, which is not protocol version "
                 f"{PROTOCOL}; load the firmware of this version"
             )
-            raise PwmVersionError(msg)
         return reply
 
     def _status(self, verb: Verb) -> BoardStatus:

@@ -175,11 +175,10 @@ class Region:
 
     def __post_init__(self) -> None:
         if self.row < 0 or self.column < 0 or self.rows < 1 or self.columns < 1:
-            msg = (
+            raise RegionError(
                 f"region: {self.rows} by {self.columns} pixels from row {self.row}, column {self.column}; "
                 "it must start at 0 or later and contain a pixel"
             )
-            raise RegionError(msg)
 
 
 @dataclass(frozen=True, slots=True)
@@ -234,11 +233,10 @@ def region(exposure: Exposure, roi: Region | None = None) -> RegionStatistics:
     if roi is not None:
         rows, columns = degrees.shape
         if roi.row + roi.rows > rows or roi.column + roi.columns > columns:
-            msg = (
+            raise RegionError(
                 f"region: {roi.rows} by {roi.columns} pixels from row {roi.row}, column {roi.column} "
                 f"leave the image of {rows} by {columns}"
             )
-            raise RegionError(msg)
         degrees = degrees[roi.row : roi.row + roi.rows, roi.column : roi.column + roi.columns]
     valid = degrees[np.isfinite(degrees)]
     if not valid.size:

@@ -102,11 +102,10 @@ def changed_profile(before: Mapping[str, Any], values: Mapping[str, Any]) -> Pro
     for name, outside in (("lowest", float.__lt__), ("highest", float.__gt__)):
         was, wanted = before[f"profile.{name}"], values[f"profile.{name}"]
         if outside(wanted, was):
-            msg = (
+            raise ControlError(
                 f"controller: profile.{name} can only narrow the range while it runs; {wanted:g} "
                 f"is outside {was:g}; restart the controller with it"
             )
-            raise ControlError(msg)
     return profile_from(values)
 
 

@@ -89,20 +89,18 @@ def prepare(
         return network
     middleware = environment.get("RMW_IMPLEMENTATION", "")
     if middleware not in FAST_DDS:
-        msg = (
+        raise NetworkError(
             f"network: RMW_IMPLEMENTATION is {middleware}, which twinmatch cannot restrict to this machine; "
             f"unset it, or set {VARIABLE}=open and restrict it yourself"
         )
-        raise NetworkError(msg)
     for name in PROFILES:
         environment.pop(name, None)
     for name, profile in _installed(profiles, environment).items():
         if not profile.is_file():
-            msg = (
+            raise NetworkError(
                 f"network: {profile} is missing, without which the nodes would be open to the whole network; "
                 "reinstall twinmatch"
             )
-            raise NetworkError(msg)
         environment[name] = str(_with_lease(profile, environment.get(LEASE, "")))
     # With any narrower range, rmw_fastrtps replaces the transports of the profile with its own.
     environment["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "SYSTEM_DEFAULT"
@@ -176,11 +174,10 @@ def check_sockets() -> None:
     elsewhere = [socket for socket in sockets_elsewhere() if socket.startswith("udp")]
     if elsewhere:
         profiles = " and ".join(path.name for path in PROFILES.values())
-        msg = (
+        raise NetworkError(
             f"network: bound to {', '.join(elsewhere)} in spite of {profiles}; stopped. Reinstall "
             f"twinmatch, or set {VARIABLE}=open if other machines may communicate with these nodes"
         )
-        raise NetworkError(msg)
 
 
 def sockets_elsewhere(process: int | str = "self") -> list[str]:

@@ -69,8 +69,7 @@ def one_of(message: Any, name: str) -> float:
     """
     values = getattr(message, name)
     if len(values) != 1:
-        msg = (
+        raise SignalError(
             f"{name} of sample {message.index} has {len(values)} values; a twin runs one loop, with one value"
         )
-        raise SignalError(msg)
     return float(values[0])

@@ -222,9 +222,8 @@ class ForeignTopics:
         if given is not None:
             return given
         if len(found) > 1:
-            msg = (
+            raise SamplingError(
                 f"{topic} is published as {' and '.join(sorted(found))}; choose one with types:="
                 f"'{topic} {min(found)}'"
             )
-            raise SamplingError(msg)
         return self.kinds.get(topic) or next(iter(found))

@@ -38,11 +38,10 @@ def find_plant(name: str) -> type[Plant]:
     if is_plant_file(name):
         plant = load_plant(name)
         if plant.name in PLANTS:
-            msg = (
+            raise PlantError(
                 f"{name}: its plant is called {plant.name}, like one that comes with twinmatch; give it "
                 f"another name, such as class {plant.__name__}(Plant, name='my_{plant.name}')"
             )
-            raise PlantError(msg)
         return plant
     return plant_named(name)
 
@@ -63,11 +62,10 @@ def plant_named(name: str) -> type[Plant]:
         msg = f"the plant is in a file, {name}; files are run only if you name them: add --plant {name}"
         raise PlantError(msg)
     known = ", ".join(dict.fromkeys([*PLANTS, *installed_names()]))
-    msg = (
+    raise PlantError(
         f"plant {name!r}: not known; choose from {known}. One in a file is named by its path: --plant "
         f"{name}.py, or plant: {name}.py in a configuration"
     )
-    raise PlantError(msg)
 
 
 def written_name(plant: type[Plant]) -> str:

@@ -26,16 +26,6 @@ from twinmatch.dynamics import Plant, PlantError
 from twinmatch.dynamics.definition import PlantType
 from twinmatch.dynamics.equations import PATIENCE, TooLongError, at_most, error_words
 
-__all__ = [
-    "GROUP",
-    "installed_names",
-    "installed_plant",
-    "is_plant_file",
-    "load_plant",
-    "loaded",
-    "source_of",
-]
-
 GROUP: Final = "twinmatch.plants"
 _MODULES: Final = "twinmatch_plant_file_"
 """Prefix of the names of modules loaded from a path."""

@@ -20,8 +20,6 @@ from typing import Final
 
 from twinmatch.dynamics import Disturbance, Drive, Equations, Output, Parameter, Plant, State, Structure
 
-__all__ = ["Incubator"]
-
 _BED, _BOX, _LAG = "heat bed", "box with mass", "sensor lag"
 _AIR: Final = ("bed_heat_capacity", "bed_conductance", "box_conductance")
 _HEAVY: Final = (*_AIR, "box_heat_capacity")

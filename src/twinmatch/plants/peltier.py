@@ -32,8 +32,6 @@ from twinmatch.dynamics import (
     magnitude,
 )
 
-__all__ = ["Peltier"]
-
 KELVIN: Final = 273.15
 SEEBECK_REFERENCE: Final = 298.15
 """Temperature at which a module has its nominal Seebeck coefficient, K; data sheets use it too."""

@@ -16,18 +16,6 @@ from twinmatch.description import Description, Quantity
 from twinmatch.dynamics import Parameter, Parameters, Plant, PlantError, State, Structure, StructureLostError
 from twinmatch.plants import Peltier, plant_named
 
-__all__ = [
-    "MARK",
-    "Named",
-    "description_of",
-    "is_marked",
-    "named",
-    "parameters_from",
-    "parameters_of",
-    "stand_in",
-    "structure_of",
-]
-
 MARK: Final = re.compile(r" \(FMU [0-9a-f]{8}\)$")
 _ANYTHING: Final = (-1e300, 1e300)
 _PARTS: Final = {"sink_heat_capacity": "sink with mass", "sensor_lag": "sensor lag", "seebeck_slope": "α(T)"}

@@ -32,8 +32,6 @@ from twinmatch.dynamics import (
 )
 from twinmatch.signals import KELVIN
 
-__all__ = ["TCLab"]
-
 _AREA: Final = 10e-4
 """Surface of a heater towards the room, m²."""
 _BETWEEN: Final = 2e-4

@@ -28,8 +28,6 @@ from twinmatch.signals import FloatArray
 if TYPE_CHECKING:
     from rich.table import Table
 
-__all__ = ["asked", "backtest_tables", "backtest_words", "card_columns", "comparison_words"]
-__all__ += ["forecast_document", "forecast_words", "levels_words"]
 
 _MOST_LEVELS: Final = 4
 """With more set-points in a row, only the last is described."""

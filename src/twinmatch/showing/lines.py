@@ -13,7 +13,6 @@ from twinmatch.twin import MatchReport
 if TYPE_CHECKING:
     from rich.console import Console
 
-__all__ = ["STYLES", "Lines", "header_text", "line_text", "redraws"]
 
 STYLES: Final = {
     TrustLevel.UNKNOWN: "dim",

@@ -12,13 +12,6 @@ from twinmatch.record import document_of, finite, parameters_document
 from twinmatch.showing.quantities import parameter_format, percent, signal_names
 from twinmatch.twin import MatchReport
 
-__all__ = [
-    "UNEXPLAINED",
-    "closing_lines",
-    "document",
-    "sentence",
-]
-
 UNEXPLAINED = "unexplained"
 """Name in sessions of earlier versions for a fault seen only in the residuals."""
 

@@ -72,11 +72,10 @@ class ScheduleSettings:
                 msg = f"schedule: {name} is {getattr(self, name)}; it must be positive"
                 raise ScheduleError(msg)
         if not self.min_span <= self.span < self.capacity:
-            msg = (
+            raise ScheduleError(
                 f"schedule: min_span {self.min_span}, span {self.span} and capacity {self.capacity} samples; "
                 "give them in increasing order"
             )
-            raise ScheduleError(msg)
 
 
 class Trigger(NamedTuple):

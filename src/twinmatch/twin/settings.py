@@ -148,8 +148,7 @@ class TwinSettings:
             msg = f"twin: regime_width is {self.regime_width}; it must be positive"
             raise TwinError(msg)
         if self.gains is not None and self.gains.period != self.period:
-            msg = (
+            raise TwinError(
                 f"twin: the controller runs every {self.gains.period} s but samples come every "
                 f"{self.period} s; give both the same period"
             )
-            raise TwinError(msg)

@@ -16,20 +16,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = [
-    "draw_inputs",
-    "draw_outputs",
-    "draw_set_point",
-    "empty",
-    "legend_above",
-    "new_figure",
-    "png",
-    "save",
-    "stack",
-    "styled",
-    "svg",
-    "time_axis",
-]
 
 P = ParamSpec("P")
 R = TypeVar("R")

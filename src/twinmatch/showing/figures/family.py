@@ -28,15 +28,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = [
-    "draw_criteria",
-    "draw_gains",
-    "draw_matrix",
-    "draw_parameters",
-    "draw_responses",
-    "draw_uncertainty",
-    "fill_matrix",
-]
 
 _CROWDED = 6
 """With more candidates, the numbers in the cells are smaller."""

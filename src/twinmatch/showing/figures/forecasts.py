@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["draw_backtest", "draw_forecasts"]
 
 _COLUMNS = 3
 """Most panels side by side."""

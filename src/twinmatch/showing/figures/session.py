@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["draw_health", "draw_session", "draw_verdict"]
 
 BAND = 60
 """Samples over which the residual's band is computed."""

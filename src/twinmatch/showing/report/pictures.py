@@ -35,7 +35,6 @@ from twinmatch.showing.verdicts import admitted, last_verdict, level_stretches
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["FORMATS", "Picture", "fans_of", "pictures", "write_pictures"]
 
 FORMATS = ("png", "pdf")
 """File formats of `write_pictures`."""

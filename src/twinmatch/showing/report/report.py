@@ -31,8 +31,6 @@ from twinmatch.showing.summary import sentence
 from twinmatch.showing.verdicts import LEVEL_WORDS, last_verdict
 from twinmatch.twin import TwinSettings
 
-__all__ = ["JudgedSession", "SessionReport", "build_report", "judge_for_report", "make_report"]
-
 _LIBRARIES = ("numpy", "scipy", "numba", "control", "mcap", "matplotlib", "Jinja2")
 _CHUNK = 1 << 20
 
