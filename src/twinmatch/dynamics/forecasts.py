@@ -8,19 +8,22 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from twinmatch.compiled import compiled
 from twinmatch.dynamics.declarations import PlantError
 from twinmatch.dynamics.experiment import Experiment, Tangents
+from twinmatch.dynamics.filters import predict
+from twinmatch.dynamics.kernels import Code, advance
 from twinmatch.dynamics.loop import Gains, PidGains, PidState
 from twinmatch.dynamics.plant import Parameters
+from twinmatch.dynamics.runs import run, run_with_tangents
 from twinmatch.dynamics.simulation import NO_GAINS, gains_of
 from twinmatch.signals import FloatArray
 
 
 class LoopForecast(NamedTuple):
-    """Forecast of the N samples after the newest one, shape (N,) each."""
+    """Forecast of the N samples after the newest one, shape (N,) each; variances only where asked for."""
 
     output: FloatArray
     """y simulated from the mean states and parameters, without noise."""
@@ -47,6 +50,7 @@ def forecast_loop(
     period: float = 1.0,
     disturbances: ArrayLike | None = None,
     noise: float | None = None,
+    banded: bool = True,
 ) -> LoopForecast:
     """Simulate the closed loop, or a plant under known inputs, beyond the newest sample.
 
@@ -69,6 +73,7 @@ def forecast_loop(
         period: sample time of a driven plant, s; for the loop the controller's is used.
         disturbances: constant, shape (d,), or from the newest sample on, shape (N + 1, d).
         noise: standard deviation of a reading; default: the plant file's.
+        banded: whether the variances are wanted, two thirds of the work; without, they are empty.
 
     Raises:
         PlantError: a signal or a name is invalid, the controller is not known, or the plant is too fast.
@@ -98,25 +103,55 @@ def forecast_loop(
     rows, steps = model.disturbance_rows(disturbances, signal.size + 1), parameters.steps(period)
     kernels, vector = model.kernels_by(unsure), parameters.vector
     which = np.array([[kernels.UNKNOWN.index(name) for name in unsure]] * 2, dtype=np.int64).reshape(2, m)
-    begun = kernels.advance(vector, at, u, rows[0], period, steps)
-    kernels.predict(
-        vector, at, joint, process_noise, u, rows[0], period, steps, which, np.zeros((n, m + n + 1))
+    memory, constants = controller or PidState(), loop_gains.constants
+    whole = (
+        vector, which, at, joint, process_noise, u, closed, constants, signal, rows,
+        float(memory.integral), float(memory.previous), period, steps,
+    )  # fmt: skip
+    if not model.is_external:
+        return LoopForecast._make(_foresee(kernels.code, *whole, noise * noise, banded))
+    output, commanded, *slopes = kernels.foresee(*whole, banded)
+    if not banded:
+        return LoopForecast(output, commanded, np.zeros(0), np.zeros(0))
+    by, by_state, by_drive, free, seen = slopes
+    return LoopForecast(
+        output,
+        commanded,
+        *_variances(
+            joint, by, by_state, by_drive, free, seen, constants, closed, noise * noise, process_noise
+        ),
     )
-    memory = controller or PidState()
-    ahead = (float(memory.integral), float(memory.previous), period, steps)
-    loop, size = (closed, loop_gains.constants, signal, signal, rows[1:]), signal.size
-    still = (np.zeros(size), np.zeros(size, dtype=np.bool_), 0.0)
+
+
+@compiled
+def _foresee(
+    code: Code, vector: FloatArray, which: NDArray[np.int64], x: FloatArray, joint: FloatArray,
+    process_noise: FloatArray, u: float, closed: bool, gains: Gains, signal: FloatArray,
+    disturbances: FloatArray, integral: float, previous: float, period: float, steps: int, noise: float,
+    banded: bool,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:  # fmt: skip
+    """Output, input and their variances; `x` and `joint` are those at the newest sample, and are changed."""
+    size, n, m, d = signal.size, x.size, which.shape[1], disturbances[1:]
+    begun = advance(code, vector, x, u, disturbances[0], period, steps)
+    still, never = np.zeros(size), np.zeros(size, dtype=np.bool_)
     # The mean is simulated without derivatives, like every simulation: derivatives share subexpressions with
     # the rates, which then round differently.
-    output, commanded, _ = kernels.run(vector, begun, *loop, *still, *ahead)
-    columns, compared = np.eye(n, m + n, m), np.zeros((2, size))
-    _, _, by, by_state, by_drive, free, seen, _ = kernels.run_with_tangents(
-        vector, which[0], begun, columns, *loop, *ahead, compared, compared, False, True, np.inf
+    output, commanded, _ = run(
+        code, vector, begun, closed, gains, signal, signal, d, still, never, 0.0,
+        integral, previous, period, steps,
+    )  # fmt: skip
+    if not banded:
+        return output, commanded, np.zeros(0), np.zeros(0)
+    columns, compared = np.zeros((n, m + n + 1)), np.zeros((2, size))
+    predict(code, vector, x, joint, process_noise, u, disturbances[0], period, steps, which, columns)
+    _, _, by, by_state, by_drive, free, seen, _ = run_with_tangents(
+        code, vector, which[0], begun, np.eye(n, m + n, m), closed, gains, signal, signal, d,
+        integral, previous, period, steps, compared, compared, False, True, np.inf,
+    )  # fmt: skip
+    of_output, of_input = _variances(
+        joint, by, by_state, by_drive, free, seen, gains, closed, noise, process_noise
     )
-    variances = _variances(
-        joint, by, by_state, by_drive, free, seen, loop_gains.constants, closed, noise * noise, process_noise
-    )
-    return LoopForecast(output, commanded, *variances)
+    return output, commanded, of_output, of_input
 
 
 def _fit(title: str, name: str, values: ArrayLike | None, shape: tuple[int, ...] | None) -> FloatArray:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -33,6 +34,9 @@ class Gains(NamedTuple):
     low: float
     high: float
     on_measurement: bool
+
+
+_NUMBERS = attrgetter(*Gains._fields[:-1])
 
 
 @compiled
@@ -114,8 +118,7 @@ class PidGains:
     @property
     def constants(self) -> Gains:
         """The same numbers for compiled code."""
-        numbers = {name: float(getattr(self, name)) for name in Gains._fields[:-1]}
-        return Gains(**numbers, on_measurement=bool(self.on_measurement))
+        return Gains._make((*map(float, _NUMBERS(self)), bool(self.on_measurement)))
 
     def saturates(self, u: float) -> bool:
         """Whether a command is on a limit."""

@@ -184,6 +184,28 @@ class FmuKernels:
         by_state, by_drive, seen = self._movements(vector, states[0][:-1], u[0], disturbances, period, steps)
         return y[0], u[0], by, by_state, by_drive, free, seen, normal
 
+    def foresee(
+        self, vector: FloatArray, which: Any, x: FloatArray, joint: FloatArray, process_noise: FloatArray,
+        u: float, closed: bool, gains: Gains, signal: FloatArray, disturbances: FloatArray, integral: float,
+        previous: float, period: float, steps: int, banded: bool,
+    ) -> tuple[FloatArray, ...]:  # fmt: skip
+        """Output and input beyond the newest sample and, if `banded`, the derivatives of that run; `x` and
+        `joint`, those at that sample, are then moved by one period."""
+        begun = self.advance(vector, x, u, disturbances[0], period, steps)
+        loop = (closed, gains, signal, signal, disturbances[1:])
+        still, ahead = np.zeros(signal.size), (integral, previous, period, steps)
+        y, commanded, _ = self.run(vector, begun, *loop, still, still, 0.0, *ahead)
+        if not banded:
+            return y, commanded
+        n, m, none = x.size, which.shape[1], np.zeros((2, signal.size))
+        moved = np.zeros((n, m + n + 1))
+        self.predict(vector, x, joint, process_noise, u, disturbances[0], period, steps, which, moved)
+        columns = np.eye(n, m + n, m)
+        derivatives = self.run_with_tangents(
+            vector, which[0], begun, columns, *loop, *ahead, none, none, False, True, np.inf
+        )
+        return y, commanded, *derivatives[2:7]
+
     def start_at(
         self, problem: LeastSquares, values: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray, int]:

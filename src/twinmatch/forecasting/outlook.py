@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -19,10 +20,7 @@ from twinmatch.dynamics import (
     PidGains,
     PidState,
     PlantError,
-    advance,
     forecast_loop,
-    simulate_closed_loop,
-    simulate_driven,
 )
 from twinmatch.forecasting.forecast import CONFIDENCE, Band, Forecast, ForecastError
 from twinmatch.signals import FloatArray, Sample
@@ -114,8 +112,10 @@ class StateFilter:
         return self._observer
 
 
+@functools.cache
 def drift_of(model: Model) -> FloatArray:
-    """Standard deviation of the drift of each state from the equations per second, shape (n,)."""
+    """Standard deviation of the drift of each state from the equations per second, shape (n,); not to be
+    changed."""
     return DRIFT * _spans(model)
 
 
@@ -175,8 +175,10 @@ class Outlook:
         plant = self.parameters.model.plant
         return plant.output if self.closed else plant.drive
 
-    def predicted(self, ahead: ArrayLike, disturbances: ArrayLike | None = None) -> LoopForecast:
-        """Mean and variance of the next N samples under these set-points or inputs, shape (N,).
+    def predicted(
+        self, ahead: ArrayLike, disturbances: ArrayLike | None = None, *, banded: bool = True
+    ) -> LoopForecast:
+        """Mean and, if `banded`, variance of the next N samples under these set-points or inputs, shape (N,).
 
         Disturbances stay constant unless they are given, from the newest sample on, shape (N + 1, d).
         """
@@ -195,35 +197,8 @@ class Outlook:
             gains=self.gains,
             period=self.period,
             disturbances=disturbances,
+            banded=banded,
         )
-
-    def mean(self, ahead: FloatArray, disturbances: FloatArray | None = None) -> FloatArray:
-        """Output and input of `predicted`, bit for bit, at a third of its cost; shape (2, N).
-
-        `disturbances` are those from the newest sample on, shape (N + 1, d), if there are any.
-        """
-        initial = advance(
-            self.parameters,
-            self.states,
-            self.sample.input,
-            self.period,
-            None if disturbances is None else disturbances[0],
-        )
-        rows = None if disturbances is None else disturbances[1:]
-        if self.gains is None:
-            found = simulate_driven(
-                self.parameters, ahead, states=initial, period=self.period, disturbances=rows
-            )
-        else:
-            found = simulate_closed_loop(
-                self.parameters,
-                ahead,
-                states=initial,
-                controller=self.controller,
-                gains=self.gains,
-                disturbances=rows,
-            )
-        return np.stack([found.output, found.input])
 
     def deviations(self, predicted: LoopForecast) -> FloatArray:
         """Standard deviations of output and input expected by the twin, shape (2, N)."""

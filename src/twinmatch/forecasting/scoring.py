@@ -23,7 +23,6 @@ forecast of no change.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
@@ -33,8 +32,13 @@ from twinmatch.signals import FloatArray
 
 LEADS: Final = (1.0, 3.0, 10.0, 30.0, 60.0, 120.0, 300.0)
 """Leads at which quotients are learned, s; between them the width is interpolated over log time."""
-_PRIOR: Final = 12
-"""Number of prior quotients, from a normal distribution."""
+_HALF_NORMAL: Final = np.array([
+    0.05224518037594049, 0.1573106846101707, 0.2641469768259235, 0.37409541019772363, 0.4887764111146695,
+    0.6102946101863326, 0.7415940438615162, 0.887146559018876, 1.0544724517700532, 1.2581615610630963,
+    1.5341205443525463, 2.03683413170139,
+])  # fmt: skip
+"""The prior quotients: quantiles of |z|, z standard normal, at levels 1/24, 3/24 … 23/24."""
+_PRIOR: Final = _HALF_NORMAL.size
 _TRUSTED: Final = 3.0
 """Weight, in forecasts that do not overlap, of the twin's own deviations in the scale of the prior."""
 _MEAN: Final = float(np.sqrt(2.0 / np.pi))
@@ -64,8 +68,7 @@ class Calibration:
             stride: samples between two forecasts, if past errors scale the prior; None: it stays as it is.
         """
         self.leads, self.kept, self._signals, self._stride = leads, kept, np.arange(signals), stride
-        levels = (np.arange(_PRIOR) + 0.5) / _PRIOR
-        start = np.repeat(_half_normal(levels)[:, None], signals, axis=1)
+        start = np.repeat(_HALF_NORMAL[:, None], signals, axis=1)
         self._quotients = [start] * len(leads)
         self._weights = [np.ones(_PRIOR)] * len(leads)
         self._priors = [_PRIOR] * len(leads)  # how many of these quotients, the first, are the prior's
@@ -126,13 +129,6 @@ class Calibration:
         return np.asarray(found / (_MEAN * (_TRUSTED + new * self._counts[lead])))
 
 
-def _half_normal(levels: FloatArray) -> FloatArray:
-    """Quantiles of |z|, z standard normal."""
-    from scipy.special import ndtri  # noqa: PLC0415 — slow to import
-
-    return np.asarray(ndtri(0.5 + 0.5 * np.asarray(levels)), dtype=np.float64)
-
-
 PERSISTENCE: Final = ""
 """Name under which errors of the trivial forecast are entered."""
 _PRIOR_WEIGHT: Final = 3.0
@@ -144,50 +140,50 @@ _SHRINKAGE: Final = 5.0
 _LN10: Final = float(np.log(10.0))
 
 
-@dataclass(eq=False)
-class _Account:
-    """Discounted sums of one candidate."""
-
-    lengths: FloatArray
-    """Characters by horizon, all signals together, shape (H,)."""
-    weights: FloatArray
-    """Effective number of forecasts in these sums, shape (H,)."""
-    sizes: FloatArray
-    """Mean |error| of each signal, shape (signals, H)."""
-    counted: FloatArray
-    """Effective number of forecasts in these means, shape (H,)."""
-
-    @property
-    def mean(self) -> FloatArray:
-        """Characters per forecast by horizon, NaN without a forecast, shape (H,)."""
-        return np.where(self.weights > 0.0, self.lengths, np.nan) / np.maximum(self.weights, 1e-300)
-
-    def copy(self) -> _Account:
-        return _Account(self.lengths.copy(), self.weights.copy(), self.sizes.copy(), self.counted.copy())
-
-
-@dataclass
 class Ledger:
     """The accounts of all candidates: takes errors, returns gains."""
 
-    horizons: int
-    """Number of horizons H."""
-    noise: FloatArray
-    """Noise of the forecast signals, shape (signals,): output and input, or only the output if inputs are
-    given."""
-    kept: float
-    """Factor on past weights per forecast; below 1, the past is forgotten slowly."""
-    _accounts: dict[str, _Account] = field(default_factory=dict)
+    def __init__(self, horizons: int, noise: FloatArray, kept: float) -> None:
+        """Begin without accounts.
+
+        Args:
+            horizons: number of horizons H.
+            noise: noise of the forecast signals, shape (signals,): output and input, or only the output if
+                inputs are given.
+            kept: factor on past weights per forecast; below 1, the past is forgotten slowly.
+        """
+        self.horizons, self.noise, self.kept = horizons, noise, kept
+        self._rows: dict[str, int] = {}
+        self._clear(0)
+
+    def _clear(self, accounts: int) -> None:
+        """Open accounts without a forecast, in place of all that there are."""
+        shape = (accounts, self.horizons)
+        self._lengths, self._weights = np.zeros(shape), np.zeros(shape)
+        """Characters by horizon, all signals together, and effective numbers of forecasts in these sums."""
+        self._sizes = np.tile(self.noise[:, None], (accounts, 1, self.horizons))
+        """Mean |error| of each signal, shape (accounts, signals, H)."""
+        self._counted = np.full(shape, _PRIOR_WEIGHT)
+        """Effective numbers of forecasts in these means."""
+
+    def _set(self, sources: Mapping[str, str]) -> None:
+        """Have these accounts only: each a copy of one that there is, or a new one."""
+        old = (self._lengths, self._weights, self._sizes, self._counted)
+        known = [(row, self._rows[name]) for row, name in enumerate(sources.values()) if name in self._rows]
+        to, of = np.array(known, dtype=np.intp).reshape(-1, 2).T
+        self._clear(len(sources))
+        for new, before in zip((self._lengths, self._weights, self._sizes, self._counted), old, strict=True):
+            new[to] = before[of]
+        self._rows = {name: row for row, name in enumerate(sources)}
 
     def keep(self, names: Iterable[str]) -> None:
         """Keep only the accounts of these candidates."""
-        kept_names = {*names, PERSISTENCE}
-        self._accounts = {name: account for name, account in self._accounts.items() if name in kept_names}
+        self._set({name: name for name in (*names, PERSISTENCE) if name in self._rows})
 
     def inherit(self, name: str, predecessor: str) -> None:
         """Give a candidate a copy of its predecessor's account, if there is one."""
-        if predecessor in self._accounts:
-            self._accounts[name] = self._accounts[predecessor].copy()
+        if predecessor in self._rows:
+            self._set({**{each: each for each in self._rows}, name: predecessor})
 
     def add(self, errors: Mapping[str, FloatArray], horizon: int) -> None:
         """Add the errors (measured minus forecast) of the forecasts from one sample, shape (signals, N).
@@ -195,39 +191,38 @@ class Ledger:
         The N readings are those after the previous horizon up to this one; `horizon` is an index. Their
         errors are correlated, so together they count as one reading of each signal, of mean length.
         """
-        h = horizon
-        for name, error in errors.items():
-            account = self._accounts.setdefault(name, self._opened())
-            sizes = np.abs(error).mean(axis=1)
-            widths = np.maximum(account.sizes[:, h], _NARROWEST * self.noise)
-            characters = np.log10(2.0 * widths) + sizes / (widths * _LN10)
-            account.lengths[h] = self.kept * account.lengths[h] + characters.sum()
-            account.weights[h] = self.kept * account.weights[h] + 1.0
-            before = self.kept * account.counted[h]
-            account.counted[h] = before + 1.0
-            account.sizes[:, h] = (before * account.sizes[:, h] + sizes) / account.counted[h]
+        if not errors.keys() <= self._rows.keys():
+            self._set({name: name for name in (*self._rows, *errors)})
+        h, rows = horizon, [self._rows[name] for name in errors]
+        found = np.array([np.abs(error).mean(axis=1) for error in errors.values()])
+        widths = np.maximum(self._sizes[rows, :, h], _NARROWEST * self.noise)
+        characters = np.log10(2.0 * widths) + found / (widths * _LN10)
+        self._lengths[rows, h] = self.kept * self._lengths[rows, h] + characters.sum(axis=1)
+        self._weights[rows, h] = self.kept * self._weights[rows, h] + 1.0
+        before = self.kept * self._counted[rows, h]
+        self._counted[rows, h] = before + 1.0
+        sums = before[:, None] * self._sizes[rows, :, h] + found
+        self._sizes[rows, :, h] = sums / self._counted[rows, h, None]
 
     def forecasts(self, name: str) -> float:
         """Effective number of a candidate's scored forecasts at all horizons, older ones weighted less."""
-        return float(self._accounts[name].weights.sum()) if name in self._accounts else 0.0
+        return float(self._weights[self._rows[name]].sum()) if name in self._rows else 0.0
 
     def gains(self, names: Sequence[str]) -> FloatArray:
         """Characters saved per forecast of the signals, by horizon; shape (len(names), H).
 
         NaN at a horizon at which no forecast could be compared yet.
         """
-        trivial = self._accounts.get(PERSISTENCE)
-        if trivial is None:
+        if PERSISTENCE not in self._rows:
             return np.full((len(names), self.horizons), np.nan)
-        accounts = [self._accounts.get(name) or self._opened() for name in names]
-        known = np.array([a.mean for a in accounts]).reshape(len(names), self.horizons)
+        lengths, weights = np.zeros((2, len(names) + 1, self.horizons))
+        for row, name in enumerate((*names, PERSISTENCE)):
+            if name in self._rows:
+                lengths[row], weights[row] = self._lengths[self._rows[name]], self._weights[self._rows[name]]
+        means = np.where(weights > 0.0, lengths, np.nan) / np.maximum(weights, 1e-300)
+        known, trivial = means[:-1], means[-1]
         seen = np.isfinite(known)
         count = np.maximum(seen.sum(axis=0), 1)
-        common = np.where(seen.any(axis=0), np.where(seen, known, 0.0).sum(axis=0) / count, trivial.mean)
-        rows = [(a.lengths + _SHRINKAGE * common) / (a.weights + _SHRINKAGE) for a in accounts]
-        return np.asarray(trivial.mean - np.array(rows).reshape(len(names), self.horizons))
-
-    def _opened(self) -> _Account:
-        none = np.zeros(self.horizons)
-        sizes = np.repeat(self.noise[:, None], self.horizons, axis=1)
-        return _Account(none, none.copy(), sizes, none + _PRIOR_WEIGHT)
+        common = np.where(seen.any(axis=0), np.where(seen, known, 0.0).sum(axis=0) / count, trivial)
+        found = (lengths[:-1] + _SHRINKAGE * common) / (weights[:-1] + _SHRINKAGE)
+        return np.asarray(trivial - found)

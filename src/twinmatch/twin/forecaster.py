@@ -146,9 +146,11 @@ class Forecaster:
 
     def best_of(self, names: Collection[str]) -> str | None:
         """Of the named candidates, the one whose forecasts have saved the most; None if none is present."""
-        scores = [score for score in self.scores if score.name in names]
-        gains = [-np.inf if np.isnan(score.gain) else score.gain for score in scores]
-        return scores[int(np.argmax(gains))].name if scores else None
+        if self._ledger is None:
+            return None
+        totals = _totals(self._ledger.gains(self._order))
+        savings = dict(zip(self._order, np.where(np.isnan(totals), -np.inf, totals).tolist(), strict=True))
+        return max((name for name in self._order if name in names), key=savings.__getitem__, default=None)
 
     @property
     def confidence(self) -> float:
@@ -161,8 +163,8 @@ class Forecaster:
         ledger = self._ledger
         if ledger is None:
             return ()
-        found = []
-        for name, gains in zip(self._order, ledger.gains(self._order), strict=True):
+        found, every = [], ledger.gains(self._order)
+        for name, total, gains in zip(self._order, _totals(every).tolist(), every, strict=True):
             candidate = self._twins[name].candidate
             first, last = candidate.samples
             found.append(
@@ -171,7 +173,7 @@ class Forecaster:
                     parameters=candidate.parameters,
                     first=first,
                     last=last,
-                    gain=float(np.nansum(gains)) if np.isfinite(gains).any() else float("nan"),
+                    gain=total,
                     gains=tuple(gains.tolist()),
                     forecasts=ledger.forecasts(name),
                 )
@@ -367,30 +369,32 @@ class Forecaster:
         before, seen = max((h for h in self.horizons if h < ahead), default=0), _seen(past[1:])
         if seen is not None and not seen[before:].any():
             return
-        last = np.array([[past[0].output], [past[0].input]])[:signals]
-        errors, paths = {PERSISTENCE: (measured - last)[:, before:]}, {}
+        off = {PERSISTENCE: measured - np.array([[past[0].output], [past[0].input]])[:signals]}
         skipped = sample // self._stride % _OTHERS_EVERY
         for name, outlook in departure.outlooks.items():
             if name not in self._twins:
                 continue
+            banded = not skipped or name == departure.leader
             with self._removing_lost(name):
-                if skipped and name != departure.leader:
-                    off = measured - outlook.mean(given, rows)[:signals]
-                else:
-                    predicted = outlook.predicted(given, rows)
-                    off = measured - np.stack([predicted.output, predicted.input])[:signals]
-                    quotients = np.abs(off) / outlook.deviations(predicted)[:signals]
+                predicted = outlook.predicted(given, rows, banded=banded)
+                off[name] = measured - np.array(predicted[:signals])
+                if banded:
+                    quotients = np.abs(off[name]) / outlook.deviations(predicted)[:signals]
                     if seen is not None:
                         quotients[:, ~seen] = np.nan
                     self._twins[name].calibration.learn(quotients, before)
-                errors[name] = off[:, before:]
-                counted = off if seen is None else off[:, seen]
-                paths[name] = float(np.sqrt(np.mean(np.square(counted / ledger.noise[:, None]))))
         if seen is not None:
-            errors = {name: error[:, seen[before:]] for name, error in errors.items()}
-        ledger.add(errors, place)
-        if ahead == self._longest and departure.leader in paths:
+            off, before = {name: one[:, seen] for name, one in off.items()}, int(seen[:before].sum())
+        ledger.add({name: one[:, before:] for name, one in off.items()}, place)
+        if ahead == self._longest and departure.leader in off:
+            noise = ledger.noise[:, None]
+            paths = {n: float(np.sqrt(np.mean(np.square(o / noise)))) for n, o in off.items() if n}
             self._leader_confidence.add(paths[departure.leader], min(paths.values()))
+
+
+def _totals(gains: FloatArray) -> FloatArray:
+    """Characters saved at all horizons together, NaN without any, shape (C,)."""
+    return np.where(np.isfinite(gains).any(axis=1), np.nansum(gains, axis=1), np.nan)
 
 
 def _seen(samples: Sequence[Sample]) -> BoolArray | None:
