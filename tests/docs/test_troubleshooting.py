@@ -57,7 +57,7 @@ def test_every_word_that_is_recorded_has_a_row_and_there_is_no_other(title: str,
 
 
 def test_every_level_of_diagnostics_has_a_row() -> None:
-    diagnostics = pytest.importorskip("twinmatch.nodes.node", reason="ROS 2 is not installed")
+    diagnostics = pytest.importorskip("twinmatch.nodes.health", reason="ROS 2 is not installed")
     single = {word for word in first_words("Health of the nodes") if word.isupper() and " " not in word}
     assert single == {level.name for level in diagnostics.Level}
 

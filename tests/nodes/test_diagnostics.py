@@ -8,7 +8,8 @@ import pytest
 
 from tests.support.waiting import wait_for
 from twinmatch.errors import TwinmatchError
-from twinmatch.nodes.node import Level, NodeHealth, Report, Worker, status_message
+from twinmatch.nodes.health import Level, NodeHealth, Report, status_message
+from twinmatch.nodes.node import Worker
 from twinmatch.nodes.samples import SampleWatch
 from twinmatch.showing.page.health import NodeReport, NodeReports, PlayerState
 

@@ -7,6 +7,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
+from itertools import count
 from typing import Any
 
 import pytest
@@ -65,6 +66,7 @@ class Rig(HeaterRig):
         self.celsius: float | None = 25.0
         self.reference: float | None = None
         self.age = 0.0
+        self._indices = count()
         self.stamp: Callable[[], int] = time.time_ns
         self.begin()
 
@@ -104,8 +106,8 @@ class Rig(HeaterRig):
             temperature.header.stamp = stamp(now - round(self.age * 1e9))
             self._temperatures.publish(temperature)
         if self.reference is not None and self.celsius is not None and self.pwm is not None:
-            sample = LoopSample(reference=[self.reference], output=[self.celsius], input=[self.pwm])
-            self._samples.publish(sample)
+            loop = {"reference": [self.reference], "output": [self.celsius], "input": [self.pwm]}
+            self._samples.publish(LoopSample(index=next(self._indices), **loop))
 
 
 def stamp(nanoseconds: int) -> Time:

@@ -18,7 +18,7 @@ from twinmatch.emulation.arduino import StandInArduino
 from twinmatch.links.pwm_link import Applied, LinkSettings, PwmLink, PwmVersionError
 from twinmatch.links.pwm_protocol import Flags
 from twinmatch.nodes.gated import ClockTimes, DriverPace, OutputGate
-from twinmatch.nodes.node import Level, NodeHealth
+from twinmatch.nodes.health import Level, NodeHealth
 from twinmatch.nodes.pwm_bridge import PwmDriver
 from twinmatch.safety import FaultKind, GuardLimits
 

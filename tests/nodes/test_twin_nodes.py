@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from tests.support.nonsense import Nonsense, is_sound
 from tests.support.processes import Start
 from tests.support.ros import Listener
 from twinmatch.nodes.messages import (
@@ -39,7 +40,7 @@ from twinmatch_msgs.msg import (
 pytestmark = pytest.mark.ros
 
 
-def test_live_verdicts_are_the_offline_ones(
+def test_live_verdicts_are_the_offline_ones_whatever_is_published_beside(
     start_process: Start,
     listener: Listener,
     session: Path,
@@ -59,7 +60,22 @@ def test_live_verdicts_are_the_offline_ones(
     topics = ("twin/match", "twin/match_request", "twin/model_score", "twin/state")
     listener.spin_until(lambda: all(map(listener.node.count_publishers, topics)), "the nodes")
     start_process("player", "-p", f"session:={session}", "-p", "rate:=0.0", "-p", "wait_for:=2")
-    listener.spin_until(lambda: len(heard) == len(verdicts) and len(states) == len(steps), "the last verdict")
+    drawn, rounds = Nonsense(46), iter(range(0, len(steps), 20))
+    beside = {"plant/sample": LoopSample, "twin/match": Match, "twin/match_request": MatchRequest}
+    make, due = listener.node.create_publisher, 0
+    writers = [(make(kind, name, EVERYTHING), kind) for name, kind in beside.items()]
+
+    def all_there() -> bool:
+        nonlocal due
+        if len(states) >= due:
+            due = next(rounds, len(steps) + 1)
+            for writer, kind in writers:
+                writer.publish(drawn.refused(kind))
+        return len(heard) == len(verdicts) and len(states) == len(steps)
+
+    listener.spin_until(all_there, "the last verdict")
+    listener.spin_until(lambda: sum(map(is_sound, heard_matches)) >= len(matches), "the last match")
+    heard_matches, requests = (list(filter(is_sound, found)) for found in (heard_matches, requests))
     stamps = {sample.index: sample.stamp for sample in steps}
     expected: list[Any] = [score_message(verdict, stamps[verdict.sample]) for verdict in verdicts]
     assert [repr(m) for m in heard] == [repr(m) for m in expected]

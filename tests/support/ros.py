@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import threading
 import traceback
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cached_property
 from typing import Any, TypeVar
@@ -21,6 +21,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from tests.support.waiting import PATIENCE, wait_for
 from twinmatch.errors import EXIT_USER_ERROR, TwinmatchError
+from twinmatch.nodes.node import TwinmatchNode
 from twinmatch.nodes.runner import EXIT_DEFECT, Nodes
 from twinmatch.nodes.sample_messages import sample_message
 from twinmatch.nodes.topics import EVERYTHING
@@ -108,8 +109,11 @@ def listening() -> Iterator[Listener]:
 class Inside:
     """A program of nodes in the test's own process, with what a test asks of a process of its own."""
 
-    def __init__(self, name: str, *ros_arguments: str) -> None:
-        """Start it with ROS arguments; a mistake in them ends it as it would end the program."""
+    def __init__(self, name: str, *ros_arguments: str, kinds: Sequence[type[TwinmatchNode]] = ()) -> None:
+        """Start it with ROS arguments; a mistake in them ends it as it would end the program.
+
+        The program is `twinmatch.nodes.name`, or these kinds of nodes.
+        """
         self.text = ""
         """The line or the traceback with which it ended."""
         self.asked = False
@@ -117,13 +121,18 @@ class Inside:
         self._name, self._code = name, 0
         self._nodes, self._stop = Nodes(Context()), threading.Event()
         self._thread = threading.Thread(target=self._guarded, args=(self._spin,), daemon=True)
-        (kinds,) = importlib.import_module(f"twinmatch.nodes.{name}").main.args
+        if not kinds:
+            (kinds,) = importlib.import_module(f"twinmatch.nodes.{name}").main.args
         arguments = [name, *(["--ros-args", *ros_arguments] if ros_arguments else [])]
         self._guarded(lambda: self._nodes.start(kinds, arguments))
         if self._code:
             self._nodes.close()
         else:
             self._thread.start()
+
+    @property
+    def nodes(self) -> list[TwinmatchNode]:
+        return self._nodes._nodes
 
     @property
     def running(self) -> bool:

@@ -16,9 +16,8 @@ from twinmatch.comparing import Verdict
 from twinmatch.launching.plan import LivePlan
 from twinmatch.launching.processes import LaunchError
 from twinmatch.launching.watch import Supervised, Watch
+from twinmatch.nodes.health import Level
 from twinmatch.nodes.network import lease
-from twinmatch.nodes.node import Level
-from twinmatch.nodes.sample_messages import sample_from
 from twinmatch.nodes.step import PATIENCE, VARIABLE, InStep
 from twinmatch.nodes.topics import EVERYTHING
 from twinmatch.offline.summary import SessionSummary, Tally, conclude
@@ -109,6 +108,8 @@ def _run_live(live: Live) -> int:
     return code
 
 
+MOST = 64
+"""Most parts of nodes whose errors are shown at a time; one graph does not have more."""
 _DIGITS = re.compile(r"[\d.,]+")
 
 
@@ -126,6 +127,8 @@ class _Errors:
                 if self._standing.pop(status.name, None) is not None:
                     self._view.say(f"{status.name}: recovered", "green")
             elif self._standing.get(status.name) != (kind := _DIGITS.sub("", status.message)):
+                if status.name not in self._standing and len(self._standing) >= MOST:
+                    continue
                 self._standing[status.name] = kind
                 self._view.say(f"{status.name}: {status.message}", "red")
 
@@ -151,7 +154,7 @@ class _LiveRun(Supervised):
     def start(self, node: Watch) -> None:
         """Start everything; the rig last, after all subscribers."""
         plan = self._plan
-        node.create_subscription(LoopSample, "plant/sample", self._take_sample, EVERYTHING)
+        node.create_subscription(LoopSample, "plant/sample", self._live.take_sample, EVERYTHING)
         if plan.virtual is not None:
             self.view.say("starting the virtual rig")
             command = [sys.executable, "-m", "twinmatch.cli", "virtual-rig", *plan.virtual.arguments]
@@ -199,9 +202,6 @@ class _LiveRun(Supervised):
             elif value:
                 self._addresses[key] = value
         super().show(line)
-
-    def _take_sample(self, message: LoopSample) -> None:
-        self._live.take_sample(sample_from(message))
 
     def _refuse_second_graph(self, node: Watch) -> None:
         """Refuse to run beside another controller on the same topics: both would drive the plate."""

@@ -10,7 +10,6 @@ from diagnostic_msgs.msg import DiagnosticArray
 from twinmatch.comparing import Verdict
 from twinmatch.launching.processes import Processes
 from twinmatch.nodes.discriminator import SETTLED, VERDICTS, DiscriminatorNode
-from twinmatch.nodes.messages import match_from, verdict_from
 from twinmatch.nodes.node import TwinmatchNode
 from twinmatch.nodes.runner import run
 from twinmatch.nodes.topics import EVERYTHING
@@ -33,13 +32,17 @@ class Settled:
         for status in message.status:
             if status.name.endswith(f"{DiscriminatorNode.NAME}: health"):
                 values = {entry.key: entry.value for entry in status.values}
-                settled = values.get(SETTLED, "")
-                self._sample = int(settled) if settled.isdigit() else None
-                self._verdicts = int(values.get(VERDICTS, "0"))
+                self._sample = _count(values.get(SETTLED, ""))
+                self._verdicts = _count(values.get(VERDICTS, "")) or 0
 
     def complete(self, last: int, received: int) -> bool:
         """Whether all is judged up to sample `last`, and `received` verdicts are all that were published."""
         return self._sample is not None and self._sample >= last and received >= self._verdicts
+
+
+def _count(text: str) -> int | None:
+    """A count as a node reports it; None for any other text."""
+    return int(text) if text.isascii() and text.isdigit() and len(text) < 19 else None
 
 
 class Supervised(ABC):
@@ -100,11 +103,12 @@ class Watch(TwinmatchNode):
         """Subscribe, then start the processes."""
         run = self.supervised
         for kind, topic, take in (
-            (ModelScore, "twin/model_score", lambda m: run.take_verdict(verdict_from(m))),
-            (Match, "twin/match", lambda m: run.take_match(match_from(m))),
+            (ModelScore, "twin/model_score", run.take_verdict),
+            (Match, "twin/match", run.take_match),
         ):
             self.create_subscription(kind, topic, take, EVERYTHING)
         self.create_subscription(DiagnosticArray, "/diagnostics", run.take_health, 100)
+        self.report_on()
         run.start(self)
         run.view.open()
         self.create_timer(self.POLL, self._check)

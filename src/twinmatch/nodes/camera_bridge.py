@@ -23,7 +23,8 @@ from twinmatch.links.thermal_client import (
     region,
 )
 from twinmatch.links.thermal_frame import DEFAULT_PORT, Exposure, ThermalFrame
-from twinmatch.nodes.node import Background, Level, Report, TwinmatchNode
+from twinmatch.nodes.health import Level, Report
+from twinmatch.nodes.node import Background, TwinmatchNode
 from twinmatch.nodes.runner import program
 from twinmatch.nodes.sample_messages import time_message
 from twinmatch.parameters.declared import Setting, given_to, parameters_of

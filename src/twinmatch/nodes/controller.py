@@ -15,7 +15,8 @@ from std_msgs.msg import Float64
 
 from twinmatch.control import ControlError, Loop, Profile
 from twinmatch.dynamics import Pid, Plant, PlantError
-from twinmatch.nodes.node import READERS, Level, Missed, Readers, Report, TwinmatchNode
+from twinmatch.nodes.health import Level, Report
+from twinmatch.nodes.node import READERS, Missed, Readers, TwinmatchNode
 from twinmatch.nodes.runner import program
 from twinmatch.nodes.sample_messages import sample_message, time_message
 from twinmatch.nodes.topics import LATCHED, RELIABLE

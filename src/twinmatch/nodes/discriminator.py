@@ -17,6 +17,7 @@ from twinmatch.comparing import Verdict
 from twinmatch.dynamics import PlantError
 from twinmatch.errors import TwinmatchError
 from twinmatch.forecasting import what_if
+from twinmatch.nodes.health import Level
 from twinmatch.nodes.messages import (
     answer_message,
     candidate_message,
@@ -28,7 +29,6 @@ from twinmatch.nodes.messages import (
     score_message,
     shown_samples,
 )
-from twinmatch.nodes.node import Level
 from twinmatch.nodes.runner import program
 from twinmatch.nodes.samples import SampleNode, TwinNode
 from twinmatch.nodes.topics import EVERYTHING, LATCHED, RELIABLE
@@ -217,11 +217,11 @@ class DiscriminatorNode(SampleNode):
         words = f"no answer to the match request of sample {pending.sample}; requested {self._tries} times"
         self.health.flag("match", Level.WARN, words)
 
-    def _on_match(self, message: Match) -> None:
-        pending = self._pending
-        if pending is not None and (message.sample, message.first) == (pending.sample, pending.first):
+    def _on_match(self, report: MatchReport) -> None:
+        pending, (first, _) = self._pending, report.match.samples
+        if pending is not None and (report.sample, first) == (pending.sample, pending.first):
             self._pending = None
-        self.put(match_from(message))
+        self.put(report)
 
     def _publish(self, verdict: Verdict) -> None:
         self.health.count(VERDICTS)

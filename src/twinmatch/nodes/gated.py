@@ -21,7 +21,8 @@ from std_srvs.srv import Trigger
 from twinmatch.errors import TwinmatchError
 from twinmatch.links.kit_link import KitLink
 from twinmatch.links.pwm_link import PwmLink
-from twinmatch.nodes.node import Background, Level, NodeHealth, Report, TwinmatchNode
+from twinmatch.nodes.health import Level, NodeHealth, Report
+from twinmatch.nodes.node import Background, TwinmatchNode
 from twinmatch.nodes.step import FOREVER, InStep
 from twinmatch.nodes.topics import RELIABLE
 from twinmatch.parameters.declared import Setting, given_to, parameters_of
@@ -34,6 +35,7 @@ from twinmatch.safety import (
     SafetyClock,
 )
 from twinmatch.signals import Sample
+from twinmatch_msgs.msg import LoopSample
 
 
 class ClockTimes(NamedTuple):
@@ -334,7 +336,7 @@ class GatedNode(TwinmatchNode):
         for place in ("~", "plant"):
             self.create_service(Trigger, f"{place}/clear_fault", self._on_clear)
             self.create_service(Trigger, f"{place}/stop", self._on_stop)
-        self.hear_samples(self._on_sample, RELIABLE)
+        self.create_subscription(LoopSample, "plant/sample", self._on_sample, RELIABLE)
 
     @property
     def pace(self) -> DriverPace:

@@ -12,13 +12,14 @@ from typing import Any, ClassVar
 
 from rclpy.serialization import deserialize_message
 
-from twinmatch.nodes.node import KEEPER, Report, TwinmatchNode
+from twinmatch.nodes.health import Report
+from twinmatch.nodes.node import KEEPER, TwinmatchNode
 from twinmatch.nodes.past import PAST
 from twinmatch.nodes.topics import EVERYTHING
 from twinmatch.parameters.declared import BUILT_IN, Setting
 from twinmatch.sessions.spool import MessageSpool, SampleSpool
 from twinmatch.signals import Sample
-from twinmatch_msgs.msg import Forecast, Match, ModelScore, TwinState
+from twinmatch_msgs.msg import Forecast, LoopSample, Match, ModelScore, TwinState
 from twinmatch_msgs.srv import Past
 
 MOST_SAMPLES = 2000
@@ -46,7 +47,7 @@ class Keeper(TwinmatchNode):
         """Subscribe and offer the service."""
         self._start_session()
         self._requested_at = -LINGER
-        self.hear_samples(self._on_sample, EVERYTHING)
+        self.create_subscription(LoopSample, "plant/sample", self._on_sample, EVERYTHING)
         for name, kind in (self.KEPT | self.COUNTED).items():
             self.create_subscription(kind, name, partial(self._on_said, name), EVERYTHING, raw=True)
         self.create_service(Past, PAST, self._on_question)

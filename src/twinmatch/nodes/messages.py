@@ -86,6 +86,15 @@ def leader_message(score: ForecastScore) -> messages.ForecastScore:
     return _filled(messages.ForecastScore(), tree_of(score))
 
 
+def leader_from(message: messages.ForecastScore) -> ForecastScore:
+    """The leader's score from `ForecastScore`.
+
+    Raises:
+        TwinmatchError: its parameters cannot be used.
+    """
+    return object_of(ForecastScore, tree_of_message(message))
+
+
 def parameters_from(message: messages.Parameters) -> Parameters:
     """The parameters in a `Parameters`.
 

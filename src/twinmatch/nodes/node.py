@@ -1,7 +1,7 @@
-"""Base class of all nodes of this package: table of parameters, diagnostics, a worker thread, orderly end.
+"""Base class of all nodes of this package: parameters, entrance, diagnostics, a worker thread, orderly end.
 
-`NodeHealth` collects what REP 107 diagnostics report and knows nothing of ROS. A `Worker` does a node's heavy
-work, so that its callbacks never wait.
+Everything that a node receives comes through its `Entrance`. A `Worker` does a node's heavy work, so that
+its callbacks never wait.
 """
 
 from __future__ import annotations
@@ -10,107 +10,24 @@ import math
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
-from enum import IntEnum
 from queue import Empty, SimpleQueue
-from typing import Any, ClassVar, Generic, NamedTuple, Protocol, TypeVar
+from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.clock import Clock, ClockType
 from rclpy.context import Context
 from rclpy.node import Node
-from rclpy.qos import QoSProfile
 from rclpy.timer import Timer
 
 from twinmatch.errors import TwinmatchError
-from twinmatch.nodes.sample_messages import sample_from
+from twinmatch.nodes.entrance import Entrance
+from twinmatch.nodes.health import Level, NodeHealth, Report, status_message
 from twinmatch.nodes.step import InStep
 from twinmatch.parameters.declared import ParameterError, Setting, Values, check
-from twinmatch.signals import Sample, SignalError
-from twinmatch_msgs.msg import LoopSample
 
 PERIOD = 1.0
 """Reporting period (REP 107), s, by a clock that runs even while simulated time is stopped."""
-
-
-class Level(IntEnum):
-    """Levels of REP 107; the worst of several is their maximum."""
-
-    OK = 0
-    WARN = 1
-    ERROR = 2
-    STALE = 3
-
-
-class Report(NamedTuple):
-    """The status of one part of a node."""
-
-    level: Level
-    message: str
-    values: Mapping[str, str]
-
-
-class NodeHealth:
-    """Counters, values and problems of one part of a node; thread-safe.
-
-    A problem stands until it is withdrawn, so that a fault of a tenth of a second is seen by a reader that
-    looks once a second. Without problems the report is OK.
-    """
-
-    def __init__(self, idle: str = "working") -> None:
-        """Start without problems; `idle` is the message while there are none."""
-        self._idle = idle
-        self._values: dict[str, str] = {}
-        self._problems: dict[str, tuple[Level, str]] = {}
-        self._lock = threading.Lock()
-
-    def set(self, key: str, value: object) -> None:
-        """Set a value."""
-        with self._lock:
-            self._values[key] = f"{value:g}" if isinstance(value, float) else str(value)
-
-    def count(self, key: str) -> None:
-        """Increment a counter."""
-        with self._lock:
-            self._values[key] = str(int(self._values.get(key, "0")) + 1)
-
-    def say(self, message: str) -> None:
-        """Set the message that is reported while there is no problem."""
-        with self._lock:
-            self._idle = message
-
-    def flag(self, key: str, level: Level, message: str) -> None:
-        """Report a problem, in place of an earlier one with this key."""
-        with self._lock:
-            self._problems[key] = (level, message)
-
-    def flag_if(self, failed: bool, key: str, level: Level, message: str) -> None:
-        """Report a problem, or withdraw it, whether or not it was reported."""
-        if failed:
-            self.flag(key, level, message)
-        else:
-            self.withdraw(key)
-
-    def withdraw(self, key: str) -> None:
-        """Withdraw the problem with this key, if it is flagged."""
-        with self._lock:
-            self._problems.pop(key, None)
-
-    def report(self) -> Report:
-        """The level of the worst problem, and the messages of all, worst first."""
-        with self._lock:
-            standing = sorted(self._problems.values(), key=lambda entry: -entry[0])
-            values = dict(self._values)
-            idle = self._idle
-        if not standing:
-            return Report(Level.OK, idle, values)
-        return Report(standing[0][0], "; ".join(message for _, message in standing), values)
-
-
-def status_message(name: str, report: Report) -> DiagnosticStatus:
-    """One report as a message."""
-    values = [KeyValue(key=key, value=value) for key, value in report.values.items()]
-    return DiagnosticStatus(level=bytes([report.level]), name=name, message=report.message, values=values)
 
 
 class Background:
@@ -304,6 +221,8 @@ class TwinmatchNode(Node):
             ParameterError: a parameter does not exist, has the wrong type or is out of range.
             TwinmatchError: parameters contradict each other.
         """
+        self.health = NodeHealth()
+        self.entrance = Entrance(self, self.health)
         try:
             super().__init__(self.NAME, context=context, automatically_declare_parameters_from_overrides=True)
         except ValueError as error:  # an empty list or null has no type in ROS 2
@@ -311,7 +230,6 @@ class TwinmatchNode(Node):
             raise ParameterError(msg) from error
         self.exit_code: int | None = None
         """Set by a node that has finished: the process then exits with this code."""
-        self.health = NodeHealth()
         self.beside: list[Running] = []
         """What runs beside the callbacks, in the order in which it is closed."""
         try:
@@ -326,20 +244,19 @@ class TwinmatchNode(Node):
         """Call this every `period` s by a clock that runs even while simulated time is stopped."""
         return self.create_timer(period, call, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
-    def hear_samples(self, take: Callable[[Sample], None], qos: QoSProfile) -> None:
-        """Subscribe to `plant/sample`; what is not a sample of one loop is refused and reported."""
+    def create_subscription(
+        self, msg_type: Any, topic: str, callback: Callable[[Any], None], qos_profile: Any, **options: Any
+    ) -> Any:
+        """Subscribe through the entrance: `callback` gets what `expected.READ` makes of a message."""
+        take = self.entrance.before(msg_type, topic, callback, raw=options.get("raw", False))
+        return super().create_subscription(msg_type, topic, take, qos_profile, **options)
 
-        def on_sample(message: LoopSample) -> None:
-            try:
-                sample = sample_from(message)
-            except SignalError as error:
-                self.health.count("refused")
-                self.health.flag("sample", Level.ERROR, f"plant/sample: {error}")
-                return
-            self.health.withdraw("sample")
-            take(sample)
-
-        self.create_subscription(LoopSample, "plant/sample", on_sample, qos)
+    def create_service(
+        self, srv_type: Any, srv_name: str, callback: Callable[[Any, Any], Any], **options: Any
+    ) -> Any:
+        """Serve through the entrance."""
+        answer = self.entrance.serving(srv_name, callback)
+        return super().create_service(srv_type, srv_name, answer, **options)
 
     def report_on(self, **tasks: Callable[[], Report]) -> None:
         """Publish the node's health on /diagnostics every `PERIOD`, together with these further tasks."""
@@ -354,6 +271,7 @@ class TwinmatchNode(Node):
     def report_now(self) -> None:
         """Report, also outside the regular period, such as before the end."""
         if self._diagnostics is not None:
+            self.entrance.watch(time.monotonic())
             name = self.get_fully_qualified_name().lstrip("/")
             message = DiagnosticArray()
             message.header.stamp = self.get_clock().now().to_msg()

@@ -13,10 +13,10 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, NamedTuple
 
-from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
 
-from twinmatch.nodes.node import Level, TwinmatchNode
+from twinmatch.nodes.health import Level
+from twinmatch.nodes.node import TwinmatchNode
 from twinmatch.nodes.sample_messages import nanoseconds
 from twinmatch.sessions.messages import decode_sample, encode_sample
 from twinmatch.signals import Sample
@@ -32,9 +32,10 @@ ANSWER = 2.0
 class PastRequests:
     """One request at a time; one without an answer is dropped, so that it can be repeated."""
 
-    def __init__(self, node: Node, on_answer: Callable[[Past.Response], None]) -> None:
+    def __init__(self, node: TwinmatchNode, on_answer: Callable[[Past.Response], None]) -> None:
         """Call `on_answer` with each answer, in the executor's thread."""
         self._client = node.create_client(Past, PAST)
+        self._passes = node.entrance.passes
         self._on_answer = on_answer
         self._pending: Any = None  # future of the pending request
         self._requested_at = 0.0
@@ -64,7 +65,7 @@ class PastRequests:
             return  # too late
         self._pending = None
         answer = future.result()
-        if answer is not None:
+        if answer is not None and self._passes(PAST, answer):
             self._on_answer(answer)
 
 
@@ -230,7 +231,7 @@ class CatchingUp:
             self.request()
 
 
-def all_connected(node: Node) -> bool:
+def all_connected(node: TwinmatchNode) -> bool:
     """Whether every known reader of a node's topics is connected to it."""
     return all(p.get_subscription_count() >= node.count_subscribers(p.topic_name) for p in node.publishers)
 

@@ -9,7 +9,8 @@ from rclpy.time import Time
 from rosgraph_msgs.msg import Clock
 
 from twinmatch.emulation.clock import ClockClient, Stillness, parse_address
-from twinmatch.nodes.node import Level, Report, TwinmatchNode
+from twinmatch.nodes.health import Level, Report
+from twinmatch.nodes.node import TwinmatchNode
 from twinmatch.nodes.runner import program
 from twinmatch.parameters.declared import Setting
 

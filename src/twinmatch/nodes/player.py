@@ -18,8 +18,9 @@ from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
 
 from twinmatch.errors import TwinmatchError
+from twinmatch.nodes.health import Level, Report
 from twinmatch.nodes.keeper import Keeper
-from twinmatch.nodes.node import READERS, Background, Level, Readers, Report, TwinmatchNode
+from twinmatch.nodes.node import READERS, Background, Readers, TwinmatchNode
 from twinmatch.nodes.runner import program
 from twinmatch.nodes.topics import DEPTH, MessageTypeError, message_class, profile_of
 from twinmatch.parameters.declared import Setting, Values

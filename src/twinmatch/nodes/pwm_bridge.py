@@ -19,7 +19,7 @@ from twinmatch.links.pwm_link import (
 )
 from twinmatch.links.pwm_protocol import Banner, Flags
 from twinmatch.nodes.gated import NAN, Decision, DriverThread, GatedNode, fault_text, gate_table
-from twinmatch.nodes.node import Level, Report
+from twinmatch.nodes.health import Level, Report
 from twinmatch.nodes.runner import program
 from twinmatch.nodes.sample_messages import nanoseconds
 from twinmatch.nodes.topics import RELIABLE

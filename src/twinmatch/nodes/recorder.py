@@ -15,10 +15,10 @@ from typing import Any, ClassVar
 
 from rcl_interfaces.srv import GetParameters, ListParameters
 from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
 
-from twinmatch.nodes.node import Level, Report, TwinmatchNode, Worker
+from twinmatch.nodes.health import Level, Report
+from twinmatch.nodes.node import TwinmatchNode, Worker
 from twinmatch.nodes.past import RecorderPast
 from twinmatch.nodes.runner import program
 from twinmatch.nodes.topics import message_class, offered, profile_of, wanted
@@ -77,6 +77,9 @@ class Arrivals:
 PATIENCE = 3.0
 """Wall seconds after which a node that has not answered is asked again."""
 
+MOST_NAMES = 1000
+"""Most parameters of a node that are asked for."""
+
 Tell = Callable[[str, Mapping[str, str]], None]
 
 
@@ -87,7 +90,7 @@ class NodeSettings:
     answer shows it.
     """
 
-    def __init__(self, node: Node, tell: Tell) -> None:
+    def __init__(self, node: TwinmatchNode, tell: Tell) -> None:
         """`tell` is called with the name and the values of each record, in the executor's thread."""
         self._node = node
         self._tell = tell
@@ -129,7 +132,7 @@ class NodeSettings:
         listing, getting = clients
 
         def get(future: Any) -> None:
-            names = list(future.result().result.names) if future.result() is not None else []
+            names = list(future.result().result.names)[:MOST_NAMES] if future.result() is not None else []
             answer = getting.call_async(GetParameters.Request(names=names))
             answer.add_done_callback(lambda done: self._take(name, names, done))
 
@@ -137,7 +140,8 @@ class NodeSettings:
 
     def _take(self, name: str, names: list[str], future: Any) -> None:
         answer = future.result()
-        values = [parameter_value_to_python(value) for value in answer.values] if answer is not None else []
+        usable = answer is not None and self._node.entrance.passes(f"{name}/get_parameters", answer)
+        values = [parameter_value_to_python(value) for value in answer.values] if usable else []
         values = [list(v) if hasattr(v, "tolist") or isinstance(v, tuple) else v for v in values]
         parameters = dict(zip(names, values, strict=False))
         self._tell(parameters_record(name), {n: json.dumps(v) for n, v in parameters.items()})

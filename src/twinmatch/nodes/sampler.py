@@ -13,8 +13,9 @@ from typing import Any, ClassVar, Final
 from twinmatch.description import Quantity
 from twinmatch.dynamics import Plant, PlantError
 from twinmatch.errors import TwinmatchError
+from twinmatch.nodes.health import Level, Report
 from twinmatch.nodes.keeper import Keeper
-from twinmatch.nodes.node import READERS, Level, Missed, Readers, Report, TwinmatchNode
+from twinmatch.nodes.node import READERS, Missed, Readers, TwinmatchNode
 from twinmatch.nodes.runner import program
 from twinmatch.nodes.sample_messages import nanoseconds, sample_message
 from twinmatch.nodes.topics import RELIABLE, ForeignTopics

@@ -10,13 +10,15 @@ from typing import Any
 
 from rclpy.publisher import Publisher
 
-from twinmatch.nodes.node import Background, Level, NodeHealth, Report, TwinmatchNode, Worker
+from twinmatch.nodes.health import Level, NodeHealth, Report
+from twinmatch.nodes.node import Background, TwinmatchNode, Worker
 from twinmatch.nodes.past import CatchingUp, Stream
 from twinmatch.nodes.topics import EVERYTHING
 from twinmatch.parameters.declared import Setting
 from twinmatch.parameters.twin import settings_from, understood
 from twinmatch.signals import Sample
 from twinmatch.twin import TwinSettings
+from twinmatch_msgs.msg import LoopSample
 from twinmatch_msgs.srv import Past
 
 AHEAD = 5
@@ -119,6 +121,7 @@ class TwinNode(TwinmatchNode):
     def read_parameters(self) -> None:
         """Create the settings of the twin."""
         self.settings: TwinSettings = settings_from(self.values)
+        self.entrance.plant = self.settings.plant
 
     def open(self) -> None:
         """Start the worker."""
@@ -168,7 +171,7 @@ class SampleNode(TwinNode):
         super().open()
         self._stream = Stream(self._on_next)
         self._catching_up = CatchingUp(self, self._stream, self._depth, self.learn)
-        self.hear_samples(self._on_sample, EVERYTHING)
+        self.create_subscription(LoopSample, "plant/sample", self._on_sample, EVERYTHING)
 
     def learn(self, said: Past.Response) -> None:
         """Take the results published before this node started; called before its first sample."""

@@ -5,7 +5,8 @@ It also publishes the description of the plant once, latched: `plant/description
 
 from __future__ import annotations
 
-from twinmatch.nodes.messages import description_message, parameters_from, state_message
+from twinmatch import comparing
+from twinmatch.nodes.messages import description_message, state_message
 from twinmatch.nodes.runner import program
 from twinmatch.nodes.samples import SampleNode
 from twinmatch.nodes.topics import LATCHED, RELIABLE
@@ -45,7 +46,7 @@ class TwinSimulatorNode(SampleNode):
         """Take the number of states that a simulator before this one published."""
         self._published_before = said.states_heard
 
-    def work(self, item: Sample | ForecastScore) -> None:
+    def work(self, item: Sample | comparing.ForecastScore) -> None:
         """Mirror one sample, or take over the parameters of a new leader."""
         if isinstance(item, Sample):
             state = self._mirror.push(item)
@@ -54,7 +55,7 @@ class TwinSimulatorNode(SampleNode):
                 message = state_message(state, self._leader, self.settings.plant.states)
                 self.publish(self._publisher, message)
             return
-        self._mirror.parameters = parameters_from(item.parameters)
+        self._mirror.parameters = item.parameters
         self._leader = item.name
         self.health.set("leader", item.name)
 

@@ -15,6 +15,7 @@ from typing import Any, Final, TypeVar
 import numpy as np
 
 from twinmatch.dynamics import Parameters
+from twinmatch.errors import TwinmatchError
 from twinmatch.plants import records
 from twinmatch.record.fields import Form, RecordError, RecordField, fields_of, values_name
 
@@ -38,7 +39,7 @@ def object_of(kind: type[Recorded], tree: Tree) -> Recorded:
     """The object of a tree.
 
     Raises:
-        RecordError: a field is missing, or a word is unknown.
+        RecordError: a field is missing, a word is unknown, or numbers do not have the field's shape or type.
         TwinmatchError: the parameters cannot be used.
     """
     try:
@@ -46,6 +47,10 @@ def object_of(kind: type[Recorded], tree: Tree) -> Recorded:
     except KeyError as error:
         msg = f"record: a {kind.__name__} lacks {error.args[0]}; it was recorded by another version"
         raise RecordError(msg) from error
+    except TwinmatchError:
+        raise
+    except (ValueError, OverflowError) as error:
+        raise RecordError(f"record: a {kind.__name__} cannot be read: {error}") from error
     return kind(**values)
 
 

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -33,11 +34,13 @@ from tests.support.places import SHIPPED
 from tests.support.plants import Motor
 from tests.support.processes import Process
 from tests.support.schemas import bare
+from tests.support.verdicts import verdict
 from tests.support.waiting import wait_for
-from twinmatch.nodes.messages import description_message
+from twinmatch.comparing import TrustLevel
+from twinmatch.nodes.messages import description_message, score_message
 from twinmatch.plants.records import description_of
 from twinmatch.sessions import read_session, write_session
-from twinmatch_msgs.msg import Candidate, Criteria, LoopSample, ModelScore, OrderScore, PlantDescription
+from twinmatch_msgs.msg import LoopSample, ModelScore, PlantDescription
 
 pytestmark = pytest.mark.ros
 RELIABLE = QoSProfile(depth=100)
@@ -128,9 +131,8 @@ def test_messages_arrive_byte_for_byte_and_decode_by_the_definitions_that_come_w
     viewer.subscribe("/plant/sample", "/twin/model_score", "/thermal/image")
     viewer.wait(rig.is_heard, "its reader")
     sent = [rig.sample(k) for k in range(3)]
-    score = ModelScore(sample=7, level=1, level_name="trusted", nominal="60 °C", decided=True)
-    score.candidates = [Candidate(name="60 °C", nu_gap_low=[0.0, 0.25])]
-    score.candidates[0].orders = [OrderScore(order="22221", y=Criteria(gain=12.5))]
+    score = score_message(verdict(TrustLevel.TRUSTED, nominal="60 °C"), 0)
+    score.candidates[0].orders[0].y.gain = 12.5
     image = Image(height=2, width=3, encoding="32FC1", step=12, data=bytes(range(24)))
     raw = serialize_message(score)  # published as it is: what is between the fields is not always the same
     rig.scores.publish(raw)
@@ -142,7 +144,8 @@ def test_messages_arrive_byte_for_byte_and_decode_by_the_definitions_that_come_w
     seen = decode(viewer.channels["/plant/sample"], viewer.heard("/plant/sample")[0].data)
     assert (list(seen.output), list(seen.input)) == ([25.5 + seen.index], [-85.0])
     seen = decode(viewer.channels["/twin/model_score"], viewer.heard("/twin/model_score")[-1].data)
-    assert (seen.nominal, seen.decided, list(seen.candidates[0].nu_gap_low)) == ("60 °C", True, [0.0, 0.25])
+    assert (seen.nominal, seen.decided) == ("60 °C", score.decided)
+    assert [list(c.nu_gap_low) for c in seen.candidates] == [list(c.nu_gap_low) for c in score.candidates]
     assert seen.candidates[0].orders[0].y.gain == 12.5
     seen = decode(viewer.channels["/thermal/image"], viewer.heard("/thermal/image")[-1].data)
     assert bytes(seen.data) == bytes(range(24))
@@ -228,8 +231,10 @@ def test_it_shows_the_rig_of_its_namespace_and_tells_how_it_is(
     viewer.subscribe("/diagnostics", "/rig_a/plant/sample")
     viewer.wait(rig.is_heard, "its reader")
 
+    indices = count()
+
     def shown() -> object:
-        rig.sample(0)  # again, until the viewer's own wish has arrived
+        rig.sample(next(indices))  # another one, until the viewer's own wish has arrived
         return viewer.heard("/rig_a/plant/sample")
 
     viewer.wait(shown, "a sample")

@@ -12,8 +12,9 @@ from rclpy.clock import Clock, ClockType
 from rosgraph_msgs.msg import Clock as ClockMessage
 
 from twinmatch.description import Description
+from twinmatch.nodes.health import Level, Report
 from twinmatch.nodes.messages import description_from
-from twinmatch.nodes.node import Level, Report, TwinmatchNode
+from twinmatch.nodes.node import TwinmatchNode
 from twinmatch.nodes.plant_clock import CLOCK
 from twinmatch.nodes.topics import LATCHED, offered, profile_of, wanted
 from twinmatch.parameters.declared import Setting

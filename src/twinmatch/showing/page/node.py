@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
@@ -16,10 +15,10 @@ from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy, qos_profile_
 from sensor_msgs.msg import Image
 
 from twinmatch.description import UNDESCRIBED
-from twinmatch.errors import TwinmatchError
-from twinmatch.nodes.messages import description_from, forecast_from, verdict_from
-from twinmatch.nodes.node import Level, Report, TwinmatchNode
-from twinmatch.nodes.sample_messages import one_of, sample_from
+from twinmatch.nodes.health import Report
+from twinmatch.nodes.messages import description_from
+from twinmatch.nodes.node import TwinmatchNode
+from twinmatch.nodes.sample_messages import one_of
 from twinmatch.nodes.topics import LATCHED
 from twinmatch.parameters.declared import Setting
 from twinmatch.parameters.twin import read_settings
@@ -89,16 +88,16 @@ class Dashboard(TwinmatchNode):
 
         for kind, topic, take, qos in (
             (PlantDescription, "plant/description", self._on_description, LATCHED),
-            (LoopSample, "plant/sample", lambda m: state.push_sample(sample_from(m), time.monotonic()), ALL),
+            (LoopSample, "plant/sample", lambda sample: state.push_sample(sample, time.monotonic()), ALL),
             (TwinState, "twin/state", lambda m: state.push_twin(m.index, twin_row(m)), ALL),
-            (Forecast, "twin/forecast", lambda m: state.push_forecast(forecast_from(m)), ALL),
-            (ModelScore, "twin/model_score", lambda m: state.push_verdict(verdict_from(m)), ALL),
+            (Forecast, "twin/forecast", state.push_forecast, ALL),
+            (ModelScore, "twin/model_score", state.push_verdict, ALL),
             (PwmApplied, "plant/pwm_applied", lambda m: drive(m.pwm, m.current, m.fault), ALL),
             (PlantApplied, "plant/applied", lambda m: drive(m.input, math.nan, m.fault), ALL),
             (DiagnosticArray, "/diagnostics", self._on_health, ALL),
             (Image, "thermal/image", self._on_image, qos_profile_sensor_data),
         ):
-            self._subscribe(kind, topic, take, qos)
+            self.create_subscription(kind, topic, take, qos)
         self._summed_up = 0
         self.create_timer(SUM_UP, self._sum_up, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.create_timer(POLL, self._run_requests, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -127,17 +126,6 @@ class Dashboard(TwinmatchNode):
         """Stop the server."""
         return self._server is None or self._server.close()
 
-    def _subscribe(self, kind: Any, topic: str, take: Callable[[Any], None], qos: QoSProfile) -> None:
-        """Subscribe; an invalid message is reported and dropped."""
-
-        def receive(message: Any) -> None:
-            try:
-                take(message)
-            except TwinmatchError as error:
-                self.health.flag(topic, Level.WARN, f"{topic}: {error}")
-
-        self.create_subscription(kind, topic, receive, qos)
-
     def _on_description(self, message: PlantDescription) -> None:
         self.state.describe(description_from(message))
         if not self.values["config"] and message.plant != self._settings.plant.name:
@@ -151,12 +139,11 @@ class Dashboard(TwinmatchNode):
             self.state.push_health(status.name, level, status.message, values, now)
 
     def _on_image(self, message: Image) -> None:
-        if message.encoding != "32FC1" or message.step != 4 * message.width or not message.height:
+        if message.encoding != "32FC1":
             return
         kind = np.dtype(">f4" if message.is_bigendian else "<f4")
         pixels = np.frombuffer(bytes(message.data), dtype=kind)
-        if pixels.size == message.height * message.width:
-            self.state.push_image(pixels.astype(np.float32).reshape(message.height, message.width))
+        self.state.push_image(pixels.astype(np.float32).reshape(message.height, message.width))
 
     def _sum_up(self) -> None:
         if self._summed_up != self.state.verdicts:

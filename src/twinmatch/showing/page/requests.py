@@ -10,12 +10,12 @@ from typing import Any
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.event_handler import PublisherEventCallbacks
-from rclpy.node import Node
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
 from twinmatch.dynamics import Plant
 from twinmatch.nodes.messages import forecast_from
+from twinmatch.nodes.node import TwinmatchNode
 from twinmatch.nodes.topics import RELIABLE
 from twinmatch.showing.forecasts import forecast_words
 from twinmatch.showing.page.state import DashboardState, WhatIfAnswer
@@ -33,7 +33,7 @@ class Requests:
 
     def __init__(
         self,
-        node: Node,
+        node: TwinmatchNode,
         state: DashboardState,
         later: Callable[[Callable[[], None]], None],
         *,
@@ -145,7 +145,7 @@ class Requests:
 
         def done(future: Any) -> None:
             answer = future.result()
-            if answer is not None:
+            if answer is not None and self._node.entrance.passes(client.srv_name, answer):
                 then(answer)
 
         self._later(call)

@@ -6,6 +6,7 @@ import math
 import threading
 from collections import deque
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from statistics import median
 from typing import NamedTuple
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 from twinmatch.comparing import Verdict
 from twinmatch.description import UNDESCRIBED, Description
 from twinmatch.dynamics import PidGains
+from twinmatch.errors import TwinmatchError
 from twinmatch.forecasting import Forecast
 from twinmatch.offline.summary import summarise
 from twinmatch.showing.page.health import NodeReports
@@ -352,9 +354,9 @@ def update_sentence(state: DashboardState, gains: PidGains | None) -> None:
         verdict, period = state.verdict, state.period
         columns, _ = state.plant.since(0)
     summed_up = ""
-    if verdict is not None and (verdict.leader or verdict.nominal):
-        samples = _samples(columns)
-        if samples:
+    samples = _samples(columns)
+    if samples and verdict is not None and (verdict.leader or verdict.nominal):
+        with suppress(TwinmatchError):  # so few samples that there is no window
             summed_up = sentence(
                 summarise(samples, [verdict], gains and replace(gains, period=period), period=period)
             )

@@ -1,0 +1,184 @@
+"""The entrance to a node: what it receives is checked before anything else sees it.
+
+DDS lets anybody on the domain publish anything of the right type. So every subscription and every service of
+a `TwinmatchNode` is behind its `Entrance`, also those that rclpy makes for itself: /clock and the parameters.
+A message that is not what `expected` says is refused: counted, and told on /diagnostics.
+"""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Callable
+from typing import Any, Final
+
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.node import Node
+from rclpy.serialization import deserialize_message
+
+from twinmatch.errors import TwinmatchError
+from twinmatch.nodes.expected import CHECKS, FOLLOWS, READ, check
+from twinmatch.nodes.fields import Expected, MessageError
+from twinmatch.nodes.health import Level, NodeHealth
+
+Take = Callable[[Any], None]
+
+REMEMBER: Final = 60.0
+"""Time for which a refusal stays on /diagnostics after the last of its kind, wall s."""
+MOST_KINDS: Final = 20
+"""Most kinds of refusals on /diagnostics; all are counted."""
+LONGEST: Final = 200
+"""Longest reason told, characters."""
+LOOK: Final = 0.5
+"""Shortest interval between two looks at who publishes a topic, wall s."""
+AGREEING: Final = 3
+"""Messages in a row that follow each other but not those before, from which on they are believed."""
+
+_FIGURES: Final = re.compile(r"[−-]?[\d.,]+(e[-+]\d+)?")
+
+
+class Entrance:
+    """Checks what a node receives, and tells what it refuses."""
+
+    def __init__(self, node: Node, health: NodeHealth) -> None:
+        """Parameters of any plant pass until `plant` is set."""
+        self.plant: Expected = None
+        self._node, self._health = node, health
+        self._told: dict[str, float] = {}
+        self._senders: dict[str, tuple[float, str]] = {}
+
+    def before(self, kind: Any, topic: str, take: Take, *, raw: bool = False) -> Take:
+        """What a subscription calls in place of `take`, which gets what `READ` makes of a message.
+
+        Of a raw subscription it gets the bytes as they came.
+        """
+        if kind not in CHECKS:
+            return take
+        departs = FOLLOWS.get(kind)
+        course = None if departs is None else Course(departs, lambda: self._publishers(topic))
+        read = READ.get(kind, lambda message: message)
+
+        def receive(came: Any) -> None:
+            try:
+                message = deserialize_message(came, kind) if raw else came
+                check(message, self.plant)
+                if course is not None:
+                    course.follow(message)
+                found = read(message)
+                take(came if raw else found)
+            except TwinmatchError as error:
+                self.refuse(topic, str(error), self._sender(topic))
+
+        return receive
+
+    def serving(self, name: str, answer: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+        """What a service calls in place of `answer`."""
+
+        def respond(request: Any, response: Any) -> Any:
+            try:
+                check(request, self.plant)
+                return answer(request, response)
+            except TwinmatchError as error:
+                self.refuse(name, str(error))
+                return _refused(request, response, str(error))
+
+        return respond
+
+    def passes(self, name: str, answer: Any) -> bool:
+        """Whether the answer of a service of that name may be used."""
+        try:
+            check(answer, self.plant)
+        except TwinmatchError as error:
+            self.refuse(name, str(error))
+            return False
+        return True
+
+    def refuse(self, name: str, why: str, sender: str = "") -> None:
+        """Count a message that is not used, and tell it once while messages of its kind come."""
+        self._health.count(f"refused: {name}")
+        why = why if len(why) <= LONGEST else f"{why[:LONGEST]}…"
+        kind = f"{name}: {_FIGURES.sub('', why)}"
+        now = time.monotonic()
+        if kind not in self._told:
+            if len(self._told) >= MOST_KINDS:
+                return
+            text = f"refused: {name}: {why}" + (f" (published by {sender})" if sender else "")
+            self._health.flag(kind, Level.ERROR, text)
+        self._told[kind] = now
+
+    def watch(self, now: float) -> None:
+        """Withdraw the refusals of `REMEMBER` seconds ago and before, by the wall clock."""
+        for kind in [kind for kind, at in self._told.items() if now - at > REMEMBER]:
+            del self._told[kind]
+            self._health.withdraw(kind)
+
+    def _sender(self, topic: str) -> str:
+        """Who publishes a topic, as far as DDS tells: it does not say of whom a message is."""
+        at, names = self._senders.get(topic, (-LOOK, ""))
+        if time.monotonic() - at > LOOK:
+            found = {info.node_name for info in self._node.get_publishers_info_by_topic(topic)}
+            names = " or ".join(sorted(found)) or "a node that is gone"
+            self._senders[topic] = time.monotonic(), names
+        return names
+
+    def _publishers(self, topic: str) -> frozenset[bytes]:
+        return frozenset(bytes(info.endpoint_gid) for info in self._node.get_publishers_info_by_topic(topic))
+
+
+class Course:
+    """Whether messages follow each other; who departs is believed if the publisher was replaced.
+
+    The message before may have been the wrong one. So is who departs `AGREEING` times in a row, each time in
+    line with the last, with nothing in between that follows.
+    """
+
+    def __init__(
+        self, departs: Callable[[Any, Any], str], publishers: Callable[[], frozenset[bytes]]
+    ) -> None:
+        """`departs` says why a message does not follow another one; `publishers` returns who they are now."""
+        self._departs, self._publishers = departs, publishers
+        self._before: Any = None
+        self._owners: frozenset[bytes] = frozenset()
+        self._refused: list[Any] = []
+        self._looked = -LOOK
+
+    def follow(self, message: Any) -> None:
+        """Take the next message.
+
+        Raises:
+            MessageError: it does not follow.
+        """
+        why = "" if self._before is None else self._departs(self._before, message)
+        if why and not self._believed(message):
+            raise MessageError(why)
+        if why or self._before is None:
+            self._owners = self._publishers()
+        self._before = message
+        self._refused.clear()
+
+    def _believed(self, message: Any) -> bool:
+        if self._refused and self._departs(self._refused[-1], message):
+            self._refused.clear()
+        self._refused.append(message)
+        return len(self._refused) >= AGREEING or self._replaced()
+
+    def _replaced(self) -> bool:
+        """Whether all publishers are new; looked up at most every `LOOK` seconds."""
+        now = time.monotonic()
+        if now - self._looked < LOOK:
+            return False
+        found = self._publishers()
+        self._looked = now
+        return bool(found) and not found & self._owners
+
+
+def _refused(request: Any, response: Any, why: str) -> Any:
+    """A response that says why there is no other one, where its type has a place for that."""
+    if hasattr(response, "results"):
+        result = SetParametersResult(successful=False, reason=why)
+        response.results = [result] * len(request.parameters)
+    elif isinstance(getattr(response, "result", None), SetParametersResult):
+        response.result = SetParametersResult(successful=False, reason=why)
+    elif hasattr(response, "message"):
+        response.success, response.message = False, why
+    return response

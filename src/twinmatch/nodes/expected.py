@@ -1,0 +1,347 @@
+"""What is expected of every message that a node reads: one table, from the type to its check.
+
+A check raises `MessageError` with a sentence. What turns a message into an object of the core is beside it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from itertools import chain, pairwise
+from typing import Any, Final
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.msg import ParameterType
+from rcl_interfaces.srv import GetParameters, ListParameters, SetParameters, SetParametersAtomically
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import Image, Temperature
+from std_msgs.msg import Float64
+
+from twinmatch.nodes import messages as converted
+from twinmatch.nodes.fields import GREATEST_INDEX, Expected, MessageError, check_fields
+from twinmatch.nodes.sample_messages import LOOP, nanoseconds, one_of, sample_from
+from twinmatch.signals import not_one_loop
+from twinmatch_msgs import msg as ours
+from twinmatch_msgs.srv import Past, WhatIf
+
+LARGEST: Final = 1e12
+"""Largest magnitude of a signal, in any unit."""
+
+
+def check(message: Any, plant: Expected = None) -> None:
+    """Check a message of a type in the table; others pass. `plant`: the only one expected; None: any.
+
+    Raises:
+        MessageError: it is not what is expected.
+    """
+    found = CHECKS.get(type(message))
+    if found is not None:
+        check_fields(message, plant)
+        found(message)
+
+
+def _sized(message: Any, size: int, *names: str, of: str, empty: bool = False) -> None:
+    for name in names:
+        found = len(getattr(message, name))
+        if found != size and not (empty and found == 0):
+            raise MessageError(f"{name} has {found} values for {of}; expected {size}")
+
+
+def _finite(message: Any, *names: str) -> None:
+    """Numbers, or lists of numbers, that are finite and not absurdly large."""
+    for name in names:
+        value = getattr(message, name)
+        for one in (value,) if isinstance(value, float | int) else value:
+            if not abs(one) <= LARGEST:  # true for NaN too
+                raise MessageError(f"{name} is {one}; expected a finite number")
+
+
+def _within(message: Any, low: float, high: float, *names: str, absent: bool = True) -> None:
+    """Numbers, or lists of numbers, in a range or, if absent, NaN."""
+    for name in names:
+        value = getattr(message, name)
+        for one in (value,) if isinstance(value, float | int) else value:
+            if not (low <= one <= high or (absent and math.isnan(one))):
+                raise MessageError(f"{name} is {one:g}; expected {low:g} to {high:g}")
+
+
+def _rising(message: Any, name: str) -> None:
+    values = getattr(message, name)
+    if not all(math.isfinite(v) and v >= 0 for v in values) or any(a >= b for a, b in pairwise(values)):
+        raise MessageError(f"{name} does not rise from 0 on")
+
+
+def _known(message: Any, name: str, words: Sequence[str]) -> None:
+    """A number and the word of its constant."""
+    number, word = getattr(message, name), getattr(message, f"{name}_name")
+    if word not in words or getattr(type(message), word.upper()) != number:
+        given = f"{number} with the word {word[:40]!r}"
+        raise MessageError(f"{name} is {given}; expected one of {', '.join(words)}")
+
+
+def _among(words: Iterable[str], there: Iterable[str], what: str) -> None:
+    known = {"", *there}
+    unknown = [word for word in words if word not in known]
+    if unknown:
+        raise MessageError(f"{what} {unknown[0][:40]!r} is not among those listed")
+
+
+def _in_order(message: Any) -> None:
+    """The window before the sample that triggered it."""
+    if not 0 <= message.first <= message.last <= message.sample:
+        window = f"{message.first} to {message.last}"
+        raise MessageError(f"its window is {window} at sample {message.sample}; it must end there or before")
+
+
+def _check_sample(message: Any) -> None:
+    lengths = [len(getattr(message, name)) for name in LOOP]
+    if lengths != [1, 1, 1]:
+        raise MessageError(not_one_loop(message.index, lengths))
+    _finite(message, *LOOP, "disturbances")
+
+
+def _check_state(message: Any) -> None:
+    for name in ("reference", *converted.STATE_FIGURES):
+        one_of(message, name)
+    _sized(message, len(message.driven_states), "closed_states", of="the states of the driven twin")
+
+
+def _check_forecast(message: Any) -> None:
+    bands = [f"{name}{edge}" for name in ("output", "input") for edge in ("", "_low", "_high")]
+    _sized(message, len(message.time), "reference", *bands, of="its times")
+    if not len(message.time):
+        raise MessageError("time is empty; a forecast has at least one")
+    _rising(message, "time")
+    _finite(message, "reference", *bands)
+    _within(message, 0.0, 1.0, "confidence", absent=False)
+
+
+STATUSES: Final = (
+    "accepted", "not_explained", "no_excitation", "did_not_converge", "bounds_hit", "not_identifiable",
+    "not_better",
+)  # fmt: skip
+LEVELS: Final = ("unknown", "trusted", "doubtful", "fault")
+
+
+def _check_match(message: Any) -> None:
+    size = len(message.free)
+    _known(message, "status", STATUSES)
+    _in_order(message)
+    _finite(message, "operating_point")
+    _sized(message, size, "standard_errors", "eigenvalues", of="its free parameters")
+    _sized(message, size**2, "covariance", "fisher", of="its free parameters")
+    _sized(message, size**2, "directions", of="its free parameters", empty=True)
+    _sized(message, 2 * size, "intervals", of="its free parameters", empty=True)
+    _sized(message, len(message.starts), "start_values", of="its starts")
+    _among(chain(message.starts, message.bounds_hit, message.believed), message.free, "parameter")
+    _among(message.free, chain(message.parameters.names, message.starts), "parameter")
+    if len(set(message.free)) != size:
+        raise MessageError("free: a name is given twice")
+    if any(low > high for low, high in zip(message.intervals[::2], message.intervals[1::2], strict=True)):
+        raise MessageError("intervals: a low end is above its high end")
+    if message.status == message.ACCEPTED:
+        _check_accepted(message, size)
+
+
+def _check_accepted(message: Any, size: int) -> None:
+    """What the twin computes with: finite, and a covariance."""
+    _within(message, -math.inf, 1.0, "fit_y", "fit_u")
+    _within(message, 0.0, math.inf, "chi2", absent=False)
+    for name in ("covariance", "fisher", "eigenvalues", "start_values"):
+        if not all(map(math.isfinite, getattr(message, name))):
+            raise MessageError(f"{name} of an accepted match is not finite")
+    covariance = np.array(message.covariance).reshape(size, size)
+    errors = np.sqrt(np.abs(np.diag(covariance)))
+    whole = bool((np.diag(covariance) > 0).all())
+    if not whole or np.linalg.eigvalsh(covariance / np.outer(errors, errors)).min(initial=0.0) < -1e-6:
+        raise MessageError("covariance is none: it has an eigenvalue that is not positive")
+    if not np.allclose(covariance, covariance.T, rtol=1e-6):
+        raise MessageError("covariance is not symmetric")
+
+
+def _check_verdict(message: Any) -> None:
+    candidates, names = len(message.candidates), [c.name for c in message.candidates]
+    modelled = sum(bool(c.orders) for c in message.candidates)
+    _known(message, "level", LEVELS)
+    _in_order(message)
+    if not 0 <= message.decimals <= 15:
+        raise MessageError(f"decimals is {message.decimals}; expected 0 to 15")
+    if len(set(names)) != len(names):
+        raise MessageError("candidates: a name is given twice")
+    _sized(message, candidates**2, "nu_gap", of="its candidates", empty=True)
+    _sized(message, modelled**2, "identified_gap", of="its candidates with models", empty=True)
+    _within(message, 0.0, 1.0 + 1e-9, "nu_gap", "identified_gap", "leader_confidence", "inside_y", "inside_u")
+    _finite(message, "nu_gap_points")
+    _rising(message, "horizons")
+    _among([message.nominal], names, "nominal")
+    _among([message.leader], [score.name for score in message.forecasts], "leader")
+    for candidate in message.candidates:
+        _check_candidate(candidate)
+    for score in message.forecasts:
+        _sized(score, len(message.horizons), "gains", of="its horizons", empty=True)
+        _check_score(score)
+
+
+def _check_candidate(candidate: Any) -> None:
+    _finite(candidate, "operating_point")
+    _among([candidate.chosen_order], [one.order for one in candidate.orders], "chosen_order")
+    _within(candidate, 0.0, 1.0 + 1e-9, "nominal_probability", "margin", "plant_gap_to_nominal")
+    _sized(candidate, len(candidate.nu_gap_low), "nu_gap_high", of="the lower ends")
+    if not candidate.name or not candidate.parameters.names:
+        raise MessageError("a candidate has no name or no parameters")
+
+
+def _check_score(score: Any) -> None:
+    _within(score, 0.0, math.inf, "forecasts")
+    if not score.name or not score.parameters.names:
+        raise MessageError("a candidate has no name or no parameters")
+
+
+def _check_request(message: Any) -> None:
+    size = len(message.reference)
+    _sized(message, size, "output", "input", of="its set-points")
+    _finite(message, "operating_point", *LOOP, "disturbances")
+    _within(message, 1e-4, 1e6, "period", absent=False)
+    if message.first + size - 1 > message.sample:
+        raise MessageError(f"its window ends behind its sample {message.sample}")
+
+
+def _check_description(message: Any) -> None:
+    for name in LOOP:
+        _sized(message, 1, name, of="a plant")
+    _within(message, 1e-4, 1e6, "period", absent=False)
+    if not message.plant:
+        raise MessageError("plant is empty; expected its name")
+    for signal in chain(*(getattr(message, name) for name in (*LOOP, "disturbances", "states"))):
+        if not signal.low <= signal.high:
+            raise MessageError(f"{signal.name[:40]} is from {signal.low} to {signal.high}")
+
+
+def _check_image(message: Any) -> None:
+    if not (message.height and message.width) or message.step * message.height != len(message.data):
+        size = f"{message.height} rows of {message.step} bytes"
+        raise MessageError(f"data has {len(message.data)} bytes for {size}")
+    if message.encoding == "32FC1" and message.step != 4 * message.width:
+        raise MessageError(f"a row has {message.step} bytes for {message.width} values of 4 bytes")
+
+
+def _check_health(message: Any) -> None:
+    for status in message.status:
+        if int.from_bytes(status.level, "little") > 3:
+            raise MessageError(f"level of {status.name[:40]} is {status.level!r}; expected 0 to 3")
+
+
+def _check_past(answer: Any) -> None:
+    size = len(answer.index)
+    _sized(answer, size, "stamp", *LOOP, of="its samples")
+    _finite(answer, *LOOP, "disturbances")
+    if len(answer.disturbances) % max(1, size):
+        raise MessageError(f"disturbances has {len(answer.disturbances)} values for {size} samples")
+    if any(a >= b for a, b in pairwise(answer.index)) or (size and answer.index[-1] >= GREATEST_INDEX):
+        raise MessageError("index does not rise")
+    if any(stamp < 0 for stamp in answer.stamp):
+        raise MessageError("stamp is negative")
+    for part in chain(answer.match, answer.score):
+        CHECKS[type(part)](part)
+        READ[type(part)](part)
+
+
+def _check_answer(answer: Any) -> None:
+    if answer.success:
+        _check_forecast(answer.forecast)
+        _sized(answer, 1, "level", "tolerance", of="one loop")
+
+
+def _check_names(request: Any) -> None:
+    if len(request.names) > 1000:
+        raise MessageError(f"names has {len(request.names)} entries; 1000 is the most")
+
+
+def _check_parameter_values(request: Any) -> None:
+    for one in request.parameters:
+        if not one.name or one.value.type > ParameterType.PARAMETER_STRING_ARRAY:
+            raise MessageError(f"parameter {one.name[:40]!r} has type {one.value.type}; expected 0 to 9")
+
+
+def _check_values(answer: Any) -> None:
+    for value in answer.values:
+        if value.type > ParameterType.PARAMETER_STRING_ARRAY:
+            raise MessageError(f"a parameter has type {value.type}; expected 0 to 9")
+
+
+def _check_nothing_more(message: Any) -> None:
+    """Nothing beyond what is checked for every type; ranges are judged where the plant is known."""
+
+
+CHECKS: Final[dict[Any, Callable[[Any], None]]] = {
+    ours.LoopSample: _check_sample,
+    ours.TwinState: _check_state,
+    ours.Forecast: _check_forecast,
+    ours.Match: _check_match,
+    ours.MatchRequest: _check_request,
+    ours.ModelScore: _check_verdict,
+    ours.Candidate: _check_candidate,
+    ours.ForecastScore: _check_score,
+    ours.PlantDescription: _check_description,
+    # A value that is out of range is a fault of the plant's, which the guard latches: it must see it.
+    ours.PlantReading: _check_nothing_more,
+    ours.PlantCommand: _check_nothing_more,
+    ours.PwmCommand: _check_nothing_more,
+    Temperature: _check_nothing_more,
+    ours.PlantApplied: _check_nothing_more,
+    ours.PwmApplied: _check_nothing_more,
+    Float64: _check_nothing_more,
+    Clock: _check_nothing_more,
+    Image: _check_image,
+    DiagnosticArray: _check_health,
+    Past.Request: _check_nothing_more,
+    Past.Response: _check_past,
+    WhatIf.Request: _check_nothing_more,
+    WhatIf.Response: _check_answer,
+    GetParameters.Request: _check_names,
+    GetParameters.Response: _check_values,
+    ListParameters.Request: _check_nothing_more,
+    SetParameters.Request: _check_parameter_values,
+    SetParametersAtomically.Request: _check_parameter_values,
+}
+"""The check of each type, after what is checked for all."""
+
+READ: Final[dict[Any, Callable[[Any], Any]]] = {
+    ours.LoopSample: sample_from,
+    ours.Match: converted.match_from,
+    ours.MatchRequest: lambda m: (converted.request_from(m), nanoseconds(m.header.stamp)),
+    ours.ModelScore: converted.verdict_from,
+    ours.Forecast: converted.forecast_from,
+    ours.ForecastScore: converted.leader_from,
+}
+"""What subscribers get in place of a message of these types."""
+
+
+SHORTEST: Final = 1_000_000
+"""Shortest time between two samples, ns."""
+LEAP: Final = 100
+"""Indices that may be missing without time between the samples."""
+
+
+def _sample_departs(before: Any, message: Any) -> str:
+    """Why a sample does not follow another one; empty if it does."""
+    if message.index <= before.index:
+        return f"sample {message.index} came after sample {before.index}"
+    elapsed = nanoseconds(message.header.stamp) - nanoseconds(before.header.stamp)
+    if message.index - before.index > LEAP + max(0, elapsed) // SHORTEST:
+        return f"sample {message.index} came {elapsed / 1e9:g} s after sample {before.index}"
+    there, here = len(before.disturbances), len(message.disturbances)
+    return "" if there == here else f"it has {here} disturbances; those before had {there}"
+
+
+def _clock_departs(before: Any, message: Any) -> str:
+    back = (nanoseconds(before.clock) - nanoseconds(message.clock)) / 1e9
+    return f"the time goes back by {back:g} s" if back > 0 else ""
+
+
+FOLLOWS: Final[dict[Any, Callable[[Any, Any], str]]] = {
+    ours.LoopSample: _sample_departs,
+    Clock: _clock_departs,
+}
+"""Why a message does not follow the one before it; empty if it does."""

@@ -1,0 +1,349 @@
+"""What a node receives is checked before anything else sees it: nonsense is refused, and ends nothing."""
+
+from __future__ import annotations
+
+import io
+import math
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rcl_interfaces.srv import DescribeParameters, GetParameterTypes
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rich.console import Console
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import Image, Temperature
+from std_srvs.srv import SetBool, Trigger
+
+from tests.support.nonsense import Nonsense
+from tests.support.ros import Inside, Listener
+from tests.support.verdicts import verdict
+from twinmatch.comparing import TrustLevel
+from twinmatch.fitting import Fit, Match, Status
+from twinmatch.launching.live import Live, _LiveRun
+from twinmatch.launching.plan import LivePlan
+from twinmatch.launching.watch import Settled, Watch
+from twinmatch.nodes.entrance import MOST_KINDS, Course
+from twinmatch.nodes.expected import CHECKS, FOLLOWS, READ, check
+from twinmatch.nodes.fields import MessageError
+from twinmatch.nodes.messages import match_message, score_message
+from twinmatch.nodes.sample_messages import sample_message
+from twinmatch.plants import Peltier
+from twinmatch.showing.foxglove.node import Foxglove
+from twinmatch.showing.page.node import Dashboard
+from twinmatch.showing.terminal import Screen
+from twinmatch.signals import Sample
+from twinmatch.twin import MatchReport
+from twinmatch_msgs import msg as messages
+
+pytestmark = pytest.mark.ros
+
+
+def sound_match() -> messages.Match:
+    found = Match(
+        parameters=Peltier.model().parameters(),
+        free=("seebeck", "conductance"),
+        starts={},
+        covariance=np.diag([1e-6, 1e-4]),
+        fisher=np.eye(2),
+        eigenvalues=np.ones(2),
+        condition=1.0,
+        bounds_hit=(),
+        fit=Fit(0.9, 0.8),
+        held_back=Fit(0.9, 0.8),
+        chi2=1.0,
+        samples=(60, 300),
+        status=Status.ACCEPTED,
+        reason="",
+        directions=np.eye(2),
+        intervals=np.array([[0.0, 1.0], [0.0, 1.0]]),
+    )
+    return match_message(MatchReport(320, 40.0, found), 0)
+
+
+def sound_score() -> messages.ModelScore:
+    return score_message(verdict(TrustLevel.TRUSTED), 0)
+
+
+def sound_sample() -> messages.LoopSample:
+    return sample_message(Sample(5, 0, 25.0, 24.0, 3.0))
+
+
+SOUND: dict[str, Callable[[], Any]] = {
+    "match": sound_match,
+    "score": sound_score,
+    "sample": sound_sample,
+    "clock": Clock,
+    "temperature": Temperature,
+    "image": lambda: Image(height=2, width=3, encoding="32FC1", step=12, data=bytes(24)),
+    "health": lambda: DiagnosticArray(status=[DiagnosticStatus(name="a", level=b"\x01")]),
+}
+
+
+@pytest.mark.parametrize("name", SOUND)
+def test_sound_messages_pass(name: str) -> None:
+    message = SOUND[name]()
+    check(message, Peltier)
+    READ.get(type(message), lambda m: m)(message)
+
+
+@pytest.mark.parametrize(
+    ("name", "field", "value", "words"),
+    [
+        ("match", "status", 77, "status is 77 with the word 'accepted'"),
+        ("match", "status_name", "perfect", "status is 0 with the word 'perfect'"),
+        ("match", "covariance", [1.0], "covariance has 1 values for its free parameters; expected 4"),
+        ("match", "covariance", [1.0, 2.0, 2.0, 1.0], "covariance is none"),
+        ("match", "covariance", [math.nan] * 4, "covariance of an accepted match is not finite"),
+        ("match", "parameters.values", [math.nan] * 9, "parameters: seebeck is not a finite number"),
+        ("match", "parameters.plant", "tclab", "are those of plant 'tclab'; this run is of peltier"),
+        ("match", "parameters.structure", "x (FMU 0ab36ba3)", "has no structure 'x"),
+        ("match", "starts", ["sink"], "start_values has 0 values for its starts; expected 1"),
+        ("match", "intervals", [1.0, 0.0, 0.0, 1.0], "intervals: a low end is above its high end"),
+        ("match", "intervals", [1.0], "intervals has 1 values"),
+        ("match", "first", 2**63, "first is 9223372036854775808"),
+        ("match", "last", 400, "its window is 60 to 400 at sample 320"),
+        ("score", "level", 9, "level is 9 with the word"),
+        ("score", "nu_gap", [0.1, 0.2], "nu_gap has 2 values for its candidates"),
+        ("score", "identified_gap", [0.1, 0.2], "identified_gap has 2 values"),
+        ("score", "nominal", "nobody", "nominal 'nobody' is not among those listed"),
+        ("score", "horizons", [math.nan], "horizons does not rise"),
+        ("sample", "output", [], "has 1 references, 0 outputs and 1 inputs; a twin runs one loop"),
+        ("sample", "input", [1.0, 2.0], "1 outputs and 2 inputs"),
+        ("sample", "output", [math.nan], "output is nan; expected a finite number"),
+        ("sample", "index", 2**64 - 1, "index is 18446744073709551615; expected −1 to 2⁵³"),
+        ("sample", "header.stamp.sec", -1, "its stamp is -1 s and 0 ns; a time is not negative"),
+        ("clock", "clock.sec", -1, "clock is -1 s and 0 ns; a time is not negative"),
+        ("temperature", "header.stamp.sec", -5, "its stamp is -5 s"),
+        ("image", "height", 0, "data has 24 bytes for 0 rows of 12 bytes"),
+        ("image", "width", 4, "a row has 12 bytes for 4 values of 4 bytes"),
+        ("health", "status", [DiagnosticStatus(level=b"\xff")], "expected 0 to 3"),
+    ],
+)
+def test_nonsense_is_refused_with_its_reason(name: str, field: str, value: Any, words: str) -> None:
+    message = owner = SOUND[name]()
+    *path, last = field.split(".")
+    for part in path:
+        owner = getattr(owner, part)
+    setattr(owner, last, value)
+    with pytest.raises(MessageError) as error:
+        check(message, Peltier)
+    assert words in str(error.value)
+
+
+@pytest.mark.parametrize("kind", [messages.Match, messages.ModelScore, messages.LoopSample])
+def test_a_message_of_default_values_is_refused(kind: Any) -> None:
+    with pytest.raises(MessageError):
+        check(kind())
+
+
+def at(index: int, seconds: float = 0.0) -> messages.LoopSample:
+    return sample_message(Sample(index, round(seconds * 1e9), 0.0, 0.0, 0.0))
+
+
+class Publishers:
+    """Who publishes."""
+
+    def __init__(self) -> None:
+        self.there = frozenset([b"one"])
+
+    def __call__(self) -> frozenset[bytes]:
+        return self.there
+
+
+def passed(course: Course, *indices: int) -> list[int]:
+    """Those of the samples, one a second, that follow."""
+    found = []
+    for index in indices:
+        try:
+            course.follow(at(index, index))
+        except MessageError:
+            continue
+        found.append(index)
+    return found
+
+
+@pytest.fixture
+def publishers() -> Publishers:
+    return Publishers()
+
+
+@pytest.fixture
+def course(publishers: Publishers) -> Course:
+    return Course(FOLLOWS[messages.LoopSample], publishers)
+
+
+def test_samples_that_go_back_are_refused(course: Course) -> None:
+    assert passed(course, 7, 8, 3, 9, 8, 12) == [7, 8, 9, 12]
+
+
+def test_an_index_does_not_run_ahead_of_its_stamp(course: Course) -> None:
+    assert passed(course, 0, 1) == [0, 1]
+    with pytest.raises(MessageError, match="sample 1000000 came 1 s after sample 1"):
+        course.follow(at(1_000_000, 2.0))
+    assert passed(course, 2) == [2]
+
+
+def test_a_forged_sample_far_ahead_does_not_end_a_stream(course: Course) -> None:
+    """The third true one in a row is believed."""
+    assert passed(course, 1, 2, 90_000, 3, 4, 5, 6) == [1, 2, 90_000, 5, 6]
+
+
+def test_another_publisher_begins_another_session(course: Course, publishers: Publishers) -> None:
+    """But not one that publishes beside the first."""
+    assert passed(course, 50, 51) == [50, 51]
+    publishers.there = frozenset([b"one", b"two"])
+    assert passed(course, 0) == []
+    publishers.there = frozenset([b"two"])
+    time.sleep(0.6)
+    assert passed(course, 0, 1) == [0, 1]
+
+
+def test_a_clock_that_goes_back_is_refused() -> None:
+    course = Course(FOLLOWS[Clock], Publishers())
+    back = Clock()
+    for seconds in (5, 5, 6):
+        forth = Clock()
+        forth.clock.sec = seconds
+        course.follow(forth)
+    with pytest.raises(MessageError, match="the time goes back by 6 s"):
+        course.follow(back)
+
+
+def test_counts_of_a_report_are_read_as_they_are_written() -> None:
+    settled = Settled()
+    for text in ("²", "9" * 5000, "", "-3", "4 "):
+        values = [KeyValue(key=key, value=text) for key in ("settled", "verdicts")]
+        status = DiagnosticStatus(name="discriminator: health", values=values)
+        settled.take(DiagnosticArray(status=[status]))
+        assert not settled.complete(0, 0)
+
+
+class Bare(_LiveRun):
+    """A launcher without processes."""
+
+    def start(self, node: Watch) -> None:
+        node.create_subscription(messages.LoopSample, "plant/sample", self._live.take_sample, 100)
+
+    def show(self, line: str) -> None:
+        """Nobody looks."""
+
+
+def launcher() -> type[Watch]:
+    console = Console(file=io.StringIO(), force_terminal=True, width=140, height=50)
+    run = Bare(Live(LivePlan(Path("rig.yaml")), console), Screen(console, "live"))
+    return type("LiveWatch", (Watch,), {"NAME": "live_watch", "supervised": run})
+
+
+PROGRAMS: dict[str, tuple[str, ...]] = {
+    "twin": (),
+    "rig": (),
+    "plant_clock": ("-p", "address:=localhost:9"),
+    "sampler": ("-p", "map.output:=/y:data", "-p", "map.input:=/u:data", "-p", "wait_timeout:=0.0"),
+    "recorder": (),
+    "player": ("-p", "wait_for:=9"),
+    "dashboard": ("-p", "port:=0", "-p", "control:=true"),
+    "foxglove": ("-p", "port:=0"),
+    "live_watch": (),
+}
+KINDS: dict[str, Callable[[], list[Any]]] = {
+    "dashboard": lambda: [Dashboard],
+    "foxglove": lambda: [Foxglove],
+    "live_watch": lambda: [launcher()],
+}
+ANYTHING = {Trigger.Request, SetBool.Request, GetParameterTypes.Request, DescribeParameters.Request}
+"""Requests of which nothing is expected."""
+OF_RCLPY = "get_type_description"
+"""A service that rclpy answers outside Python."""
+EACH = 40
+"""Messages of nonsense for each topic and service."""
+
+
+@pytest.fixture
+def program(request: pytest.FixtureRequest, tmp_path: Path, session: Path) -> Iterator[Inside]:
+    name = request.param
+    own = {
+        "recorder": ("-p", f"folder:={tmp_path}"),
+        "player": ("-p", f"session:={session}"),
+    }
+    arguments = (*PROGRAMS[name], "-p", "use_sim_time:=true", *own.get(name, ()))
+    made = Inside(name, *arguments, kinds=KINDS[name]() if name in KINDS else ())
+    launchers = [node.supervised for node in made.nodes if isinstance(node, Watch)]
+    yield made
+    made.end()
+    for run in launchers:
+        run._live.samples.close()
+
+
+def receiving(program: Inside) -> dict[str, Any]:
+    """The types of all topics that its nodes read."""
+    return {reader.topic_name: reader.msg_type for node in program.nodes for reader in node.subscriptions}
+
+
+def serving(program: Inside) -> dict[str, Any]:
+    """The types of all services that its nodes offer."""
+    found = {one.service_name: one.srv_type for node in program.nodes for one in node.services}
+    return {name: kind for name, kind in found.items() if OF_RCLPY not in name}
+
+
+@pytest.mark.parametrize("program", PROGRAMS, indirect=True)
+def test_nonsense_on_every_topic_and_service_ends_nothing(program: Inside, listener: Listener) -> None:
+    """Every program continues and says what it refused."""
+    topics, services, drawn = receiving(program), serving(program), Nonsense(18)
+    assert topics
+    assert services
+    assert {kind for kind in topics.values() if kind not in CHECKS} == set()
+    assert {kind.Request for kind in services.values()} <= CHECKS.keys() | ANYTHING
+    qos = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    writers = {name: listener.node.create_publisher(kind, name, qos) for name, kind in topics.items()}
+    clients = [listener.node.create_client(kind, name) for name, kind in services.items()]
+    listener.spin_until(
+        lambda: (
+            all(w.get_subscription_count() for w in writers.values())
+            and all(client.service_is_ready() for client in clients)
+        ),
+        "the program",
+    )
+    answers = []
+    for _ in range(EACH):
+        for name, writer in writers.items():
+            writer.publish(drawn.message(topics[name]))
+        for client in clients:
+            request = drawn.message(client.srv_type.Request)
+            if not turns_time_off(request):
+                answers.append(client.call_async(request))
+        listener.spin_until(
+            lambda: all(answer.done() for answer in answers) or not program.running, "answers"
+        )
+        assert program.running, program.text
+    told = {key for node in program.nodes for key in node.health.report().values if "refused" in key}
+    assert len(told) >= len(topics)
+    assert all(len(node.entrance._told) <= MOST_KINDS for node in program.nodes)
+    assert program.end() == 0, program.text
+
+
+def turns_time_off(request: Any) -> bool:
+    """Whether a request sets a parameter that every node has, which may be meant."""
+    return any(p.name == "use_sim_time" for p in getattr(request, "parameters", ()))
+
+
+def test_a_refusal_is_reported_once_with_its_sender(
+    start: Callable[..., Inside], listener: Listener, steps: list[Sample]
+) -> None:
+    assert not listener.health
+    start("twin_simulator")
+    listener.spin_until(listener.samples.get_subscription_count, "the simulator")
+    for _ in range(3):
+        listener.samples.publish(messages.LoopSample())
+    said = "plant/sample: sample 0 has 0 references, 0 outputs and 0 inputs"
+    listener.spin_until(lambda: listener.said(said), "the refusal")
+    listener.spin_until(lambda: "3" in listener.values("refused: plant/sample"), "the count")
+    (message,) = {s.message for s in listener.reports("twin_simulator: health") if said in s.message}
+    assert message.count(said) == 1
+    assert "(published by listener)" in message
+    listener.send(steps[:3])
+    listener.spin_until(lambda: "2" in listener.values("sample"), "the samples after it")
