@@ -21,6 +21,7 @@ from twinmatch.offline.backtest.peers import (
     OutputPersistence,
     Persistence,
     VectorAutoregression,
+    order_of_least_bic,
     peers,
 )
 from twinmatch.offline.backtest.scoring import Marked, cards, marks
@@ -148,6 +149,20 @@ def test_the_least_squares_are_those_of_statsmodels(loop: Window) -> None:
         lower = equations(r, y, u, 3)[1][1 if direct else 0]
         smaller = api.OLS(target, np.column_stack([np.ones(target.size), *direct, *lags[:6]])).fit()
         assert found.bic - lower.bic == pytest.approx(theirs.bic - smaller.bic, abs=1e-6)
+
+
+def test_the_order_is_the_one_that_statsmodels_chooses(loop: Window) -> None:
+    api = pytest.importorskip("statsmodels.tsa.api", reason="statsmodels is in the extra 'backtest'")
+    orders = set()
+    for count in range(300, len(loop), 100):
+        signals = np.column_stack([loop.output, loop.input])[:count] - 50.0
+        columns = np.column_stack([loop.reference[8 - lag :][: count - 8] for lag in (0, 1, 2)])
+        ours = order_of_least_bic(signals[8:], columns)
+        assert ours == api.VAR(signals[8:], exog=columns).select_order(8).bic
+        orders.add(ours)
+    assert orders
+    still = np.column_stack([loop.output, np.full(len(loop), 50.0)])
+    assert order_of_least_bic(still, loop.reference[:, None]) is None
 
 
 def test_persistence_keeps_the_newest_values_and_knows_a_random_walk() -> None:

@@ -196,6 +196,7 @@ def _simulated(
     span, limits = bounds
     order, known = len(loop.plant.past), len(others) - ahead.size
     reference, output, entry = (signal[: -order - 1 : -1] for signal in past)
+    lags = np.column_stack([output, entry, reference, others[known - order : known][::-1]])  # newest first
     rows, transition = loop.rows, loop.transition
     direct, variances = loop.controller.direct, (loop.plant.variance, loop.controller.variance)
     load = np.zeros((2 * order, 2))
@@ -203,18 +204,15 @@ def _simulated(
     covariance = np.zeros((2 * order, 2 * order))
     means, spreads = np.empty((ahead.size, 2)), np.empty((ahead.size, 2))
     for k, wanted in enumerate(ahead):
-        lags = np.column_stack([output, entry, reference, others[known + k - order : known + k][::-1]])
-        y = np.clip(loop.plant.constant + np.sum(loop.plant.past * lags), *span)
+        y = min(max(loop.plant.constant + np.sum(loop.plant.past * lags), span[0]), span[1])
         u = loop.controller.constant + direct @ (wanted, y) + np.sum(loop.controller.past * lags)
         spread = np.sqrt(np.einsum("ij,jk,ik->i", rows, covariance, rows) + load[[0, order]] ** 2 @ variances)
         means[k], spreads[k] = (y, u), spread
         passed = ndtr((limits[1] - u) / spread[1]) - ndtr((limits[0] - u) / spread[1])
         transition[order], load[order] = passed * rows[1], (passed * direct[1], passed)
         covariance = transition @ covariance @ transition.T + (load * variances) @ load.T
-        u = np.clip(u, *limits)
-        output, entry, reference = (
-            np.concatenate([[new], old[:-1]]) for new, old in ((y, output), (u, entry), (wanted, reference))
-        )
+        lags[1:] = lags[:-1]
+        lags[0, :3], lags[0, 3:] = (y, min(max(u, limits[0]), limits[1]), wanted), others[known + k]
     return means, spreads
 
 

@@ -64,6 +64,7 @@ class OutputPersistence(Persistence):
 
 _VAR_LEAST = 120
 _HIGHEST = 8
+_ROUNDING = 1e-9
 _SET_POINTS = 8
 """Number of delayed set-points besides the newest."""
 
@@ -78,8 +79,9 @@ class VectorAutoregression(Peer):
     likelihood with a Kalman filter, which takes minutes for an hour of samples. `VAR` uses least squares and
     is refitted for every forecast.
 
-    The order is the one of least BIC. The band is Gaussian, from the covariance propagated by `statsmodels`;
-    the input is clipped to the drive's limits, which `VAR` does not model.
+    The order is the one of least BIC, found here: `statsmodels` would fit every order anew. The band is
+    Gaussian, from the covariance propagated by `statsmodels`; the input is clipped to the drive's limits,
+    which `VAR` does not model.
     """
 
     name = "statsmodels VAR"
@@ -114,7 +116,9 @@ class VectorAutoregression(Peer):
         exogenous = _delayed(reference)
         try:
             with np.errstate(all="ignore"):  # overflows are detected below
-                fitted: Any = VAR(endogenous, exog=exogenous[: len(past)]).fit(_HIGHEST, ic="bic")
+                order = order_of_least_bic(endogenous, exogenous[: len(past)])
+                model = VAR(endogenous, exog=exogenous[: len(past)])
+                fitted: Any = model.fit(_HIGHEST, ic="bic") if order is None else model.fit(order)
                 found = fitted.forecast_interval(
                     endogenous[-max(fitted.k_ar, 1) :],
                     steps=ahead.size,
@@ -138,6 +142,24 @@ def _delayed(reference: FloatArray) -> FloatArray:
         for lag in range(_SET_POINTS + 1)
     ]
     return np.column_stack(shifted)
+
+
+def order_of_least_bic(signals: FloatArray, exogenous: FloatArray) -> int | None:
+    """The order of least BIC, as `VAR.select_order` finds it, from one factorisation; None where rounding
+    decides, because a signal has hardly moved.
+
+    Columns are ordered by lag, so that every lower order is a leading block of the triangular factor.
+    """
+    lags = [signals[_HIGHEST - lag :][: len(signals) - _HIGHEST] for lag in range(_HIGHEST + 1)]
+    count, size = len(lags[0]), 1 + exogenous.shape[1]
+    columns = np.column_stack([np.ones(count), exogenous[_HIGHEST:], *lags[1:], lags[0]])
+    factor = np.asarray(np.linalg.qr(columns, mode="r"), dtype=np.float64)
+    pivots = np.abs(np.diag(factor))
+    if pivots.min() < _ROUNDING * pivots.max():
+        return None
+    left = [factor[size + 2 * order :, -2:] for order in range(_HIGHEST + 1)]
+    costs = [np.linalg.slogdet(rest.T @ rest / count)[1] for rest in left]
+    return int(np.argmin(costs + np.log(count) / count * 4 * np.arange(_HIGHEST + 1)))
 
 
 PEERS: Final[Mapping[str, Callable[[type[Plant]], Peer]]] = MappingProxyType(

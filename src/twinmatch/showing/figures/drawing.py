@@ -58,7 +58,7 @@ def _arrange(figure: Figure) -> None:
     engine = figure.get_layout_engine()
     if engine is not None:
         engine.execute(figure)
-        figure.set_layout_engine("none")
+        figure.set_layout_engine(None)  # with another, matplotlib would draw the figure twice
         for axes in figure.axes:  # the solver's last digits vary between runs, and so would names in an SVG
             x, y, width, height = (round(edge, 6) for edge in axes.get_position(original=True).bounds)
             axes.set_position((x, y, width, height))
