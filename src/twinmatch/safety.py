@@ -183,6 +183,8 @@ class FaultKind(Enum):
     """The driver board restarted, tripped, or applies something other than the command."""
     LINK = "link"
     """The board does not answer, or its port is gone."""
+    SENDERS = "senders"
+    """More than one node publishes commands or temperatures."""
     CLOCK = "clock"
     """The plant's clock stands still."""
     STOPPED = "stopped"
@@ -240,7 +242,8 @@ class OutputGuard:
 
     Only an armed guard passes commands. A latched fault holds the output at zero until it is cleared;
     clearing does not arm, but a new command and a new temperature do. While waiting, silence is not a fault,
-    so the nodes of a rig may start in any order; invalid values are a fault at any time.
+    so the nodes of a rig may start in any order; invalid values are a fault at any time. A guard that is held
+    does not arm, and latches if it was armed.
 
     All times are seconds of one clock that does not step back, such as a `SafetyClock`.
     """
@@ -252,6 +255,7 @@ class OutputGuard:
         """Start waiting, with the output at zero."""
         self.limits = limits or GuardLimits()
         self._runaway = Runaway(self.limits.runaway, self.limits.thing, self.limits.unit)
+        self._held = False
         self.clear()
 
     @property
@@ -296,6 +300,12 @@ class OutputGuard:
         if found is not None:
             self.trip(FaultKind.RUNAWAY, found, now)
 
+    def hold(self, why: str, now: float) -> None:
+        """Pass nothing as long as it is not known whose inputs these are; empty: it is known again."""
+        self._held = bool(why)
+        if why and self._armed:
+            self.trip(FaultKind.SENDERS, why, now)
+
     def trip(self, kind: FaultKind, message: str, now: float) -> None:
         """Latch a fault, unless one is latched already: the first one shows the cause."""
         if self.fault is None:
@@ -315,7 +325,7 @@ class OutputGuard:
             message = f"the newest temperature is {age:.1f} s old; is the {self.limits.sensor} working?"
             self.trip(FaultKind.TEMPERATURE_STALE, message, now)
         else:  # before arming, stale inputs are not a fault
-            self._armed = not (silent or stale)
+            self._armed = not (silent or stale or self._held)
         return self._command.value if self._armed else 0.0
 
     def clear(self) -> None:

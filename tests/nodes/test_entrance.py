@@ -347,3 +347,24 @@ def test_a_refusal_is_reported_once_with_its_sender(
     assert "(published by listener)" in message
     listener.send(steps[:3])
     listener.spin_until(lambda: "2" in listener.values("sample"), "the samples after it")
+
+
+@pytest.mark.parametrize(
+    ("topic", "kind", "words"),
+    [
+        ("plant/sample", messages.LoopSample, "/plant/sample is published by controller and listener"),
+        ("/clock", Clock, "/clock is published by listener and listener"),
+    ],
+)
+def test_a_second_publisher_is_named(
+    start: Callable[..., Inside], listener: Listener, topic: str, kind: Any, words: str
+) -> None:
+    assert not listener.health
+    start("rig")
+    listener.spin_until(lambda: listener.reports("keeper: health"), "the keeper")
+    assert not listener.said("is published by")
+    publishers = [listener.node.create_publisher(kind, topic, 10) for _ in range(words.count("listener"))]
+    listener.spin_until(lambda: listener.said(words), "the name")
+    for publisher in publishers:
+        listener.node.destroy_publisher(publisher)
+    listener.spin_until(lambda: words not in listener.reports("keeper: health")[-1].message, "its end")

@@ -334,13 +334,23 @@ def test_no_samples_no_runaway_watch_and_that_is_said(start: Start, rig: Rig, bo
     rig.until(lambda: "not monitored" not in rig.warnings(), "samples that are seen")
 
 
-def test_two_controllers_are_warned_of(start: Start, rig: Rig, board: StandInArduino) -> None:
+@pytest.mark.parametrize(
+    ("topic", "kind"), [("plant/pwm_command", PwmCommand), ("plant/temperature", Temperature)]
+)
+def test_a_second_publisher_of_what_decides_about_heat_is_named_and_latches(
+    start: Start, rig: Rig, board: StandInArduino, topic: str, kind: Any
+) -> None:
+    """Without one message from it; once it has ended the fault can be cleared."""
     start("pwm_bridge", "-p", f"port:={board.port}", *QUIET)
-    rig.until(lambda: rig.warnings() and "more than one node" not in rig.warnings(), "health")
-    other = rig.listener.node.create_publisher(PwmCommand, "plant/pwm_command", 10)
-    rig.until(lambda: "more than one node publishes commands" in rig.warnings(), "the warning")
+    rig.drive(50.0, board)
+    other = rig.listener.node.create_publisher(kind, topic, 10)
+    rig.wait_for_fault("senders", board)
+    assert f"/{topic} is published by listener and listener; end all but one" in rig.fault
+    assert rig.call("clear_fault").success
+    rig.stays_at_zero(board)
+    assert rig.fault == ""  # nothing was driven when it was cleared
     rig.listener.node.destroy_publisher(other)
-    rig.until(lambda: "more than one node" not in rig.warnings(), "health")
+    rig.drive(50.0, board)
 
 
 @pytest.mark.parametrize(

@@ -112,6 +112,20 @@ def test_while_it_waits_silence_is_not_a_fault() -> None:
     assert guard.output(62.0) == 100.0
 
 
+def test_held_it_does_not_arm_and_an_armed_one_latches() -> None:
+    guard = OutputGuard()
+    guard.hold("two nodes command", 0.0)
+    guard.temperature(25.0, 0.0)
+    guard.command(100.0, 0.0)
+    assert (guard.output(0.0), guard.armed, guard.fault) == (0.0, False, None)
+    guard.hold("", 0.1)
+    assert guard.output(0.1) == 100.0
+    guard.hold("two nodes command", 0.2)
+    assert (guard.output(0.2), guard.fault and guard.fault.kind) == (0.0, FaultKind.SENDERS)
+    guard.hold("", 0.3)
+    assert guard.output(0.3) == 0.0
+
+
 def test_what_is_old_on_arrival_is_not_fresh() -> None:
     guard = OutputGuard()
     guard.temperature(25.0, 10.0, age=3.5)

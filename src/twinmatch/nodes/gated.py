@@ -23,6 +23,7 @@ from twinmatch.links.kit_link import KitLink
 from twinmatch.links.pwm_link import PwmLink
 from twinmatch.nodes.health import Level, NodeHealth, Report
 from twinmatch.nodes.node import Background, TwinmatchNode
+from twinmatch.nodes.senders import Senders
 from twinmatch.nodes.step import FOREVER, InStep
 from twinmatch.nodes.topics import RELIABLE
 from twinmatch.parameters.declared import Setting, given_to, parameters_of
@@ -117,6 +118,12 @@ class OutputGate:
         """Take one tick of the control loop."""
         with self._news:
             self._guard.loop(reference, temperature, drive, self._now()[0])
+            self._news.notify_all()
+
+    def hold(self, why: str) -> None:
+        """Pass nothing for this reason; empty: none."""
+        with self._news:
+            self._guard.hold(why, self._now()[0])
             self._news.notify_all()
 
     def trip(self, kind: FaultKind, message: str) -> None:
@@ -330,9 +337,9 @@ class GatedNode(TwinmatchNode):
         self._reported_fault: GuardFault | None = None
         self._sampled_at = 0.0
 
-    def guard(self, commands: Any) -> None:
-        """Offer the services and watch the samples; `commands` is the subscription to the commands."""
-        self._commands = commands
+    def guard(self, *inputs: str) -> None:
+        """Offer the services, watch the samples, and who publishes the inputs that decide about heat."""
+        self._senders = Senders(self, inputs, self._on_senders)
         for place in ("~", "plant"):
             self.create_service(Trigger, f"{place}/clear_fault", self._on_clear)
             self.create_service(Trigger, f"{place}/stop", self._on_stop)
@@ -360,11 +367,9 @@ class GatedNode(TwinmatchNode):
         health.set("armed", armed)
         health.say("passing commands" if armed else "waiting for a fresh command and temperature")
         unwatched = armed and time.monotonic() - self._sampled_at > UNWATCHED
-        several = self.count_publishers(self._commands.topic_name) > 1
         for failed, key, message in (
             (self.gate.clock_stopped, "clock", "the clock stands still; nothing is driven"),
             (unwatched, "watch", "no messages on plant/sample; runaway is not monitored"),
-            (several, "senders", "more than one node publishes commands; stop the others"),
         ):
             health.flag_if(failed, key, Level.WARN, message)
         return super().report()
@@ -383,6 +388,10 @@ class GatedNode(TwinmatchNode):
     def _read_clocks(self) -> ClockTimes:
         stamps, wall = self.get_clock().now().nanoseconds, time.monotonic_ns()
         return ClockTimes(stamps, stamps if self.get_clock().ros_time_is_active else wall, wall)
+
+    def _on_senders(self, why: str) -> None:
+        self.gate.hold(why)
+        self.note_fault()
 
     def _on_sample(self, sample: Sample) -> None:
         self._sampled_at = time.monotonic()

@@ -15,6 +15,7 @@ from rclpy.serialization import deserialize_message
 from twinmatch.nodes.health import Report
 from twinmatch.nodes.node import KEEPER, TwinmatchNode
 from twinmatch.nodes.past import PAST
+from twinmatch.nodes.senders import Senders
 from twinmatch.nodes.topics import EVERYTHING
 from twinmatch.parameters.declared import BUILT_IN, Setting
 from twinmatch.sessions.spool import MessageSpool, SampleSpool
@@ -51,6 +52,7 @@ class Keeper(TwinmatchNode):
         for name, kind in (self.KEPT | self.COUNTED).items():
             self.create_subscription(kind, name, partial(self._on_said, name), EVERYTHING, raw=True)
         self.create_service(Past, PAST, self._on_question)
+        Senders(self, ("plant/sample", "/clock"))
         self.health.say("keeping")
         self.report_on()
 

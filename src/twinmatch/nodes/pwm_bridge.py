@@ -154,11 +154,8 @@ class PwmBridge(GatedNode):
         self.create_subscription(
             Temperature, "plant/temperature", self._on_temperature, qos_profile_sensor_data
         )
-        self.guard(
-            self.create_subscription(
-                PwmCommand, "plant/pwm_command", self._on_command, qos_profile_sensor_data
-            )
-        )
+        self.create_subscription(PwmCommand, "plant/pwm_command", self._on_command, qos_profile_sensor_data)
+        self.guard("plant/pwm_command", "plant/temperature")
         self._applied = self.create_publisher(PwmApplied, "plant/pwm_applied", RELIABLE)
         self.health.set("port", self.values["port"])
         self.drive(PwmDriver(self._link, self.gate, self._tell, self.health, self.pace))

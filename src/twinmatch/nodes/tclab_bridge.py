@@ -103,9 +103,8 @@ class TCLabBridge(GatedNode):
 
     def open(self) -> None:
         """Subscribe, and connect to the kit."""
-        self.guard(
-            self.create_subscription(PlantCommand, "plant/command", self._on_command, qos_profile_sensor_data)
-        )
+        self.create_subscription(PlantCommand, "plant/command", self._on_command, qos_profile_sensor_data)
+        self.guard("plant/command", "plant/reading")
         self._readings = self.create_publisher(PlantReading, "plant/reading", qos_profile_sensor_data)
         self._applied = self.create_publisher(PlantApplied, "plant/applied", RELIABLE)
         driver = KitDriver(self._link, self.gate, self._tell, self.health, self.pace)
