@@ -162,6 +162,9 @@ class Loop:
         """Number of unusable readings."""
         self.jitter = 0.0
         """Lateness of the newest tick, s."""
+        self.held = False
+        """Whether a fault holds the drive at rest: then the input is rest, in the samples too, and the
+        controller continues from there."""
         self._plant = plant
         self._pid = Pid(gains or gains_of(plant, 1.0), state)
         self._restart = state is None
@@ -222,6 +225,9 @@ class Loop:
         elif number != self._number + 1:
             self._restart = True
         self._number, self.trouble = number, ""
+        if self.held:
+            self.input, self._restart = self._plant.drive.rest, True
+            return Sample(number, now, reference, self._output, self.input, self._disturbances)
         if self._restart:
             self._continue(reference)
         self.input = self._pid.step(reference, self._output)

@@ -225,6 +225,18 @@ def test_a_missed_tick_is_counted_and_the_output_continues():
     assert loop.missed == 2
 
 
+def test_while_the_drive_is_held_samples_have_no_input_and_then_the_controller_continues_from_there():
+    """With a temperature that stands still the first input afterwards is that of rest."""
+    loop = Loop(Peltier)
+    driven = [tick(loop, k, 60.0, 25.0).input for k in range(20)]
+    assert driven[-1] > 0
+    loop.held = True
+    assert [tick(loop, k, 60.0, 25.0).input for k in range(20, 25)] == [0.0] * 5
+    loop.held = False
+    assert tick(loop, 25, 60.0, 25.0).input == pytest.approx(0.0, abs=1e-9)
+    assert tick(loop, 26, 60.0, 25.0).input > 0
+
+
 def test_a_late_tick_is_not_a_missed_one():
     loop = Loop(Peltier)
     indices = [tick(loop, at, 30.0, 29.0).index for at in (0, 1.9, 2.0, 3.0)]

@@ -26,7 +26,7 @@ from twinmatch.dynamics import Pid
 from twinmatch.nodes.controller import ControllerNode
 from twinmatch.nodes.sample_messages import sample_from
 from twinmatch.nodes.topics import EVERYTHING, LATCHED, RELIABLE
-from twinmatch_msgs.msg import LoopSample, PwmCommand
+from twinmatch_msgs.msg import LoopSample, PwmApplied, PwmCommand
 
 pytestmark = pytest.mark.ros
 
@@ -125,6 +125,17 @@ def test_without_temperatures_the_output_is_off_and_samples_have_a_gap(start: St
     again = sample_from(bench.samples[many])
     assert again.index > ended + 1  # a gap: nothing was made up for the time without temperatures
     assert again.input == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_drive_that_a_fault_holds_at_rest_is_not_said_to_be_driven(start: Start, bench: Bench) -> None:
+    applied = bench.listener.node.create_publisher(PwmApplied, "plant/pwm_applied", RELIABLE)
+    start("controller", *FAST, "-p", "profile.levels:=[60.0]", "-p", "profile.holds:=[9.0]")
+    bench.feed(lambda: bench.samples and bench.samples[-1].input[0] > 0, "a driven sample")
+    applied.publish(PwmApplied(fault="clock: /clock has stood still"))
+    bench.feed(lambda: bench.samples[-1].input[0] == 0 and bench.zero_last(), "rest")
+    bench.feed(lambda: bench.listener.said("the drive is held at rest: clock: /clock"), "the warning")
+    applied.publish(PwmApplied())
+    bench.feed(lambda: bench.samples[-1].input[0] > 0, "a driven sample")
 
 
 def test_an_old_stamp_is_an_old_temperature(start: Start, bench: Bench) -> None:

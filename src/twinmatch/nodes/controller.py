@@ -23,7 +23,7 @@ from twinmatch.nodes.topics import LATCHED, RELIABLE
 from twinmatch.parameters.declared import ParameterError, Setting, Values, group
 from twinmatch.parameters.loop import loop_parameters, pid_gains
 from twinmatch.plants import Peltier, find_plant, written_name
-from twinmatch_msgs.msg import LoopSample, PlantCommand, PlantReading, PwmCommand
+from twinmatch_msgs.msg import LoopSample, PlantApplied, PlantCommand, PlantReading, PwmApplied, PwmCommand
 
 _SOURCE = "Where the set-point comes from: the profile below, or the topic plant/reference."
 _LOWEST = "Lowest accepted set-point, also from the topic; it can only be raised while the node runs."
@@ -123,11 +123,19 @@ class PlantTopics(NamedTuple):
     command: str
     command_type: Any
     input: str
+    applied: str
+    applied_type: Any
 
 
-GENERAL = PlantTopics("plant/reading", PlantReading, "output", "plant/command", PlantCommand, "input")
+GENERAL = PlantTopics(
+    "plant/reading", PlantReading, "output", "plant/command", PlantCommand, "input",
+    "plant/applied", PlantApplied,
+)  # fmt: skip
 """The topics of any plant."""
-PELTIER = PlantTopics("plant/temperature", Temperature, "temperature", "plant/pwm_command", PwmCommand, "pwm")
+PELTIER = PlantTopics(
+    "plant/temperature", Temperature, "temperature", "plant/pwm_command", PwmCommand, "pwm",
+    "plant/pwm_applied", PwmApplied,
+)  # fmt: skip
 """The Peltier rig has its own, older topics, which are named for its temperature and its PWM."""
 
 RESEND = 0.2
@@ -173,6 +181,7 @@ class ControllerNode(TwinmatchNode):
         Pid(self._gains).step(0.0, 0.0)
         wiring = self._wiring
         self.create_subscription(wiring.reading_type, wiring.reading, self._on_reading, NEWEST)
+        self.create_subscription(wiring.applied_type, wiring.applied, self._on_applied, RELIABLE)
         self._commands = self.create_publisher(wiring.command_type, wiring.command, 10)
         self._samples = self.create_publisher(LoopSample, "plant/sample", RELIABLE)
         timeout, number = self.values["wait_timeout"], self.values["wait_for"]
@@ -229,6 +238,13 @@ class ControllerNode(TwinmatchNode):
         disturbances = tuple(getattr(message, "disturbances", ()))
         # A reading stamped in the future would never become stale; one without a stamp counts as new.
         self._loop.measure(output, min(stamp, now) if stamp else now, disturbances)
+
+    def _on_applied(self, message: Any) -> None:
+        """While a fault holds the drive at rest, a sample with another input would blame the drive."""
+        self._loop.held = bool(message.fault)
+        self.health.flag_if(
+            self._loop.held, "held", Level.WARN, f"the drive is held at rest: {message.fault}"
+        )
 
     def _on_reference(self, message: Float64) -> None:
         low, high = self.values["profile.lowest"], self.values["profile.highest"]
