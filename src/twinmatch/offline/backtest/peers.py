@@ -79,7 +79,7 @@ class VectorAutoregression(Peer):
     likelihood with a Kalman filter, which takes minutes for an hour of samples. `VAR` uses least squares and
     is refitted for every forecast.
 
-    The order is the one of least BIC, found here: `statsmodels` would fit every order anew. The band is
+    The order is the one of least BIC, found here: `statsmodels` would fit every order again. The band is
     Gaussian, from the covariance propagated by `statsmodels`; the input is clipped to the drive's limits,
     which `VAR` does not model.
     """
