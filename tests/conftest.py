@@ -54,6 +54,16 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> LoadFileS
     return ByFile(config, log) if config.getvalue("dist") == "loadfile" else None
 
 
+@pytest.fixture(autouse=True)
+def own_signals() -> Iterator[None]:
+    """Every test has the signal handlers it began with: a program that ran in this process leaves its own."""
+    numbers = signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGALRM
+    before = [signal.getsignal(number) for number in numbers]
+    yield
+    for number, handler in zip(numbers, before, strict=True):
+        signal.signal(number, handler)
+
+
 @pytest.fixture(scope="session", autouse=True)
 def ros_domain() -> Iterator[int]:
     """A ROS domain of its own for every worker of every test run on this machine, in the environment.

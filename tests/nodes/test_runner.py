@@ -92,15 +92,8 @@ def wrong(_: Second) -> None:
 
 
 def run_here(*words: str, **doing: Callable[[Second], object]) -> int:
-    """The exit code of both nodes in this process, whose own signals come back."""
-    kind = type("Doing", (Second,), doing)
-    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGALRM)
-    before = [signal.getsignal(number) for number in numbers]
-    try:
-        return run([First, kind], ["program", *words])
-    finally:
-        for number, handler in zip(numbers, before, strict=True):
-            signal.signal(number, handler)
+    """The exit code of both nodes in this process."""
+    return run([First, type("Doing", (Second,), doing)], ["program", *words])
 
 
 def test_node_ends_its_process_with_its_code() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -284,7 +285,7 @@ def test_a_layout_is_written_when_the_plant_says_what_it_is(
     wait_for(
         lambda: out.exists() and "Image!thermal" in out.read_text("utf-8"), "a panel for the graph's image"
     )
-    assert f"layout for DC motor: {out}" in serving.text
+    serving.said(f"layout for DC motor: {re.escape(str(out))}")
     made = json.loads(out.read_text("utf-8"))["configById"]
     assert made["Plot!output"]["yAxisLabel"] == "speed / rad/s"
     assert made["Plot!input"]["paths"][0]["value"] == "/rig_a/plant/sample.input[0]"
