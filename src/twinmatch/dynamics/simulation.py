@@ -273,16 +273,17 @@ def _run(
     gains = gains or NO_GAINS
     period = gains.period if closed else period
     if sensor is None:
-        sensor = SensorRealisation(np.zeros(size), np.zeros(size, dtype=np.bool_), 0.0)
-    if len(sensor) != size:
+        noise, frozen, resolution = np.zeros(size), np.zeros(size, dtype=np.bool_), 0.0
+    elif len(sensor) == size:
+        noise, frozen, resolution = np.array(sensor.noise), np.array(sensor.frozen), float(sensor.resolution)
+    else:
         msg = f"{model.title}: the sensor is realised for {len(sensor)} samples; realise it for {size}"
         raise PlantError(msg)
     steps = parameters.steps(period)
     output, input_, passed = model.kernels.run(
         parameters.vector, np.array(states, dtype=np.float64), closed, gains.constants, signal, signal,
-        model.disturbance_rows(disturbances, size), np.array(sensor.noise), np.array(sensor.frozen),
-        float(sensor.resolution), float(controller.integral), float(controller.previous), float(period),
-        steps,
+        model.disturbance_rows(disturbances, size), noise, frozen, resolution, float(controller.integral),
+        float(controller.previous), float(period), steps,
     )  # fmt: skip
     return Response(output, input_, passed, steps)
 
@@ -291,8 +292,9 @@ def _signal(title: str, name: str, values: ArrayLike) -> FloatArray:
     array = np.array(values, dtype=np.float64)
     if array.ndim != 1:
         raise PlantError(f"{title}: {name} has shape {array.shape}; give one value per sample")
-    bad = np.flatnonzero(~np.isfinite(array))
-    if bad.size:
-        msg = f"{title}: {name} is {array[bad[0]]} at sample {int(bad[0])}; only finite values can be used"
+    finite = np.isfinite(array)
+    if not finite.all():
+        bad = int(np.argmin(finite))
+        msg = f"{title}: {name} is {array[bad]} at sample {bad}; only finite values can be used"
         raise PlantError(msg)
     return array

@@ -102,21 +102,24 @@ class TrackedSample(NamedTuple):
 def advanced(
     twin: Parameters, states: FloatArray, inputs: FloatArray, rows: FloatArray, period: float
 ) -> FloatArray:
-    """States after these inputs and disturbances (n × number of them), held for `period` s each."""
+    """States before each of these inputs and disturbances (n × number of them), held for `period` s, and
+    after them; shape (n + 1, nx)."""
     given = rows if rows.size else None
-    run = simulate_driven(twin, inputs, states=states, period=period, disturbances=given)
-    return np.asarray(run.states[-1], dtype=np.float64)
+    return simulate_driven(twin, inputs, states=states, period=period, disturbances=given).states
 
 
 class SimulatedSpan:
     """Simulations from the first of some samples to the end of the last; all results in the output's unit."""
 
-    def __init__(self, samples: Sequence[TrackedSample], period: float) -> None:
-        """`samples`, oldest first; `period` in s."""
+    def __init__(self, samples: Sequence[TrackedSample], period: float, later: int) -> None:
+        """`samples`, oldest first; `period` in s; `later`: for how many samples the last one is held on."""
         self.first = samples[0]
         self._period, self._length = period, len(samples)
-        self._inputs = np.array([sample.input for sample in samples])
-        self._rows = np.array([sample.disturbances for sample in samples])
+        inputs = np.array([sample.input for sample in samples])
+        rows = np.array([sample.disturbances for sample in samples])
+        self._inputs = np.append(inputs, np.full(later, inputs[-1]))
+        self._rows = np.concatenate([rows, np.repeat(rows[-1:], later, axis=0)])
+        self._states = advanced(self.first.parameters, self.first.states, self._inputs, self._rows, period)
 
     def __len__(self) -> int:
         return self._length
@@ -124,7 +127,7 @@ class SimulatedSpan:
     @cached_property
     def works(self) -> float:
         """The output under the recorded inputs."""
-        return self._read(self._inputs)
+        return read(self.first.parameters, self._states[self._length])
 
     @property
     def moved(self) -> float:
@@ -137,11 +140,10 @@ class SimulatedSpan:
         rest = self.first.parameters.model.plant.drive.rest
         return self.works - self._read(np.full(self._length, rest))
 
-    def changed(self, before: float, later: int) -> float:
-        """What the drive's changes since it stood at `before` will have contributed, some samples later."""
-        inputs = np.append(self._inputs, np.full(later, self._inputs[-1]))
-        rows = np.concatenate([self._rows, np.repeat(self._rows[-1:], later, axis=0)])
-        return self._read(inputs, rows) - self._read(np.full(inputs.size, before), rows)
+    def changed(self, before: float) -> float:
+        """What the drive's changes since it stood at `before` will have contributed when it was held on."""
+        held = read(self.first.parameters, self._states[-1])
+        return held - self._read(np.full(self._inputs.size, before))
 
     def colder(self, change: float) -> float:
         """How far the output would have moved in a colder room; `change` in the scale of that parameter."""
@@ -149,16 +151,14 @@ class SimulatedSpan:
         for name, parameter in twin.model.declared.items():
             if parameter.role == "room":
                 lowest = 0.5 * twin[name] if parameter.positive else parameter.least
-                room = max(twin[name] - change * parameter.scale, lowest)
-                states = advanced(
-                    twin.replace(**{name: room}), self.first.states, self._inputs, self._rows, self._period
-                )
-                moved = max(moved, abs(read(twin, states) - self.works))
+                room = twin.replace(**{name: max(twin[name] - change * parameter.scale, lowest)})
+                moved = max(moved, abs(self._read(self._inputs[: self._length], room) - self.works))
         return moved
 
-    def _read(self, inputs: FloatArray, rows: FloatArray | None = None) -> float:
-        twin, given = self.first.parameters, self._rows if rows is None else rows
-        return read(twin, advanced(twin, self.first.states, inputs, given, self._period))
+    def _read(self, inputs: FloatArray, twin: Parameters | None = None) -> float:
+        twin = twin or self.first.parameters
+        rows = self._rows[: inputs.size]
+        return read(twin, advanced(twin, self.first.states, inputs, rows, self._period)[-1])
 
 
 _SPANS: Final = (10.0, 16.0, 25.0, 40.0, 64.0, 100.0)
@@ -280,7 +280,7 @@ class LaggedEffect(DriveEffect):
                 np.array([last.input]),
                 last.disturbances[np.newaxis],
                 self._period,
-            )
+            )[-1]
             moved = read(last.parameters, on) - read(last.parameters, self._standing)
             self._standing = on
         change = sample.output - self._reading if self._past else 0.0
@@ -309,9 +309,9 @@ class LaggedEffect(DriveEffect):
                 break
             if not past[first].settled:
                 continue
-            stretch = SimulatedSpan(past[first:-1], self._period)
+            stretch = SimulatedSpan(past[first:-1], self._period, self._spans[0])
             before = past[max(0, first - self._spans[-1]) : first + 1]
-            changed = stretch.changed(float(np.mean([m.input for m in before])), self._spans[0])
+            changed = stretch.changed(float(np.mean([m.input for m in before])))
             error = output - stretch.works
             self._weigh(stretch, error, changed, stretch.first.errors[k])
             if not self._frozen:

@@ -35,6 +35,7 @@ from twinmatch.signals import Window
 from twinmatch.twin import TwinSettings
 
 TWIN_ONLY = Choices(every=120.0, peers=())
+SPARSE = Choices(every=180.0)
 
 
 def card(tested: Backtest, who: str, horizon: float) -> Card:
@@ -191,7 +192,7 @@ def test_the_leader_beats_everybody_on_a_recorded_hour(number: int, recordings: 
     """Over five minutes: less than half the error of any peer, near the best twin, an honest band."""
     if number not in recordings:
         pytest.skip(f"recording {number} is not there")
-    tested = backtest_session(recordings[number])
+    tested = backtest_session(recordings[number], SPARSE)
     leader = card(tested, LEADER, 300.0)
     others = [c for c in tested.cards if c.horizon == 300.0 and c.who not in TWINS]
     assert all(c.median > 2.0 * leader.median for c in others)
