@@ -26,7 +26,7 @@ from twinmatch.dynamics.experiment import Experiment, Known, Tangents
 from twinmatch.dynamics.forecasts import LoopForecast, forecast_loop, noise_scores
 from twinmatch.dynamics.linear import Linear, Rest, linearised, linearised_at, rest_at
 from twinmatch.dynamics.loop import Pid, PidGains, PidState, Sensor, SensorRealisation, controller_state
-from twinmatch.dynamics.observer import Observer, RandomWalk
+from twinmatch.dynamics.observer import Observer, ObserverBank, RandomWalk
 from twinmatch.dynamics.plant import Model, Parameters, Plant
 from twinmatch.dynamics.simulation import (
     FROM_PLANT_FILE,
@@ -64,6 +64,7 @@ __all__ = [
     "LoopGains",
     "Model",
     "Observer",
+    "ObserverBank",
     "Output",
     "Parameter",
     "Parameters",

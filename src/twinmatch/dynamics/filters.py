@@ -151,6 +151,37 @@ def predict(
             covariance[j, i] = total
 
 
+@compiled
+def follow(
+    codes: NDArray[np.int64], sizes: NDArray[np.int64], vectors: FloatArray, x: FloatArray,
+    covariances: FloatArray, process_noise: FloatArray, rows: FloatArray, steps: NDArray[np.int64],
+    u: float, seen: bool, y: float, d: FloatArray, period: float, noise: float, limit: float,
+) -> NDArray[np.bool_]:  # fmt: skip
+    """`predict` under the input and the disturbances `rows` of the sample before, then, if this one was
+    `seen`, `correct`, for several plants in place, one row of each array per plant; whether the results are
+    finite, shape (C,).
+
+    `sizes`, shape (C, 2), are the numbers of states and parameters.
+    """
+    fine = np.ones(len(sizes), dtype=np.bool_)
+    none, unbounded = np.zeros((2, 0), dtype=np.int64), np.zeros((2, 0))
+    for i in range(len(sizes)):
+        n, m = sizes[i]
+        code, vector, at = codes[i], vectors[i, :m], x[i, :n]
+        covariance = covariances[i, : n * n].reshape((n, n))
+        predict(
+            code, vector, at, covariance, process_noise[i, :n], u, rows[i], period, steps[i], none,
+            np.zeros((n, n + 1)),
+        )  # fmt: skip
+        if seen:
+            rows[i] = d
+            innovation, variance = correct(
+                code, vector, at, covariance, y, rows[i], noise, limit, none, unbounded
+            )
+            fine[i] = np.isfinite(innovation + variance)
+    return fine
+
+
 @compiled(inside=True)
 def _use(code: Code, fixed: TrackerConstants, at: FloatArray, vector: FloatArray, work: Work) -> None:
     """Write the parameters of a belief into `vector`, and use them."""

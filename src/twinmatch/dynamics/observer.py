@@ -4,13 +4,14 @@ slowly changing parameters."""
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from twinmatch.dynamics.declarations import PlantError
+from twinmatch.dynamics.filters import follow
 from twinmatch.dynamics.plant import Parameters
 from twinmatch.dynamics.simulation import begin
 from twinmatch.signals import FloatArray
@@ -215,3 +216,42 @@ class Observer:
                 f"none negative ({', '.join((*self._model.states, *self.estimated)[:size])})"
             )
         return given
+
+
+class ObserverBank:
+    """Observers of one plant's models that take the same samples, moved on by one compiled call.
+
+    Their states and covariances lie in its arrays from then on. None of them estimates parameters.
+    """
+
+    def __init__(self, observers: Sequence[Observer]) -> None:
+        """Begin with at least one observer; all have the same period, limit and noise."""
+        first = observers[0]
+        self._model = first._model
+        self._same = (first._period, first._noise, first._limit)
+        self._sizes = np.array([(o._states.size, o._vector.size) for o in observers], dtype=np.int64)
+        self._codes = np.stack([o._kernels.code for o in observers])
+        self._steps = np.array([o._steps for o in observers], dtype=np.int64)
+        count, (most, longest) = len(observers), self._sizes.max(axis=0)
+        self._states, self._noises = np.zeros((count, most)), np.zeros((count, most))
+        self._vectors, self._joints = np.zeros((count, longest)), np.zeros((count, most * most))
+        self._rows = np.stack([o._row for o in observers])
+        for i, o in enumerate(observers):
+            n, m = self._sizes[i]
+            states, joint = self._states[i, :n], self._joints[i, : n * n].reshape(n, n)
+            states[:], joint[:], self._noises[i, :n] = o._states, o._joint, o._process_noise
+            self._vectors[i, :m] = o._vector
+            o._states, o._joint, o._row = states, joint, self._rows[i]
+
+    def push(self, input: float, output: float | None, disturbances: ArrayLike | None = None) -> list[bool]:
+        """Move on by one period under the input of the sample before, and take a reading unless it is None.
+
+        Returns:
+            Of each observer, whether its equations had finite values; of the others nothing is of use.
+        """
+        row = self._model.disturbances if disturbances is None else self._model.disturbance_row(disturbances)
+        fine = follow(
+            self._codes, self._sizes, self._vectors, self._states, self._joints, self._noises, self._rows,
+            self._steps, float(input), output is not None, float(output or 0.0), row, *self._same,
+        )  # fmt: skip
+        return [bool(one) for one in fine]

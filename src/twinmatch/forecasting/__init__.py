@@ -15,7 +15,7 @@ from twinmatch.forecasting.forecast import (
     horizons_for,
     time_scale,
 )
-from twinmatch.forecasting.outlook import Outlook, StateFilter
+from twinmatch.forecasting.outlook import Followers, Outlook, StateFilter
 from twinmatch.forecasting.scoring import PERSISTENCE, Calibration, Ledger, leads_of
 from twinmatch.forecasting.set_points import SetPoints
 from twinmatch.forecasting.what_if import (
@@ -37,6 +37,7 @@ __all__ = [
     "PERSISTENCE",
     "Band",
     "Calibration",
+    "Followers",
     "Forecast",
     "ForecastError",
     "Ledger",

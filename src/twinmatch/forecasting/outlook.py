@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -15,6 +15,7 @@ from twinmatch.dynamics import (
     LoopForecast,
     Model,
     Observer,
+    ObserverBank,
     Output,
     Parameters,
     PidGains,
@@ -117,6 +118,39 @@ def drift_of(model: Model) -> FloatArray:
     """Standard deviation of the drift of each state from the equations per second, shape (n,); not to be
     changed."""
     return DRIFT * _spans(model)
+
+
+class Followers:
+    """The filters of several twins of one plant, moved on by one compiled call for each sample."""
+
+    def __init__(self) -> None:
+        self._observers: list[Observer] = []
+        self._bank: ObserverBank | None = None
+
+    def push(self, filters: Iterable[StateFilter], sample: Sample) -> None:
+        """Take one sample in all filters; as `StateFilter.push`.
+
+        Raises:
+            PlantError: as `StateFilter.push`, for a filter without a sample yet.
+        """
+        row = sample.disturbances or None
+        following = []
+        for each in filters:
+            if each._observer is None:
+                each.push(sample)
+            else:
+                following.append(each)
+        if not following:
+            return
+        observers = [each._started for each in following]
+        if observers != self._observers or self._bank is None:
+            self._observers, self._bank = observers, ObserverBank(observers)
+        reading = sample.output if sample.seen else None
+        for each, fine in zip(following, self._bank.push(following[0]._input, reading, row), strict=True):
+            each._input = sample.input
+            if not fine:
+                each.restart()
+                each.push(sample)
 
 
 def _spans(model: Model) -> FloatArray:

@@ -17,6 +17,7 @@ from twinmatch.forecasting import (
     HORIZONS,
     PERSISTENCE,
     Calibration,
+    Followers,
     ForecastError,
     Ledger,
     Outlook,
@@ -131,6 +132,7 @@ class Forecaster:
         self._recent: deque[Sample] = deque(maxlen=max(self._longest + self._stride, *self._run_in) + 1)
         self._visited = (np.inf, -np.inf)
         self._pid = None if gains is None else Pid(gains)
+        self._followers = Followers()
         self.notes: tuple[str, ...] = ()
         """Reservations to be shown with forecasts made now."""
 
@@ -204,9 +206,14 @@ class Forecaster:
         self._visited = min(self._visited[0], sample.output), max(self._visited[1], sample.output)
         if self._pid is not None:
             self._pid.follow(sample.reference, sample.output, sample.input)
+        native = []
         for name, twin in list(self._twins.items()):
+            if not twin.candidate.parameters.model.is_external:
+                native.append(twin.state_filter)
+                continue
             with self._removing_lost(name):
                 twin.state_filter.push(sample)
+        self._followers.push(native, sample)
         if self._twins and sample.index % self._stride == 0:
             leader = self.leader
             outlooks = {name: self._outlook(name, banded=name == leader) for name in self._order}
