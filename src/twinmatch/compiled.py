@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import functools
 import hashlib
+import importlib.util
 import itertools
 import pickle
 import secrets
@@ -33,6 +34,24 @@ from numba.core.runtime import rtsys
 # same name. If such a kernel is loaded twice, alone and inside another, one uses the other's data and fails
 # ("'descr' is NULL"). So every process starts from a different number.
 FunctionIdentity._unique_ids = itertools.count(secrets.randbits(48))
+
+
+def _load_lapack() -> None:
+    """Load the LAPACK that kernels call, a module of `scipy.linalg`, without that package: it imports half of
+    scipy and numpy's Fortran compiler, a quarter of a second, and is left to be imported as usual."""
+    package = "scipy.linalg"
+    described = importlib.util.find_spec(package)
+    if package in sys.modules or described is None:
+        return
+    sys.modules[package] = importlib.util.module_from_spec(described)
+    try:
+        for name in ("cython_blas", "cython_lapack"):
+            importlib.import_module(f"{package}.{name}")
+    finally:
+        del sys.modules[package]
+
+
+_load_lapack()
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
