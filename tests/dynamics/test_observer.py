@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from tests.support.plants import Lag, Motor, Tank
 from twinmatch.dynamics import (
     Observer,
+    ObserverBank,
     Parameters,
     PlantError,
     RandomWalk,
@@ -221,6 +222,30 @@ def test_it_continues_in_the_middle_of_a_session() -> None:
     np.testing.assert_array_equal(first.states, second.states)
     np.testing.assert_array_equal(first.joint, second.joint)
     assert first.parameters == second.parameters
+
+
+def test_a_bank_moves_all_its_observers_as_each_would_move_alone() -> None:
+    """Structures with one and with two states, readings that are lost, and one that no plant can give."""
+    models = (Peltier.model("held sink"), MASSIVE)
+    alone, together = (
+        [
+            Observer(m.parameters(), 25.0, period=1.0, drift=[1e-2] * n, start=[2.0] * n, limit=4.0)
+            for n, m in enumerate(models, 1)
+        ]
+        for _ in range(2)
+    )
+    bank, rng = ObserverBank(together), np.random.default_rng(3)
+    for k in range(60):
+        u, y = float(rng.uniform(0.0, 100.0)), float(25.0 + rng.standard_normal())
+        for each in alone:
+            each.predict(u)
+            if k % 7:
+                each.correct(y)
+        assert all(bank.push(u, y if k % 7 else None))
+        for one, other in zip(alone, together, strict=True):
+            np.testing.assert_array_equal(one.states, other.states)
+            np.testing.assert_array_equal(one.joint, other.joint)
+    assert bank.push(50.0, math.inf) == [False, False]
 
 
 def test_parameters_may_be_exchanged_at_any_sample() -> None:

@@ -102,9 +102,10 @@ class StateFilter:
     @property
     def joint(self) -> FloatArray:
         """Covariance of states and free parameters, assumed independent, shape (n + m, n + m)."""
-        n, m = self.states.size, len(self.free)
+        own, m = self._started.covariance, len(self.free)
+        n = len(own)
         joint = np.zeros((n + m, n + m))
-        joint[:n, :n], joint[n:, n:] = self._started.covariance, self.covariance
+        joint[:n, :n], joint[n:, n:] = own, self.covariance
         return joint
 
     @property

@@ -157,11 +157,11 @@ class Ledger:
         self._clear(0)
 
     def _clear(self, accounts: int) -> None:
-        """Open accounts without a forecast, in place of all that there are."""
-        shape = (accounts, self.horizons)
+        """Open accounts without a forecast, in place of all that there are, and one that stays empty."""
+        shape = (accounts + 1, self.horizons)
         self._lengths, self._weights = np.zeros(shape), np.zeros(shape)
         """Characters by horizon, all signals together, and effective numbers of forecasts in these sums."""
-        self._sizes = np.tile(self.noise[:, None], (accounts, 1, self.horizons))
+        self._sizes = np.tile(self.noise[:, None], (accounts + 1, 1, self.horizons))
         """Mean |error| of each signal, shape (accounts, signals, H)."""
         self._counted = np.full(shape, _PRIOR_WEIGHT)
         """Effective numbers of forecasts in these means."""
@@ -215,10 +215,8 @@ class Ledger:
         """
         if PERSISTENCE not in self._rows:
             return np.full((len(names), self.horizons), np.nan)
-        lengths, weights = np.zeros((2, len(names) + 1, self.horizons))
-        for row, name in enumerate((*names, PERSISTENCE)):
-            if name in self._rows:
-                lengths[row], weights[row] = self._lengths[self._rows[name]], self._weights[self._rows[name]]
+        rows = [self._rows.get(name, -1) for name in (*names, PERSISTENCE)]
+        lengths, weights = self._lengths[rows], self._weights[rows]
         means = np.where(weights > 0.0, lengths, np.nan) / np.maximum(weights, 1e-300)
         known, trivial = means[:-1], means[-1]
         seen = np.isfinite(known)
