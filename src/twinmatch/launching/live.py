@@ -249,7 +249,8 @@ class _LiveRun(Supervised):
         if name == "twin":
             return plan.twin_arguments()
         if name == "recorder":
-            return plan.recorder_arguments(self._live.sessions[-1])
+            first, *others = self._live.sessions
+            return plan.recorder_arguments(self._live.sessions[-1], first.name if others else "")
         readers = READERS if plan.session is None else f"{READERS} recorder"
         return [*plan.rig_arguments(self._addresses), *plan.wait_for(readers)]
 

@@ -172,11 +172,12 @@ class LivePlan:
             words += ["-p", f"discriminator:candidates:={self.candidates}"]
         return [*words, *self._time()]
 
-    def recorder_arguments(self, session: Path) -> list[str]:
-        """ROS arguments of the recorder."""
+    def recorder_arguments(self, session: Path, continues: str = "") -> list[str]:
+        """ROS arguments of the recorder of a session, which may continue another one."""
         words = ["--ros-args", "--params-file", str(self.config)]
         words += ["-p", f"recorder:folder:={session.absolute().parent}"]
         words += ["-p", f"recorder:name:={session.name}"]
+        words += ["-p", f"recorder:continues:={continues}"] if continues else []
         return [*words, *self._time()]
 
     def _time(self) -> list[str]:

@@ -26,7 +26,7 @@ from twinmatch.parameters.declared import Setting, given_to, parameters_of
 from twinmatch.sessions import Recording, RecordingLimits, SessionError, Topic
 from twinmatch.sessions.documents import DocumentError, read_text
 from twinmatch.sessions.messages import schema_of
-from twinmatch.sessions.metadata import CANDIDATES, parameters_record
+from twinmatch.sessions.metadata import CANDIDATES, CONTINUES, parameters_record
 
 RHYTHM = 10
 """Messages after which a topic is expected to keep its rate."""
@@ -189,6 +189,7 @@ class RecorderNode(TwinmatchNode):
     PARAMETERS: ClassVar = (
         Setting("folder", "sessions", "Folder for the sessions; created if missing."),
         Setting("name", "", "Name of the session; empty: rig_ and the date and time of the start."),
+        Setting("continues", "", "Session of this run that an earlier recorder began; empty: none."),
         Setting("also", ["/diagnostics"], "Topics to record outside the namespace, such as /rosout."),
         Setting("leave_out", ["parameter_events"], "Prefixes of relative topic names not to record."),
         *parameters_of(RecordingLimits()),
@@ -211,6 +212,8 @@ class RecorderNode(TwinmatchNode):
         self._left = threading.Event()
         self.worker = worker = Worker(self._do, self.health, backlog=5000)
         self.beside.append(worker)
+        if values["continues"]:
+            self._on_record(CONTINUES, {"session": values["continues"]})
         if self.step is not None:
             self.step.wait_for(lambda: worker.depth > AHEAD)
         self._settings = NodeSettings(self, self._on_record)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from itertools import chain, pairwise
 from pathlib import Path
 
-from twinmatch.sessions.files import ProgressCallback, SessionError
+from twinmatch.sessions.files import ProgressCallback, SessionError, part_of
 from twinmatch.sessions.messages import (
     LOOP_SAMPLE,
     Message,
@@ -21,6 +21,7 @@ from twinmatch.sessions.messages import (
     fields_of,
 )
 from twinmatch.sessions.metadata import METADATA, files_listed, has_reference, mcap_files, plant_of
+from twinmatch.sessions.pieces import first_of, joined, pieces_of
 from twinmatch.sessions.resampling import rounded_period
 from twinmatch.sessions.scan import Scan
 from twinmatch.signals import Sample, Window
@@ -101,7 +102,9 @@ def read_session(
 ) -> Session:
     """Read a session folder or a single MCAP file of one.
 
-    A truncated or damaged file is read up to the damage, with a remark in `notes`. They also list where
+    A run of several pieces, because its recorder was replaced, is one session; given the first piece, or one
+    without samples, the others are read too. A piece without samples is left out, with a remark in `notes`. A
+    truncated or damaged file is read up to the damage, with a remark in `notes`. They also list where
     samples are missing because the loop had no temperature, was late, or was restarted.
 
     Args:
@@ -115,6 +118,29 @@ def read_session(
             samples; values are not finite, or the stamps do not advance.
     """
     path = Path(path)
+    pieces = pieces_of(path)
+    if len(pieces) == 1:
+        try:
+            return _read(path, topic, progress)
+        except SessionError:
+            if (first := first_of(path)) == path:
+                raise
+            pieces, path = pieces_of(first), first
+    found, left_out, errors = [], [], []
+    for number, piece in enumerate(pieces):
+        try:
+            found.append(_read(piece, topic, part_of(progress, number, len(pieces))))
+        except SessionError as error:
+            errors.append(error)
+            left_out.append(f"{piece.name} is left out: {error}")
+    if not found:
+        raise errors[0]
+    whole: Session = joined(found, path, left_out)
+    return whole
+
+
+def _read(path: Path, topic: str | None, progress: ProgressCallback | None) -> Session:
+    """Read one piece."""
     files, notes = _files(path)
     scans = [Scan(file) for file in files]
     counts: Counter[str] = Counter()

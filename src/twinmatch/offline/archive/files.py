@@ -17,6 +17,7 @@ import twinmatch
 from twinmatch.errors import TwinmatchError
 from twinmatch.sessions.documents import DocumentError, parse_json
 from twinmatch.sessions.files import read_bounded
+from twinmatch.sessions.pieces import first_of, pieces_of
 
 
 class ArchiveError(TwinmatchError):
@@ -36,13 +37,15 @@ def find_sessions(named: Iterable[Path | str]) -> list[Path]:
 
     A folder with an MCAP file or a `metadata.yaml` is a session. Any other folder stands for all sessions and
     recordings (`.mat`, `.csv`) in it and below, sorted by name. A pattern (`*`, `?`, `[…]`, `**`) that the
-    shell has not resolved is resolved here. Whether they can be read is found out when they are judged.
+    shell has not resolved is resolved here. Whether they can be read is found out when they are judged. Of
+    the pieces of one run only the first is listed.
     """
     found: dict[Path, Path] = {}
     for name in named:
         for path in _resolved(Path(name)):
             found.setdefault(Path(os.path.realpath(path)), path)  # `resolve` fails for circular links
-    return list(found.values())
+    first = {whole: first_of(whole) for whole in found}
+    return [path for whole, path in found.items() if first[whole] == whole or first[whole] not in found]
 
 
 def is_single(named: Sequence[Path | str]) -> bool:
@@ -101,8 +104,9 @@ def content_of(path: Path) -> str:
     """A hash of a recording, or of the MCAP files and metadata of a session folder."""
     if not path.is_dir():
         return _hash([path], path.parent)
-    files = [*path.glob("*.mcap"), *path.glob("metadata.yaml")]
-    return _hash(sorted(files), path)
+    pieces = pieces_of(path)
+    files = [file for piece in pieces for file in (*piece.glob("*.mcap"), *piece.glob("metadata.yaml"))]
+    return _hash(sorted(files), path if len(pieces) == 1 else path.parent)
 
 
 def key_of(content: str, terms: str) -> str:
