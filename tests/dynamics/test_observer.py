@@ -205,6 +205,34 @@ def test_a_surprise_within_the_limit_changes_nothing() -> None:
     assert most.states[0] - 303.15 == pytest.approx(3.0 / math.sqrt(variance), rel=1e-9)
 
 
+def plate_error(twin: Parameters, *, adaptive: bool) -> float:
+    """Mean |error| of the plate's temperature as an observer of `twin` estimates it, K; noise 0.05 K."""
+    rig, steps = MASSIVE.parameters(), np.repeat([40.0, 55.0, 30.0, 50.0], 200)
+    run = simulate_closed_loop(
+        rig, steps, states=begin(rig, 40.0), sensor=Sensor(noise=0.05).realise(800, 1.0, 4)
+    )
+    n = len(twin.model.states)
+    observer = Observer(twin, 40.0, period=1.0, drift=[0.03] * n, start=[4.5] * n, adaptive=adaptive)
+    off = []
+    for y, u, x in zip(run.output, run.input, run.states, strict=False):
+        observer.correct(y)
+        off.append(observer.states[0] - x[0])
+        observer.predict(u)
+    return float(np.abs(off[20:]).mean())
+
+
+def test_adapted_to_its_innovations_even_a_wrong_twin_follows_the_readings() -> None:
+    """Its sink is held, its module three times too strong: it pulls away from every reading."""
+    wrong = Peltier.model("held sink").parameters(seebeck=0.15)
+    assert plate_error(wrong, adaptive=True) < 2.0 * 0.05 < 0.2 * plate_error(wrong, adaptive=False)
+
+
+def test_a_right_twin_keeps_the_drift_that_it_was_given() -> None:
+    """The factor is a random walk that is held above 1: it costs less than a tenth of the precision."""
+    kept, adapted = (plate_error(MASSIVE.parameters(), adaptive=way) for way in (False, True))
+    assert adapted < 1.1 * kept
+
+
 def test_it_continues_in_the_middle_of_a_session() -> None:
     """A second observer that is given states and covariance continues to the last bit."""
     rig = MASSIVE.parameters()

@@ -8,20 +8,23 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import laplace
 
-from twinmatch.forecasting import PERSISTENCE, Ledger
+from twinmatch.forecasting import Ledger
 from twinmatch.signals import FloatArray
 
 NOISE = np.array([0.1, 7.0])
+PERSISTENCE, ARX = "nothing changes", "a small model"
 
 
 def entered(
     errors: dict[str, FloatArray], kept: float = 1.0, noise: FloatArray = NOISE, horizons: int = 1
 ) -> Ledger:
-    """A ledger after one forecast for each column, shape (2, n) by name."""
+    """A ledger after one forecast for each column, shape (2, n) by name; the baselines may be the same."""
     ledger = Ledger(horizons, noise, kept)
     for column in range(next(iter(errors.values())).shape[1]):
+        came = {name: e[:, column : column + 1] for name, e in errors.items()}
+        baselines = [came.pop(PERSISTENCE), came.pop(ARX, errors[PERSISTENCE][:, column : column + 1])]
         for horizon in range(horizons):
-            ledger.add({name: e[:, column : column + 1] for name, e in errors.items()}, horizon)
+            ledger.add(came, baselines, horizon)
     return ledger
 
 
@@ -83,12 +86,12 @@ def test_the_past_is_forgotten() -> None:
     assert ledger.forecasts("turned") == pytest.approx(1 / 0.03, rel=0.01)
 
 
-def test_a_newcomer_is_an_average_member_and_an_heir_continues() -> None:
+def test_a_newcomer_has_saved_nothing_yet_and_an_heir_continues() -> None:
     ledger = entered({PERSISTENCE: drawn(5.0, 60, 1), "a": drawn(0.5, 60, 2), "b": drawn(1.0, 60, 3)})
     ledger.inherit("heir", "a")
     ledger.inherit("nobody's", "gone")
     a, b, new, heir = ledger.gains(["a", "b", "new", "heir"])[:, 0]
-    assert b < new < a
+    assert a > b > new == 0.0
     assert heir == a
     ledger.keep(["b"])
     assert ledger.forecasts("a") == 0.0
@@ -98,7 +101,27 @@ def test_a_newcomer_is_an_average_member_and_an_heir_continues() -> None:
 def test_nothing_is_said_before_a_forecast_has_come_true() -> None:
     ledger = Ledger(2, NOISE, 1.0)
     assert np.isnan(ledger.gains(["a"])).all()
-    ledger.add({PERSISTENCE: np.ones((2, 3)), "a": np.zeros((2, 3))}, 0)
+    ledger.add({"a": np.zeros((2, 3))}, [np.ones((2, 3))] * 2, 0)
     first, second = ledger.gains(["a"])[0]
     assert first > 0.0
     assert np.isnan(second), "of the longer horizon nothing has come"
+
+
+def test_skill_is_the_share_of_a_baselines_error_that_is_saved() -> None:
+    """Of two signals the geometric mean counts; the prior, three forecasts off by the noise, fades."""
+    n = 4000
+    off = np.array([[1.0], [1.0]]) * NOISE[:, None] * np.ones(n)
+    ledger = entered({PERSISTENCE: 4.0 * off, ARX: [[0.5], [0.25]] * off, "a": [[2.0], [0.5]] * off})
+    by_persistence, by_arx = ledger.skills("a")[:, 0]
+    assert by_persistence == pytest.approx(1 - 1 / 4, abs=3 * 4 / n)
+    assert by_arx == pytest.approx(1 - np.sqrt(4 * 2), abs=0.02)
+
+
+def test_skill_is_given_after_some_forecasts_only_and_is_inherited() -> None:
+    few = {PERSISTENCE: drawn(4.0, 3, 1), "a": drawn(1.0, 3, 2)}
+    assert np.isnan(entered(few).skills("a")).all()
+    assert np.isnan(Ledger(1, NOISE, 1.0).skills("a")).all()
+    ledger = entered({PERSISTENCE: drawn(4.0, 9, 1), "a": drawn(1.0, 9, 2)})
+    ledger.inherit("heir", "a")
+    np.testing.assert_array_equal(ledger.skills("heir"), ledger.skills("a"))
+    assert (ledger.skills("a") > 0).all()

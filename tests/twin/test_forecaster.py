@@ -56,6 +56,31 @@ def test_who_has_the_right_physics_leads(samples: list[Sample]) -> None:
     assert forecaster.confidence > 0.9, "the truth is the best in hindsight, and had to be"
 
 
+def test_only_a_wrong_twin_is_beaten_by_forecasts_that_need_none(samples: list[Sample]) -> None:
+    """Its module is three times too strong, so that ten minutes of other levels ahead are nonsense."""
+    forecaster = Forecaster(GAINS)
+    forecaster.enter(given(wrong=rig(seebeck=0.15, heat_capacity=8.0), truth=TRUTH))
+    for sample in samples[:1500]:
+        forecaster.push(sample)
+    wrong, truth = forecaster.scores
+    horizons = forecaster.settings.horizons
+    assert not truth.useless
+    assert not truth.beaten(horizons)
+    assert all(skill > 0.9 for skill in truth.persistence_skill[1:])
+    assert wrong.useless
+    assert set(wrong.beaten(horizons)) == set(horizons)
+    assert "worse than" not in forecaster.sentence
+
+
+def test_a_leader_that_is_beaten_says_by_what() -> None:
+    """At rest nobody is better than the newest reading; a twin of another plant is far off."""
+    truth = Forecaster(GAINS)
+    truth.enter(given(wrong=rig(seebeck=0.15, heat_capacity=8.0)))
+    for sample in samples_of(run(TRUTH, np.repeat([45.0, 46.0], 400), seed=5)):
+        truth.push(sample)
+    assert "its forecasts are worse than" in truth.sentence
+
+
 def test_bands_of_the_truth_hold(samples: list[Sample]) -> None:
     """Forecast from every twentieth sample; 100 forecasts that overlap are worth some thirty, so that the
     share within has a standard error of 0.05."""

@@ -79,7 +79,7 @@ def rms(difference: FloatArray) -> float:
 
 
 def error(outlook: Outlook, reference: FloatArray, came: FloatArray) -> float:
-    return rms(outlook.mean(reference) - came)
+    return rms(np.array(outlook.predicted(reference, banded=False)[:2]) - came)
 
 
 def answer(parameters: Parameters, reference: FloatArray, start: float) -> FloatArray:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Final
@@ -31,15 +31,32 @@ REFUSED: Final = "refused"
 """The gate, a fault of the plant or missing models kept it out; the verdict's reason says which."""
 
 
+_WORSE: Final = 0.05
+"""Errors of so much more than a baseline's, as a share, count as worse."""
+_BASELINES: Final = {"persistence": "saying that nothing changes", "arx": "an ARX model"}
+
+
+def beaten_words(beaten: Mapping[float, str]) -> str:
+    """Where a baseline forecasts better, by `ForecastScore.beaten`, in words; empty if nowhere."""
+    found = []
+    for baseline, words in _BASELINES.items():
+        horizons = [f"{horizon:g}" for horizon, name in beaten.items() if name == baseline]
+        if horizons:
+            ahead = " and ".join(filter(None, (", ".join(horizons[:-1]), horizons[-1])))
+            found.append(f"{ahead} s ahead its forecasts are worse than {words}")
+    return ", and ".join(found)
+
+
 class TrustLevel(Enum):
     """How far to trust the leader, from the newest window."""
 
     UNKNOWN = "unknown"
     """There is no candidate yet, or none of its forecasts could be compared yet."""
     TRUSTED = "trusted"
-    """The samples lie in the bands forecast for them."""
+    """The samples lie in the bands forecast for them, and no baseline forecasts better."""
     DOUBTFUL = "doubtful"
-    """The samples lie outside, or a window cannot be explained; `miss_since` says since when."""
+    """The samples lie outside (`miss_since` says since when), no match explains the window, or forecasts that
+    need no twin are better at every horizon."""
     FAULT = "fault"
     """No parameters explain what the plant does; check the plant."""
 
@@ -101,6 +118,30 @@ class ForecastScore:
     """The gain at each horizon."""
     forecasts: float
     """Effective number of forecasts in that mean."""
+    persistence_skill: tuple[float, ...] = ()
+    """At each horizon, 1 − (mean |error|) / (that of a forecast of no change); NaN if too few were compared,
+    empty in recordings from before it was computed."""
+    arx_skill: tuple[float, ...] = ()
+    """The same beside an ARX model of second order, which is fitted to the samples so far."""
+
+    def beaten(self, horizons: Sequence[float]) -> dict[float, str]:
+        """The baseline that forecasts better, by horizon, s; without those that none forecasts better."""
+        found = {}
+        for k, horizon in enumerate(horizons):
+            skills = {
+                name: skill[k]
+                for name, skill in (("persistence", self.persistence_skill), ("arx", self.arx_skill))
+                if skill and skill[k] < -_WORSE
+            }
+            if skills:
+                found[horizon] = min(skills, key=lambda name: skills[name])
+        return found
+
+    @property
+    def useless(self) -> bool:
+        """Whether a baseline forecasts better at every horizon at which they were compared."""
+        compared = [k for k, skill in enumerate(self.persistence_skill) if not math.isnan(skill)]
+        return bool(compared) and len(self.beaten(range(len(self.persistence_skill)))) == len(compared)
 
 
 @dataclass(frozen=True)
@@ -174,6 +215,11 @@ class Verdict:
     """Horizons of the forecasts, s."""
     forecasts: tuple[ForecastScore, ...] = ()
     """Scores of every candidate that forecasts, including the leader."""
+
+    @property
+    def leading(self) -> ForecastScore | None:
+        """The leader's score; None without a leader."""
+        return next((score for score in self.forecasts if score.name == self.leader), None)
 
     @property
     def modelled(self) -> tuple[CandidateScore, ...]:

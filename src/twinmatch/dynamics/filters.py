@@ -36,6 +36,14 @@ STALE = 1e6
 """Variance given to a reading that is not used."""
 
 
+ADAPTS = 0.05
+"""Relative change of the process noise per sample and unit of innovation² / variance − 1: some 20 samples."""
+SURPRISE = 9.0
+"""Most that one innovation² / variance counts: jumps of a self-correcting sensor are not the plant's."""
+MOST_NOISE = 1e8
+"""Greatest factor on the process noise; below 1, the drift that was given, it never falls."""
+
+
 class TrackerConstants(NamedTuple):
     """Constants for m tracked parameters and a belief of n numbers."""
 
@@ -152,10 +160,23 @@ def predict(
 
 
 @compiled
+def adapt(process_noise: FloatArray, factor: FloatArray, innovation: float, variance: float) -> None:
+    """Adapt the process noise, in place, to an innovation; `factor`, shape (1,), is how much it exceeds the
+    one given, or empty to leave it."""
+    if factor.size:
+        surprise = min(innovation * innovation / variance, SURPRISE)
+        after = min(max(factor[0] * math.exp(ADAPTS * (surprise - 1.0)), 1.0), MOST_NOISE)
+        for i in range(process_noise.size):
+            process_noise[i] *= after / factor[0]
+        factor[0] = after
+
+
+@compiled
 def follow(
     codes: NDArray[np.int64], sizes: NDArray[np.int64], vectors: FloatArray, x: FloatArray,
-    covariances: FloatArray, process_noise: FloatArray, rows: FloatArray, steps: NDArray[np.int64],
-    u: float, seen: bool, y: float, d: FloatArray, period: float, noise: float, limit: float,
+    covariances: FloatArray, process_noise: FloatArray, factors: FloatArray, rows: FloatArray,
+    steps: NDArray[np.int64], u: float, seen: bool, y: float, d: FloatArray, period: float, noise: float,
+    limit: float,
 ) -> NDArray[np.bool_]:  # fmt: skip
     """`predict` under the input and the disturbances `rows` of the sample before, then, if this one was
     `seen`, `correct`, for several plants in place, one row of each array per plant; whether the results are
@@ -179,6 +200,8 @@ def follow(
                 code, vector, at, covariance, y, rows[i], noise, limit, none, unbounded
             )
             fine[i] = np.isfinite(innovation + variance)
+            if fine[i]:
+                adapt(process_noise[i, :n], factors[i], innovation, variance)
     return fine
 
 

@@ -1,5 +1,11 @@
 """Observer for unmeasured states: an extended Kalman filter on the plant's own tick, which can also estimate
-slowly changing parameters."""
+slowly changing parameters.
+
+How far a plant drifts from its equations depends on what they leave out. An observer that is given too little
+of it holds on to its equations and no longer sees the readings: on a motor with stick-slip it was further off
+after one sample than the reading itself. So the assumed drift may be adapted to the innovations, until their
+squares equal their expected variance in the mean (covariance matching: Mehra, IEEE TAC 17, 1972).
+"""
 
 from __future__ import annotations
 
@@ -11,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from twinmatch.dynamics.declarations import PlantError
-from twinmatch.dynamics.filters import follow
+from twinmatch.dynamics.filters import adapt, follow
 from twinmatch.dynamics.plant import Parameters
 from twinmatch.dynamics.simulation import begin
 from twinmatch.signals import FloatArray
@@ -46,6 +52,7 @@ class Observer:
         covariance: ArrayLike | None = None,
         random_walks: Mapping[str, RandomWalk] | None = None,
         limit: float = math.inf,
+        adaptive: bool = False,
     ) -> None:
         """Start from the plant file's initial states at this output, or anywhere from given states.
 
@@ -63,6 +70,7 @@ class Observer:
             random_walks: m parameters that change slowly and are estimated like states, inside their bounds.
             limit: innovation, in standard deviations, to which larger ones are clipped: for sensors with
                 single wrong readings, such as a camera that corrects its flat field.
+            adaptive: assume more drift than given while the innovations are larger than expected.
 
         Raises:
             PlantError: a value is invalid, a name is not a parameter, or the plant is too fast for the
@@ -86,6 +94,7 @@ class Observer:
         self._period = float(period)
         rates = [*self._deviations("drift", drift, n), *(w.drift for w in random_walks.values())]
         self._process_noise = np.square(self._deviations("drift", rates, n + m)) * self._period
+        self._factor = np.ones(int(adaptive))
         if not limit > 0:
             raise PlantError(f"{model.title}: the observer's limit is {limit}; it must be positive")
         self._limit, self._noise = float(limit), float(model.plant.output.noise)
@@ -170,6 +179,7 @@ class Observer:
         if not math.isfinite(found[0] + found[1]):
             msg = f"{self._title}: its equations have no finite value at the observer's states"
             raise PlantError(f"{msg}; start a new observer")
+        adapt(self._process_noise, self._factor, *found)
         return found
 
     def predict(self, input: float) -> None:
@@ -225,7 +235,7 @@ class ObserverBank:
     """
 
     def __init__(self, observers: Sequence[Observer]) -> None:
-        """Begin with at least one observer; all have the same period, limit and noise."""
+        """Begin with at least one observer; all have the same period, limit and noise; all adapt or none."""
         first = observers[0]
         self._model = first._model
         self._same = (first._period, first._noise, first._limit)
@@ -236,12 +246,14 @@ class ObserverBank:
         self._states, self._noises = np.zeros((count, most)), np.zeros((count, most))
         self._vectors, self._joints = np.zeros((count, longest)), np.zeros((count, most * most))
         self._rows = np.stack([o._row for o in observers])
+        self._factors = np.zeros((count, first._factor.size))
         for i, o in enumerate(observers):
             n, m = self._sizes[i]
             states, joint = self._states[i, :n], self._joints[i, : n * n].reshape(n, n)
             states[:], joint[:], self._noises[i, :n] = o._states, o._joint, o._process_noise
-            self._vectors[i, :m] = o._vector
+            self._vectors[i, :m], self._factors[i] = o._vector, o._factor
             o._states, o._joint, o._row = states, joint, self._rows[i]
+            o._process_noise, o._factor = self._noises[i, :n], self._factors[i]
 
     def push(self, input: float, output: float | None, disturbances: ArrayLike | None = None) -> list[bool]:
         """Move on by one period under the input of the sample before, and take a reading unless it is None.
@@ -251,7 +263,7 @@ class ObserverBank:
         """
         row = self._model.disturbances if disturbances is None else self._model.disturbance_row(disturbances)
         fine = follow(
-            self._codes, self._sizes, self._vectors, self._states, self._joints, self._noises, self._rows,
-            self._steps, float(input), output is not None, float(output or 0.0), row, *self._same,
+            self._codes, self._sizes, self._vectors, self._states, self._joints, self._noises, self._factors,
+            self._rows, self._steps, float(input), output is not None, float(output or 0.0), row, *self._same,
         )  # fmt: skip
         return [bool(one) for one in fine]

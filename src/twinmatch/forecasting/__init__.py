@@ -3,9 +3,11 @@
 `StateFilter` estimates a twin's states beside the plant; an `Outlook` is a twin at one sample and gives a
 `Forecast` for any future set-points. `SetPoints` defines these; `time_to_reach`, `settling_time` and
 `largest_input` evaluate a forecast, and `what_if` answers a complete `Question`. `Calibration` learns the
-width of the bands from past errors, and the `Ledger` keeps the cost of every candidate's forecasts.
+width of the bands from past errors, and the `Ledger` keeps the cost of every candidate's forecasts, and how
+much better they are than those of the baselines, which need no twin.
 """
 
+from twinmatch.forecasting.baselines import BASELINES, Arx, ArxForecast
 from twinmatch.forecasting.forecast import (
     CONFIDENCE,
     HORIZONS,
@@ -16,7 +18,7 @@ from twinmatch.forecasting.forecast import (
     time_scale,
 )
 from twinmatch.forecasting.outlook import Followers, Outlook, StateFilter
-from twinmatch.forecasting.scoring import PERSISTENCE, Calibration, Ledger, leads_of
+from twinmatch.forecasting.scoring import Calibration, Ledger, leads_of
 from twinmatch.forecasting.set_points import SetPoints
 from twinmatch.forecasting.what_if import (
     NEAR,
@@ -31,10 +33,12 @@ from twinmatch.forecasting.what_if import (
 )
 
 __all__ = [
+    "BASELINES",
     "CONFIDENCE",
     "HORIZONS",
     "NEAR",
-    "PERSISTENCE",
+    "Arx",
+    "ArxForecast",
     "Band",
     "Calibration",
     "Followers",

@@ -27,7 +27,7 @@ from twinmatch.forecasting.forecast import CONFIDENCE, Band, Forecast, ForecastE
 from twinmatch.signals import FloatArray, Sample
 
 DRIFT: Final = 2e-4
-"""Drift of a state from the equations per second, in units of its span: 0.03 K on the rig."""
+"""Least drift of a state from the equations per second, in units of its span: 0.03 K on the rig."""
 UNKNOWN: Final = 0.03
 """Initial uncertainty of a state, in units of its span: 4.5 K."""
 LIMIT: Final = 4.0
@@ -86,6 +86,7 @@ class StateFilter:
                 disturbances=row,
                 states=self._states,
                 limit=LIMIT,
+                adaptive=True,
             )
             self._observer.correct(sample.output, row)
         self._input = sample.input

@@ -16,17 +16,22 @@ it was fitted. Here it is computed on data that no model has seen: a forecast gi
 a reading, and minus the density's logarithm to base ten, for the decimals with which readings are written, is
 the length of the reading in digits, given the forecast (Dawid's prequential principle, 1984; Rissanen's
 predictive code, 1986). The density is Laplace's, because the errors of a thermal camera have long tails; its
-width is the mean of this candidate's previous errors. The trivial code, the reference for gains, is a
-forecast of no change.
+width is the mean of this candidate's previous errors. The trivial code, the reference for gains, is
+the first baseline: no change.
+
+Who leads a family need not be of use. So each candidate's errors are also compared with those that the
+baselines made on the same samples: its skill is 1 − (its mean |error|) / (the baseline's), as in meteorology
+(Murphy 1988), positive where the twin adds something.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
+from twinmatch.forecasting.baselines import BASELINES
 from twinmatch.forecasting.forecast import CONFIDENCE
 from twinmatch.signals import FloatArray
 
@@ -129,15 +134,15 @@ class Calibration:
         return np.asarray(found / (_MEAN * (_TRUSTED + new * self._counts[lead])))
 
 
-PERSISTENCE: Final = ""
-"""Name under which errors of the trivial forecast are entered."""
 _PRIOR_WEIGHT: Final = 3.0
 """Weight of the noise as prior mean error of a candidate, in forecasts."""
 _NARROWEST: Final = 0.3
 """Least width, in units of the noise: a few small errors may be chance."""
 _SHRINKAGE: Final = 5.0
-"""Weight, in forecasts, with which a candidate's mean is shrunk to that of its family."""
+"""Weight, in forecasts, with which a gain is shrunk to zero: who is new has saved nothing yet."""
 _LN10: Final = float(np.log(10.0))
+_COMPARED: Final = 4.0
+"""Effective number of forecasts from which on skill is computed."""
 
 
 class Ledger:
@@ -153,7 +158,8 @@ class Ledger:
             kept: factor on past weights per forecast; below 1, the past is forgotten slowly.
         """
         self.horizons, self.noise, self.kept = horizons, noise, kept
-        self._rows: dict[str, int] = {}
+        self._rows: dict[str | int, int] = {}
+        """Row of each candidate by name, and of each baseline by its place among `BASELINES`."""
         self._clear(0)
 
     def _clear(self, accounts: int) -> None:
@@ -163,38 +169,47 @@ class Ledger:
         """Characters by horizon, all signals together, and effective numbers of forecasts in these sums."""
         self._sizes = np.tile(self.noise[:, None], (accounts + 1, 1, self.horizons))
         """Mean |error| of each signal, shape (accounts, signals, H)."""
+        self._beside = np.tile(self.noise[:, None], (accounts + 1, len(BASELINES), 1, self.horizons))
+        """Those of the baselines on the same samples, shape (accounts, baselines, signals, H)."""
         self._counted = np.full(shape, _PRIOR_WEIGHT)
         """Effective numbers of forecasts in these means."""
 
-    def _set(self, sources: Mapping[str, str]) -> None:
+    @property
+    def _sums(self) -> tuple[FloatArray, ...]:
+        return self._lengths, self._weights, self._sizes, self._beside, self._counted
+
+    def _set(self, sources: Mapping[Any, str | int]) -> None:
         """Have these accounts only: each a copy of one that there is, or a new one."""
-        old = (self._lengths, self._weights, self._sizes, self._counted)
+        old = self._sums
         known = [(row, self._rows[name]) for row, name in enumerate(sources.values()) if name in self._rows]
         to, of = np.array(known, dtype=np.intp).reshape(-1, 2).T
         self._clear(len(sources))
-        for new, before in zip((self._lengths, self._weights, self._sizes, self._counted), old, strict=True):
+        for new, before in zip(self._sums, old, strict=True):
             new[to] = before[of]
         self._rows = {name: row for row, name in enumerate(sources)}
 
     def keep(self, names: Iterable[str]) -> None:
         """Keep only the accounts of these candidates."""
-        self._set({name: name for name in (*names, PERSISTENCE) if name in self._rows})
+        self._set({name: name for name in (*range(len(BASELINES)), *names) if name in self._rows})
 
     def inherit(self, name: str, predecessor: str) -> None:
         """Give a candidate a copy of its predecessor's account, if there is one."""
         if predecessor in self._rows:
             self._set({**{each: each for each in self._rows}, name: predecessor})
 
-    def add(self, errors: Mapping[str, FloatArray], horizon: int) -> None:
+    def add(self, errors: Mapping[str, FloatArray], baselines: Sequence[FloatArray], horizon: int) -> None:
         """Add the errors (measured minus forecast) of the forecasts from one sample, shape (signals, N).
+
+        They are those of the candidates, by name, and those of `BASELINES`, in that order.
 
         The N readings are those after the previous horizon up to this one; `horizon` is an index. Their
         errors are correlated, so together they count as one reading of each signal, of mean length.
         """
-        if not errors.keys() <= self._rows.keys():
-            self._set({name: name for name in (*self._rows, *errors)})
-        h, rows = horizon, [self._rows[name] for name in errors]
-        found = np.array([np.abs(error).mean(axis=1) for error in errors.values()])
+        given: dict[Any, FloatArray] = {**dict(enumerate(baselines)), **errors}
+        if not given.keys() <= self._rows.keys():
+            self._set({name: name for name in (*self._rows, *given)})
+        h, rows = horizon, [self._rows[name] for name in given]
+        found = np.array([np.abs(error).mean(axis=1) for error in given.values()])
         widths = np.maximum(self._sizes[rows, :, h], _NARROWEST * self.noise)
         characters = np.log10(2.0 * widths) + found / (widths * _LN10)
         self._lengths[rows, h] = self.kept * self._lengths[rows, h] + characters.sum(axis=1)
@@ -203,6 +218,20 @@ class Ledger:
         self._counted[rows, h] = before + 1.0
         sums = before[:, None] * self._sizes[rows, :, h] + found
         self._sizes[rows, :, h] = sums / self._counted[rows, h, None]
+        beside = before[:, None, None] * self._beside[rows, :, :, h] + found[: len(BASELINES)]
+        self._beside[rows, :, :, h] = beside / self._counted[rows, h, None, None]
+
+    def skills(self, name: str) -> FloatArray:
+        """Skill of a candidate at each horizon beside each of `BASELINES`, shape (baselines, H).
+
+        Of several signals it is the geometric mean of the ratios that counts. NaN where too few forecasts
+        were compared.
+        """
+        if name not in self._rows:
+            return np.full((len(BASELINES), self.horizons), np.nan)
+        row = self._rows[name]
+        ratios = np.log(self._sizes[row] / self._beside[row]).mean(axis=1)
+        return np.where(self._weights[row] >= _COMPARED, 1.0 - np.exp(ratios), np.nan)
 
     def forecasts(self, name: str) -> float:
         """Effective number of a candidate's scored forecasts at all horizons, older ones weighted less."""
@@ -213,14 +242,10 @@ class Ledger:
 
         NaN at a horizon at which no forecast could be compared yet.
         """
-        if PERSISTENCE not in self._rows:
+        if 0 not in self._rows:
             return np.full((len(names), self.horizons), np.nan)
-        rows = [self._rows.get(name, -1) for name in (*names, PERSISTENCE)]
+        rows, first = [self._rows.get(name, -1) for name in names], self._rows[0]
         lengths, weights = self._lengths[rows], self._weights[rows]
-        means = np.where(weights > 0.0, lengths, np.nan) / np.maximum(weights, 1e-300)
-        known, trivial = means[:-1], means[-1]
-        seen = np.isfinite(known)
-        count = np.maximum(seen.sum(axis=0), 1)
-        common = np.where(seen.any(axis=0), np.where(seen, known, 0.0).sum(axis=0) / count, trivial)
-        found = (lengths[:-1] + _SHRINKAGE * common) / (weights[:-1] + _SHRINKAGE)
-        return np.asarray(trivial - found)
+        trivial = np.where(self._weights[first] > 0.0, self._lengths[first], np.nan)
+        trivial /= np.maximum(self._weights[first], 1e-300)
+        return np.asarray((weights * trivial - lengths) / (weights + _SHRINKAGE))

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from twinmatch.comparing import REFUSED, CandidateScore, TrustLevel, Verdict
+from twinmatch.comparing import REFUSED, CandidateScore, TrustLevel, Verdict, beaten_words
 from twinmatch.dynamics import Output, Parameters, PidGains
 from twinmatch.signals import Sample, Window, unbroken
 from twinmatch.twin import window_fit
@@ -91,6 +91,8 @@ class SessionSummary:
     """Range of the output in which forecasts have held."""
     fault: str = ""
     """Name of the fault present at the end; empty for none."""
+    beaten: str = ""
+    """Where a forecast that needs no twin is better, in words; empty if nowhere."""
     leader: str | None = None
     """The twin to ask what comes next."""
     leader_confidence: float = math.nan
@@ -179,6 +181,7 @@ def conclude(
         order=nominal.chosen_order if nominal else None,
         range=trust_range(last, shown.parameters.model.plant.output) if last and shown else None,
         fault=last.fault if last else "",
+        beaten=beaten_words(last.leading.beaten(last.horizons)) if last and last.leading else "",
         leader=last.leader if last else None,
         leader_confidence=last.leader_confidence if last else math.nan,
         refusal=tally.refusal,

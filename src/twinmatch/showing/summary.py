@@ -76,8 +76,10 @@ def _trust(summary: SessionSummary) -> str:
         return f"do not trust it now: {_trouble(summary)}{before}"
     if summary.level is TrustLevel.DOUBTFUL:
         before = f" (it held {held})" if held else ""
-        return f"doubtful now: measurements lie outside the bands{before}"
-    return f"trust it {held}" if held else "how far to trust it is not known yet"
+        return f"doubtful now: {summary.beaten or 'measurements lie outside the bands'}{before}"
+    if not held:
+        return "how far to trust it is not known yet"
+    return f"trust it {held}, but {summary.beaten}" if summary.beaten else f"trust it {held}"
 
 
 def _trouble(summary: SessionSummary) -> str:

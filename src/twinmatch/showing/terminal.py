@@ -23,7 +23,7 @@ from twinmatch.offline.summary import nominal_score
 from twinmatch.showing.family import CRITERIA
 from twinmatch.showing.lines import STYLES, Lines, redraws
 from twinmatch.showing.quantities import number, parameter_format
-from twinmatch.showing.verdicts import LEVEL_WORDS, Event, EventKind, events_since, leader_words, missed
+from twinmatch.showing.verdicts import Event, EventKind, events_since, leader_words, level_words, missed
 from twinmatch.twin import MatchReport
 
 LEAST_WAIT = 0.25
@@ -175,7 +175,7 @@ def _headline(verdict: Verdict | None, period: float) -> RenderableType:
         "level",
         Text.assemble(
             (f" {level.value.upper()} ", f"{STYLES[level]} reverse"),
-            (f"  {LEVEL_WORDS[level]}", STYLES[level]),
+            (f"  {level_words(verdict)}", STYLES[level]),
         ),
     )
     if verdict is None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Final
 
-from twinmatch.comparing import ADMITTED, REFUSED, TrustLevel, Verdict
+from twinmatch.comparing import ADMITTED, REFUSED, TrustLevel, Verdict, beaten_words
 from twinmatch.fitting import Status
 from twinmatch.offline.summary import nominal_score
 from twinmatch.showing.quantities import number, signal_names
@@ -59,6 +59,19 @@ def row(verdict: Verdict, period: float = 1.0) -> tuple[str, ...]:
     names = (verdict.level.value, verdict.leader or "–", verdict.nominal or "–")
     misses = (number(verdict.miss_y), number(verdict.miss_u))
     return (number(verdict.sample * period, 0), *names, order, gain, total, now, *misses, verdict.reason)
+
+
+def level_words(verdict: Verdict | None) -> str:
+    """What a verdict's trust level means; None: before the first verdict."""
+    if verdict is None:
+        return LEVEL_WORDS[TrustLevel.UNKNOWN]
+    leading = verdict.leading
+    beaten = beaten_words(leading.beaten(verdict.horizons)) if leading else ""
+    if beaten and verdict.level is TrustLevel.TRUSTED:
+        return f"{LEVEL_WORDS[verdict.level]}, but {beaten}"
+    if beaten and verdict.level is TrustLevel.DOUBTFUL and verdict.miss_since is None:
+        return beaten
+    return LEVEL_WORDS[verdict.level]
 
 
 def missed(verdict: Verdict) -> str:
@@ -205,17 +218,17 @@ def events_since(before: Verdict | None, verdict: Verdict) -> list[Event]:
     ):
         faulty = verdict.fault or verdict.level is TrustLevel.FAULT
         kind = EventKind.FAULT if faulty else EventKind.LEVEL
-        add(kind, _LEVEL_MARKS[verdict.level], *_level_words(verdict))
+        add(kind, _LEVEL_MARKS[verdict.level], *_level_event(verdict))
     return found
 
 
-def _level_words(verdict: Verdict) -> tuple[str, str]:
+def _level_event(verdict: Verdict) -> tuple[str, str]:
     """Title and reason of a change of level or fault."""
     if verdict.fault:
         since = "" if verdict.fault_since is None else f" (since sample {verdict.fault_since})"
         return f"fault: {verdict.fault}", f"{verdict.reason}{since}"
     more = f": {missed(verdict)}" if verdict.level in {TrustLevel.DOUBTFUL, TrustLevel.FAULT} else ""
-    return verdict.level.value, f"{LEVEL_WORDS[verdict.level]}{more}"
+    return verdict.level.value, f"{level_words(verdict)}{more}"
 
 
 @dataclass(frozen=True)

@@ -254,7 +254,10 @@ class Discriminator:
 
         def verdict() -> Verdict:
             forecaster = self.forecaster
-            leader, confidence = forecaster.leader, forecaster.confidence
+            leader, confidence, forecasts = forecaster.leader, forecaster.confidence, forecaster.scores
+            level, useless = assessment.level, any(s.useless for s in forecasts if s.name == leader)
+            if useless and level is TrustLevel.TRUSTED:
+                level = TrustLevel.DOUBTFUL
             sentences = (forecaster.sentence, scores.certainty)
             return Verdict(
                 sample=sample,
@@ -269,9 +272,9 @@ class Discriminator:
                 leader_confidence=float("nan") if leader is None else confidence,
                 decided=leader is not None and confidence >= DECIDED_FROM,
                 horizons=forecaster.settings.horizons,
-                forecasts=forecaster.scores,
+                forecasts=forecasts,
                 **bands._asdict(),
-                **assessment._asdict(),
+                **assessment._replace(level=level)._asdict(),
                 **scores._replace(certainty="; ".join(s for s in sentences if s))._asdict(),
             )
 

@@ -11,11 +11,13 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from twinmatch.comparing import Candidate, ForecastScore
+from twinmatch.comparing import Candidate, ForecastScore, beaten_words
 from twinmatch.dynamics import Pid, PidGains, PidState, PlantError
 from twinmatch.forecasting import (
+    BASELINES,
     HORIZONS,
-    PERSISTENCE,
+    Arx,
+    ArxForecast,
     Calibration,
     Followers,
     ForecastError,
@@ -32,6 +34,8 @@ from twinmatch.twin.trust import BandCheck, LeaderConfidence, check_band
 _RUN_IN: Final = (60.0, 300.0)
 """Newest stretch over which a new candidate tracks the plant before use, s: if its states are known, and if
 the hidden ones have to be estimated. Slow samples need longer, as their horizons do."""
+_SKILLS: Final = tuple(f"{name}_skill" for name in BASELINES)
+"""Fields of `ForecastScore`."""
 _OTHERS_EVERY: Final = 3
 """The bands of candidates that do not lead learn from every third forecast only."""
 
@@ -78,6 +82,13 @@ class Snapshot(NamedTuple):
             ForecastError: there is no candidate yet, or none of that name.
         """
         return self.outlooks[_checked(self.leader if name is None else name, self.outlooks)]
+
+
+class _Departure(NamedTuple):
+    """What forecasts from one sample."""
+
+    snapshot: Snapshot
+    arx: ArxForecast
 
 
 @dataclass
@@ -127,12 +138,13 @@ class Forecaster:
         self._order: tuple[str, ...] = ()
         self._ledger: Ledger | None = None
         self._leader_confidence = LeaderConfidence(self._kept)
-        self._departures: dict[int, Snapshot] = {}
+        self._departures: dict[int, _Departure] = {}
         self._run_in = tuple(round(stretch * time_scale(period) / period) for stretch in _RUN_IN)
         self._recent: deque[Sample] = deque(maxlen=max(self._longest + self._stride, *self._run_in) + 1)
         self._visited = (np.inf, -np.inf)
         self._pid = None if gains is None else Pid(gains)
         self._followers = Followers()
+        self._arx = Arx(gains, float(np.exp(-period / self.settings.memory)))
         self.notes: tuple[str, ...] = ()
         """Reservations to be shown with forecasts made now."""
 
@@ -178,6 +190,7 @@ class Forecaster:
                     gain=total,
                     gains=tuple(gains.tolist()),
                     forecasts=ledger.forecasts(name),
+                    **dict(zip(_SKILLS, map(tuple, ledger.skills(name).tolist()), strict=True)),
                 )
             )
         return tuple(found)
@@ -192,7 +205,9 @@ class Forecaster:
         if np.isnan(best.gain):
             return f"{leader} leads until a forecast can be compared with the samples"
         saved = f"{leader} forecasts best: it saves {best.gain:.2f} characters per forecast"
-        return f"{saved}, and in {100 * self.confidence:.0f} % of cases no other was more than 3 % better"
+        right = f"in {100 * self.confidence:.0f} % of cases no other was more than 3 % better"
+        beaten = beaten_words(best.beaten(self.settings.horizons))
+        return f"{saved}, and {right}; {beaten}" if beaten else f"{saved}, and {right}"
 
     def forecasts_of(self, name: str) -> float:
         """Effective number of a candidate's forecasts that could be scored, older ones weighted less."""
@@ -206,6 +221,7 @@ class Forecaster:
         self._visited = min(self._visited[0], sample.output), max(self._visited[1], sample.output)
         if self._pid is not None:
             self._pid.follow(sample.reference, sample.output, sample.input)
+        self._arx.push(sample)
         native = []
         for name, twin in list(self._twins.items()):
             if not twin.candidate.parameters.model.is_external:
@@ -217,7 +233,8 @@ class Forecaster:
         if self._twins and sample.index % self._stride == 0:
             leader = self.leader
             outlooks = {name: self._outlook(name, banded=name == leader) for name in self._order}
-            self._departures[sample.index] = Snapshot(leader, outlooks)
+            arx = self._arx.departure(self._controller)
+            self._departures[sample.index] = _Departure(Snapshot(leader, outlooks), arx)
         for place, ahead in enumerate(self.horizons):
             departure = self._departures.get(sample.index - ahead)
             if departure is not None:
@@ -271,6 +288,10 @@ class Forecaster:
         known = self._twins if self._recent else {}
         return self._outlook(_checked(self.leader if name is None else name, known))
 
+    @property
+    def _controller(self) -> PidState:
+        return PidState() if self._pid is None else self._pid.state
+
     def _outlook(self, name: str, *, banded: bool = True) -> Outlook:
         """The outlook of a candidate; `banded=False` if only the mean will be used."""
         twin = self._twins[name]
@@ -281,7 +302,7 @@ class Forecaster:
             states=twin.state_filter.states,
             covariance=twin.state_filter.joint,
             unsure=twin.state_filter.free,
-            controller=PidState() if self._pid is None else self._pid.state,
+            controller=self._controller,
             gains=self._gains,
             period=self.period,
             leads=self._leads,
@@ -303,7 +324,7 @@ class Forecaster:
         if not made:
             return None
         came = list(self._recent)[made[-1] - newest - 1 :]
-        outlook = self._departures[made[-1]].outlook()
+        outlook = self._departures[made[-1]].snapshot.outlook()
         try:
             forecast = outlook.forecast(self._condition(came[1:]), _rows(came))
         except PlantError:
@@ -365,7 +386,7 @@ class Forecaster:
             state_filter.push(sample)
         return _Twin(candidate, state_filter, calibration)
 
-    def _learn(self, departure: Snapshot, sample: int, place: int) -> None:
+    def _learn(self, departure: _Departure, sample: int, place: int) -> None:
         """Score the forecasts made at one sample on the samples up to one of their horizons."""
         ahead, ledger = self.horizons[place], self._ledger
         if ledger is None or self._spoilt(sample, sample + ahead):
@@ -376,12 +397,14 @@ class Forecaster:
         before, seen = max((h for h in self.horizons if h < ahead), default=0), _seen(past[1:])
         if seen is not None and not seen[before:].any():
             return
-        off = {PERSISTENCE: measured - np.array([[past[0].output], [past[0].input]])[:signals]}
+        last, leader = np.array([[past[0].output], [past[0].input]])[:signals], departure.snapshot.leader
+        baselines = [measured - last, measured - departure.arx.forecast(given, rows)[:signals]]
+        off: dict[str, FloatArray] = {}
         skipped = sample // self._stride % _OTHERS_EVERY
-        for name, outlook in departure.outlooks.items():
+        for name, outlook in departure.snapshot.outlooks.items():
             if name not in self._twins:
                 continue
-            banded = not skipped or name == departure.leader
+            banded = not skipped or name == leader
             with self._removing_lost(name):
                 predicted = outlook.predicted(given, rows, banded=banded)
                 off[name] = measured - np.array(predicted[:signals])
@@ -390,13 +413,13 @@ class Forecaster:
                     if seen is not None:
                         quotients[:, ~seen] = np.nan
                     self._twins[name].calibration.learn(quotients, before)
-        if seen is not None:
-            off, before = {name: one[:, seen] for name, one in off.items()}, int(seen[:before].sum())
-        ledger.add({name: one[:, before:] for name, one in off.items()}, place)
-        if ahead == self._longest and departure.leader in off:
+        kept = np.arange(ahead) if seen is None else np.flatnonzero(seen)
+        new = kept[kept >= before]
+        ledger.add({name: one[:, new] for name, one in off.items()}, [b[:, new] for b in baselines], place)
+        if ahead == self._longest and leader in off:
             noise = ledger.noise[:, None]
-            paths = {n: float(np.sqrt(np.mean(np.square(o / noise)))) for n, o in off.items() if n}
-            self._leader_confidence.add(paths[departure.leader], min(paths.values()))
+            paths = {n: float(np.sqrt(np.mean(np.square(o[:, kept] / noise)))) for n, o in off.items()}
+            self._leader_confidence.add(paths[leader], min(paths.values()))
 
 
 def _totals(gains: FloatArray) -> FloatArray:

@@ -16,7 +16,7 @@ from twinmatch.showing.page.state import DashboardState, WhatIfAnswer
 from twinmatch.showing.page.style import DARK, MARK_INKS, MARK_SIGNS, SIGNS
 from twinmatch.showing.quantities import number, parameter_format, span_text, with_unit
 from twinmatch.showing.style import LEVELS
-from twinmatch.showing.verdicts import COLUMNS, LEVEL_WORDS, Event, row
+from twinmatch.showing.verdicts import COLUMNS, Event, level_words, row
 
 RECENT = 80
 """Events in the table."""
@@ -42,7 +42,7 @@ def first_screen(state: DashboardState) -> str:
     badge = (
         f'<div class="level{dark}" style="background:{LEVELS[level]}"><div class="sign">{SIGNS[level]}</div>'
         f'<div><div class="word">{escape(level.value)}</div>'
-        f'<div class="meaning">{escape(LEVEL_WORDS[level])}</div></div></div>'
+        f'<div class="meaning">{escape(level_words(state.verdict))}</div></div></div>'
     )
     answers = f"{_leader(state)}{_forecast(state)}{_health(state)}"
     to_do = f'<div class="label">what to do</div><p>{escape(what_to_do(state))}</p>'

@@ -28,7 +28,7 @@ from twinmatch.showing.report.pictures import Picture, fans_of, pictures
 from twinmatch.showing.report.words import as_sentence, plain_words, session_facts
 from twinmatch.showing.style import LEVELS
 from twinmatch.showing.summary import sentence
-from twinmatch.showing.verdicts import LEVEL_WORDS, last_verdict
+from twinmatch.showing.verdicts import last_verdict, level_words
 from twinmatch.twin import TwinSettings
 
 _LIBRARIES = ("numpy", "scipy", "numba", "control", "mcap", "matplotlib", "Jinja2")
@@ -256,7 +256,7 @@ class SessionReport:
             "sentence": self.sentence,
             "level": level.value,
             "level_colour": LEVELS[level],
-            "level_words": LEVEL_WORDS[level],
+            "level_words": level_words(judgement.verdicts[-1] if judgement.verdicts else None),
             "words": [*plain_words(judgement), *backtest_words(judged.tested)[-1:]],
             "forecasts": tables.forecast_tables(judged.tested),
             "forecast_sentences": backtest_words(judged.tested),

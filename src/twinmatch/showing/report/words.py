@@ -196,7 +196,10 @@ def _trust(judgement: Judgement) -> str:
         return f"There is no range of the {_signals(judgement).output} in which its forecasts have held."
     held = f"Its forecasts have held between {s.range}"
     if s.level is TrustLevel.TRUSTED:
-        return f"{held}, and at the end of the session the twin can be trusted there."
+        but = f", but {s.beaten}" if s.beaten else ""
+        return f"{held}, and at the end of the session the twin can be trusted there{but}."
+    if s.level is TrustLevel.DOUBTFUL and s.beaten:
+        return f"{held}, but {s.beaten}."
     if s.level is TrustLevel.DOUBTFUL:
         return f"{held}, but at the end of the session the twin and the plant have drifted apart."
     return f"{held}, but at the end of the session the twin is not to be trusted."
