@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import math
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -30,14 +31,16 @@ from twinmatch.launching.watch import Settled, Watch
 from twinmatch.nodes.entrance import MOST_KINDS, Course
 from twinmatch.nodes.expected import CHECKS, FOLLOWS, READ, check
 from twinmatch.nodes.fields import MessageError
-from twinmatch.nodes.messages import match_message, score_message
+from twinmatch.nodes.matcher import MOST_WAITING
+from twinmatch.nodes.messages import match_message, request_message, score_message
 from twinmatch.nodes.sample_messages import sample_message
+from twinmatch.nodes.topics import EVERYTHING
 from twinmatch.plants import Peltier
 from twinmatch.showing.foxglove.node import Foxglove
 from twinmatch.showing.page.node import Dashboard
 from twinmatch.showing.terminal import Screen
-from twinmatch.signals import Sample
-from twinmatch.twin import MatchReport
+from twinmatch.signals import Sample, Window
+from twinmatch.twin import MatchReport, MatchRequest, carry_out
 from twinmatch_msgs import msg as messages
 
 pytestmark = pytest.mark.ros
@@ -368,3 +371,65 @@ def test_a_second_publisher_is_named(
     for publisher in publishers:
         listener.node.destroy_publisher(publisher)
     listener.spin_until(lambda: words not in listener.reports("keeper: health")[-1].message, "its end")
+
+
+def test_a_flood_of_sound_messages_is_not_queued(
+    start: Callable[..., Inside], listener: Listener, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Matches that nobody asked for, and requests beyond some: they would be asked for again."""
+    let = threading.Event()
+    monkeypatch.setattr("twinmatch.nodes.matcher.carry_out", lambda *given: let.wait() and carry_out(*given))
+    twin = start("twin")
+    nodes = {node.NAME: node for node in twin.nodes}
+    matches = listener.node.create_publisher(messages.Match, "twin/match", EVERYTHING)
+    requests = listener.node.create_publisher(messages.MatchRequest, "twin/match_request", EVERYTHING)
+    listener.spin_until(lambda: all(p.get_subscription_count() for p in (matches, requests)), "the twin")
+    for k in range(1000):
+        matches.publish(sound_match())
+        requests.publish(sound_request(k))
+    counts = {"discriminator": "matches not asked for", "matcher": "left to be repeated"}
+
+    def counted() -> bool:
+        assert twin.running, twin.text
+        found = {name: nodes[name].health.report().values.get(key, "0") for name, key in counts.items()}
+        return int(found["discriminator"]) == 1000 and int(found["matcher"]) == 1000 - MOST_WAITING
+
+    listener.spin_until(counted, lambda: str([node.health.report() for node in twin.nodes]))
+    assert nodes["discriminator"].worker.depth == 0
+    assert nodes["matcher"].worker.depth < MOST_WAITING
+    let.set()
+
+
+def sound_request(sample: int) -> messages.MatchRequest:
+    window = Window(*(np.full(300, 30.0) for _ in range(3)), first=sample)
+    asked = MatchRequest(sample + 299, 30.0, window, Peltier.model().parameters(), None)
+    return request_message(asked, 0)
+
+
+def test_a_keeper_keeps_no_more_verdicts_than_there_are_samples(
+    start: Callable[..., Inside], listener: Listener
+) -> None:
+    keeper = next(node for node in start("rig").nodes if node.NAME == "keeper")
+    scores = listener.node.create_publisher(messages.ModelScore, "twin/model_score", EVERYTHING)
+    listener.spin_until(scores.get_subscription_count, "the keeper")
+    for k in range(150):
+        scores.publish(score_message(verdict(TrustLevel.TRUSTED, sample=300 + k), 0))
+    key = "twin/model_score: more than samples"
+    listener.spin_until(lambda: keeper.health.report().values.get(key) == "50", "the count")
+    assert len(keeper._messages["twin/model_score"]) == 100
+
+
+def test_samples_beyond_what_memory_should_hold_are_left_to_be_fetched(
+    start: Callable[..., Inside], listener: Listener, steps: list[Sample], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("twinmatch.nodes.samples.MOST_QUEUED", -1)
+    (node,) = start("twin_simulator").nodes
+    listener.spin_until(listener.samples.get_subscription_count, "the simulator")
+    listener.send(steps[:30])
+    listener.spin_until(
+        lambda: node.health.report().values.get("samples left to be fetched") == "30", "the count"
+    )
+    monkeypatch.undo()
+    listener.send(steps[30:31])
+    listener.spin_until(lambda: node._stream.missing, "the wish for the others")
+    assert tuple(node._stream.missing) == (0, 29)

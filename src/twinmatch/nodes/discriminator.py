@@ -218,9 +218,13 @@ class DiscriminatorNode(SampleNode):
         self.health.flag("match", Level.WARN, words)
 
     def _on_match(self, report: MatchReport) -> None:
-        pending, (first, _) = self._pending, report.match.samples
-        if pending is not None and (report.sample, first) == (pending.sample, pending.first):
-            self._pending = None
+        pending = self._pending
+        asked = None if pending is None else (pending.sample, pending.first, len(pending.reference))
+        first, last = report.match.samples
+        if asked != (report.sample, first, last + 1 - first):
+            self.health.count("matches not asked for")  # a second answer, or anybody's: not even queued
+            return
+        self._pending = None
         self.put(report)
 
     def _publish(self, verdict: Verdict) -> None:

@@ -28,6 +28,9 @@ MOST_SAMPLES = 2000
 MOST_MESSAGES = 20
 """Most matches, and most verdicts, in one answer."""
 
+AHEAD = 100
+"""Messages that may be about samples not received yet; there is at most one about each sample."""
+
 LINGER = 2.0
 """Time after a request during which the process stays up for the next one, wall s."""
 
@@ -85,7 +88,10 @@ class Keeper(TwinmatchNode):
 
     def _on_said(self, name: str, data: bytes) -> None:
         if name in self._messages:
-            self._messages[name].push(bytes(data))
+            if len(self._messages[name]) < len(self._samples) + AHEAD:
+                self._messages[name].push(bytes(data))
+            else:
+                self.health.count(f"{name}: more than samples")
         else:
             self._counts[name] += 1
 

@@ -102,6 +102,11 @@ class Stream:
         """Whether a sample was passed on."""
         return self._end > 0
 
+    @property
+    def waiting(self) -> int:
+        """Number of samples held back."""
+        return len(self._live)
+
     def push(self, sample: Sample) -> None:
         """Take a live sample."""
         if self.missing is not None:

@@ -21,6 +21,8 @@ from twinmatch.twin import TwinSettings
 from twinmatch_msgs.msg import LoopSample
 from twinmatch_msgs.srv import Past
 
+MOST_QUEUED = 100_000
+"""Most samples in memory; those that arrive meanwhile are fetched from the keeper later."""
 AHEAD = 5
 """Queued items above which a virtual plant in step waits."""
 
@@ -185,6 +187,9 @@ class SampleNode(TwinNode):
         return 0 if self.worker is None else self.worker.depth
 
     def _on_sample(self, sample: Sample) -> None:
+        if self._depth() + self._stream.waiting > MOST_QUEUED:
+            self.health.count("samples left to be fetched")
+            return
         self._stream.push(sample)
         if self._stream.missing is not None:
             self._catching_up.request()
