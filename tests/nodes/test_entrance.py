@@ -7,6 +7,7 @@ import math
 import threading
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from tests.support.nonsense import Nonsense
 from tests.support.ros import Inside, Listener
-from tests.support.verdicts import verdict
+from tests.support.verdicts import LED, verdict
 from twinmatch.comparing import TrustLevel
 from twinmatch.fitting import Fit, Match, Status
 from twinmatch.launching.live import Live, _LiveRun
@@ -69,7 +70,7 @@ def sound_match() -> messages.Match:
 
 
 def sound_score() -> messages.ModelScore:
-    return score_message(verdict(TrustLevel.TRUSTED), 0)
+    return score_message(replace(LED, horizons=(10.0,)), 0)
 
 
 def sound_sample() -> messages.LoopSample:
@@ -115,6 +116,7 @@ def test_sound_messages_pass(name: str) -> None:
         ("score", "identified_gap", [0.1, 0.2], "identified_gap has 2 values"),
         ("score", "nominal", "nobody", "nominal 'nobody' is not among those listed"),
         ("score", "horizons", [math.nan], "horizons does not rise"),
+        ("score", "horizons", [1.0, 2.0], "gains has 1 values for its horizons; expected 2"),
         ("sample", "output", [], "has 1 references, 0 outputs and 1 inputs; a twin runs one loop"),
         ("sample", "input", [1.0, 2.0], "1 outputs and 2 inputs"),
         ("sample", "output", [math.nan], "output is nan; expected a finite number"),

@@ -179,7 +179,8 @@ def _check_verdict(message: Any) -> None:
     for candidate in message.candidates:
         _check_candidate(candidate)
     for score in message.forecasts:
-        _sized(score, len(message.horizons), "gains", of="its horizons", empty=True)
+        skills = "gains", "persistence_skill", "arx_skill"
+        _sized(score, len(message.horizons), *skills, of="its horizons", empty=True)
         _check_score(score)
 
 
