@@ -13,7 +13,9 @@ from hypothesis import strategies as st
 from tests.support.plant_files import plant_file
 from tests.support.plants import Lag, Motor, Tank
 from tests.support.processes import run_twinmatch
+from tests.support.servo import Servo
 from twinmatch.adding import CheckedPlant, check_plant
+from twinmatch.adding.check import ranges
 from twinmatch.adding.dimensions import Dimensions
 from twinmatch.adding.trial import inseparable, time_constants
 from twinmatch.dynamics import Drive, Equations, Output, Parameter, Plant, State, Structure
@@ -82,6 +84,22 @@ def test_a_plant_without_mistakes_has_no_findings() -> None:
     assert checked.findings == ()
     assert checked.exit_code == 0
     assert checked.notes == ("time constants at the defaults: 5 s",)
+
+
+def test_how_far_an_angle_goes_is_not_a_contradiction() -> None:
+    """Nothing pulls the shaft back: over the drive's range it turns as long as it is let."""
+
+    class Narrow(Servo, name="narrow_servo"):
+        angle = Output(unit="deg", noise=0.06, span=(-180.0, 180.0))
+        phi = State(unit="deg", span=(-180.0, 180.0))
+
+    assert not ranges(Narrow.model("free"))
+
+    class Slow(Servo, name="slow_servo"):
+        omega = State(unit="deg/s", span=(-10.0, 10.0))
+
+    (finding,) = ranges(Slow.model("free"))
+    assert "state omega goes from" in finding.what
 
 
 def checked_file(

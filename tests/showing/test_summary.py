@@ -83,6 +83,21 @@ SUMMARY = SessionSummary(
             "Nominal: 70 °C set; orders 22221; do not trust it now: no twin explains the plant's behaviour.",
         ),
         (
+            {"fit_y": -1.003},
+            "Nominal: 70 °C set; orders 22221; left without readings it drifts off (temperature fit "
+            "−100.3 %), from the newest readings it forecasts well; trust it between 25 and 92 °C.",
+        ),
+        (
+            {"beaten": "10 s ahead its forecasts are worse than an ARX model"},
+            "Nominal: 70 °C set; orders 22221; temperature fit 98.8 %; trust it between 25 and 92 °C, but "
+            "10 s ahead its forecasts are worse than an ARX model.",
+        ),
+        (
+            {"level": TrustLevel.DOUBTFUL, "beaten": "10 s ahead its forecasts are worse than an ARX model"},
+            "Nominal: 70 °C set; orders 22221; temperature fit 98.8 %; doubtful now: 10 s ahead its "
+            "forecasts are worse than an ARX model (it held between 25 and 92 °C).",
+        ),
+        (
             {"range": None},
             "Nominal: 70 °C set; orders 22221; temperature fit 98.8 %; how far to trust it is not known yet.",
         ),

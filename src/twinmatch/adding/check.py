@@ -195,14 +195,22 @@ def misdeclared(model: Model) -> list[Finding]:
 
 
 def ranges(model: Model) -> list[Finding]:
-    """Whether output and states stay within their spans, at the defaults."""
+    """Whether output and states stay within their spans, at the defaults.
+
+    Not asked where nothing pulls a state back, as at a motor's angle: how far it goes depends on the time.
+    """
     parameters = model.parameters()
     trial = trial_for(parameters)
     run, _ = run_trial(parameters, trial)
     y = model.plant.output
     found = []
+    states = begin(parameters, trial.output, input=float(trial.input[0]))
+    _, by_state, _, _, seen, _ = model.kernels.slopes_at(
+        parameters.vector, states, float(trial.input[0]), model.disturbances
+    )
+    integrates = ~by_state.any(axis=0)
     low, high = float(run.output.min()), float(run.output.max())
-    if low < y.span[0] or high > y.span[1]:
+    if (low < y.span[0] or high > y.span[1]) and not seen[integrates].any():
         what = (
             f"{model.title}: with the defaults, over the drive's range, the output goes from {low:.4g} to "
             f"{high:.4g} {y.unit}, beyond its span {y.span[0]:g} to {y.span[1]:g}"
@@ -210,14 +218,13 @@ def ranges(model: Model) -> list[Finding]:
         found.append(
             Finding(what, "widen `span` of the output, or check default values and units of the parameters")
         )
-    states = begin(parameters, trial.output, input=float(trial.input[0]))
     least, most = states.copy(), states.copy()
     for u, row in zip(trial.input, trial.disturbances, strict=True):
         states = advance(parameters, states, float(u), trial.period, row)
         least, most = np.minimum(least, states), np.maximum(most, states)
     for k, name in enumerate(model.states):
         span = model.plant.states[name].span
-        if least[k] < span[0] or most[k] > span[1]:
+        if (least[k] < span[0] or most[k] > span[1]) and not integrates[k]:
             what = (
                 f"{model.title}: state {name} goes from {least[k]:.4g} to {most[k]:.4g}, beyond its span "
                 f"{span[0]:g} to {span[1]:g}"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Final
 
 from twinmatch.comparing import TrustLevel, Verdict
 from twinmatch.offline.summary import SessionSummary, ShownTwin
@@ -12,6 +12,8 @@ from twinmatch.record import document_of, finite, parameters_document
 from twinmatch.showing.quantities import parameter_format, percent, signal_names
 from twinmatch.twin import MatchReport
 
+_POOR: Final = 0.5
+"""A fit over the whole session below this needs an explanation beside forecasts that hold."""
 UNEXPLAINED = "unexplained"
 """Name in sessions of earlier versions for a fault seen only in the residuals."""
 
@@ -33,7 +35,10 @@ def sentence(summary: SessionSummary) -> str:
     parts = [_who(summary)]
     if math.isfinite(summary.fit_y):
         output = signal_names(summary.parameters.model.plant).output if summary.parameters else "output"
-        parts.append(f"{output} fit {percent(summary.fit_y)} %")
+        fit = f"{output} fit {percent(summary.fit_y)} %"
+        if summary.fit_y < _POOR and summary.level is TrustLevel.TRUSTED:
+            fit = f"left without readings it drifts off ({fit}), from the newest readings it forecasts well"
+        parts.append(fit)
     return f"{'; '.join([*parts, _trust(summary)])}.{_center(summary)}"
 
 
