@@ -36,7 +36,7 @@ def sentence(summary: SessionSummary) -> str:
     if math.isfinite(summary.fit_y):
         output = signal_names(summary.parameters.model.plant).output if summary.parameters else "output"
         fit = f"{output} fit {percent(summary.fit_y)} %"
-        if summary.fit_y < _POOR and summary.level is TrustLevel.TRUSTED:
+        if summary.fit_y < _POOR and summary.level is TrustLevel.TRUSTED and summary.range:
             fit = f"left without readings it drifts off ({fit}), from the newest readings it forecasts well"
         parts.append(fit)
     return f"{'; '.join([*parts, _trust(summary)])}.{_center(summary)}"
