@@ -1,4 +1,4 @@
-"""Replay: recordings against real time, growth with their length, and a full verdict.
+"""Replay: recordings against real time, growth with their length, a full verdict, and one sample live.
 
 One core, in a process that has already loaded everything; `start_up` measures the time before that. The
 recording is simulated; `python -m benchmarks.replay --recording FILE` uses your own instead.
@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import argparse
 import copy
+import itertools
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from benchmarks.common import Row, Timing, measure_side_by_side, print_rows, rows_of
@@ -26,6 +28,8 @@ HOUR_TARGET = 1.2
 """Target for an hour, s; with 0.8 s for import and start-up, the total is two."""
 VERDICT_TARGET = 0.5
 """Target for a verdict, s."""
+SAMPLE_TARGET = 0.0002
+"""Target for a sample without a verdict, s, after which all candidates can forecast."""
 POINTS = (30, 40, 50, 60, 70, 80, 90, 100)
 """Operating points of eight candidates, °C."""
 
@@ -37,7 +41,8 @@ def _rig(at: int) -> Parameters:
 
 
 def run(quick: bool) -> list[Row]:
-    return run_on(recorded(620 if quick else HOUR), quick) + _growth(quick) + _full_verdict(quick)
+    judged = run_on(recorded(620 if quick else HOUR), quick)
+    return judged + _growth(quick) + _full_verdict(quick) + _one_sample(quick)
 
 
 def run_on(samples: Sequence[Sample], quick: bool) -> list[Row]:
@@ -87,6 +92,22 @@ def _full_verdict(quick: bool) -> list[Row]:
     case = f"{len(verdict.modelled)} candidates × {len(verdict.modelled[0].orders)} orders × 2 outputs"
     note = f"on {verdict.last - verdict.first + 1} samples"
     return rows_of("replay", case, timings, targets={"twinmatch": VERDICT_TARGET}, notes={"twinmatch": note})
+
+
+def _one_sample(quick: bool) -> list[Row]:
+    """A sample between two triggers, until the outlooks of all candidates are there."""
+    ready, sample, report = _before_a_verdict()
+    ready.push_sample(sample)
+    ready.push_match(report)
+    count, following = len(ready.forecaster.names), itertools.count(sample.index + 1)
+
+    def push() -> int:
+        ready.forecaster.push(replace(sample, index=next(following)))
+        return len(ready.forecaster.snapshot().outlooks)
+
+    timings = measure_side_by_side({"twinmatch": push}, 20 if quick else 300)
+    case = f"one sample live, {count} candidates forecast"
+    return rows_of("replay", case, timings, targets={"twinmatch": SAMPLE_TARGET})
 
 
 def _before_a_verdict() -> tuple[Discriminator, Sample, MatchReport]:

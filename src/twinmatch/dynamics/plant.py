@@ -207,7 +207,7 @@ class Model:
             PlantError: as `disturbance_row`.
         """
         if values is None or (self.disturbances.size and np.size(values) == 0):
-            return np.tile(self.disturbances, (size, 1))
+            return np.repeat(self.disturbances[None], size, axis=0)
         rows = np.array(values, dtype=np.float64)
         if rows.shape != (size, self.disturbances.size) or not np.isfinite(rows).all():
             raise PlantError(
