@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import control
 import numpy as np
 import pytest
@@ -24,6 +26,8 @@ from twinmatch.dynamics import (
     Structure,
     advance,
     begin,
+    dead_zone,
+    dry_friction,
     linearised,
     maximum,
     read,
@@ -259,3 +263,14 @@ def test_a_start_that_uses_a_state_is_refused_in_words() -> None:
 
     with pytest.raises(PlantError, match="the start of x uses z, which is not known before the first sample"):
         begin(Early.model().parameters(), 1.0)
+
+
+@given(st.floats(-10.0, 10.0), st.floats(0.0, 3.0), st.floats(0.01, 5.0))
+def test_a_dead_zone_and_dry_friction(value: float, width: float, softness: float) -> None:
+    left = float(dead_zone(sympy.Float(value), sympy.Float(width)))
+    assert left == pytest.approx(math.copysign(max(abs(value) - width, 0.0), value), abs=1e-12)
+    force = float(dry_friction(sympy.Float(value), sympy.Float(2.0), sympy.Float(softness)))
+    assert abs(force) < 2.0
+    assert force * value <= 0.0
+    half = float(dry_friction(sympy.Float(softness), sympy.Float(2.0), sympy.Float(softness)))
+    assert half == pytest.approx(-1.0)

@@ -45,7 +45,7 @@ from twinmatch.dynamics.simulation import (
     simulate_driven,
     simulate_window,
 )
-from twinmatch.dynamics.terms import DeadTime, limited, magnitude, maximum, minimum
+from twinmatch.dynamics.terms import DeadTime, dead_zone, dry_friction, limited, magnitude, maximum, minimum
 
 __all__ = [
     "FROM_PLANT_FILE",
@@ -87,7 +87,9 @@ __all__ = [
     "begin_window",
     "box_step",
     "controller_state",
+    "dead_zone",
     "descend",
+    "dry_friction",
     "forecast_loop",
     "gains_for",
     "gains_of",

@@ -65,6 +65,16 @@ def limited(value: Any, low: Any, high: Any) -> Any:
     return maximum(low, minimum(high, value))
 
 
+def dead_zone(value: Any, width: Any) -> Any:
+    """What is left of a value beyond ±`width`: the voltage that turns a motor once it has broken loose."""
+    return value - limited(value, -width, width)
+
+
+def dry_friction(speed: Any, force: Any, softness: Any) -> Any:
+    """A force of size `force` against a speed; smooth, half of it acts at the speed `softness`."""
+    return -force * speed / (softness + magnitude(speed))
+
+
 class Kinks:
     """Replaces kinks by switches, innermost first, and collects their conditions."""
 
