@@ -20,7 +20,7 @@ myst_heading_anchors = 3
 # The notebook was executed when it was written, and a test compares.
 nb_execution_mode = "off"
 
-autodoc_default_options = {"members": True, "imported-members": True, "member-order": "bysource"}
+autodoc_default_options = {"members": True, "member-order": "bysource"}
 autodoc_typehints_format = "short"
 autodoc_type_aliases = {"ArrayLike": "ArrayLike", "FloatArray": "FloatArray"}
 python_maximum_signature_line_length = 100
