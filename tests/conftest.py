@@ -27,6 +27,8 @@ FIRST = ("system", "test_golden.py", "nodes", "emulation", "showing", "camera_se
 """Whose tests wait for other processes or compute longest; they begin first, so that none is the last."""
 APART = ("tests/test_golden.py", "tests/docs/test_examples.py")
 """Files whose tests share nothing and take long: each is run by whichever worker is free."""
+TOGETHER = ("tests/showing/report/", "tests/offline/backtest/", "tests/offline/archive/", "tests/fmu/")
+"""Folders whose files share what takes long to make: one worker runs them all."""
 
 settings.register_profile("repeatable", derandomize=True, deadline=None, max_examples=40)
 settings.load_profile("repeatable")
@@ -44,10 +46,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 class ByFile(LoadFileScheduling):
-    """The tests of a file stay together, unless they are `APART`."""
+    """The tests of a file stay together, or of a folder, unless they are `APART`."""
 
     def _split_scope(self, nodeid: str) -> str:
-        return nodeid if nodeid.startswith(APART) else str(super()._split_scope(nodeid))
+        if nodeid.startswith(APART):
+            return nodeid
+        return next((f for f in TOGETHER if nodeid.startswith(f)), str(super()._split_scope(nodeid)))
 
 
 def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> LoadFileScheduling | None:

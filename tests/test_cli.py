@@ -100,7 +100,8 @@ def test_a_truncated_session_is_judged_as_far_as_it_goes_and_that_is_said(tmp_pa
 def test_a_family_to_begin_with_is_judged_too(tmp_path: Path) -> None:
     out = tmp_path / "out.json"
     paper = PROJECT / "config" / "paper_candidates.yaml"
-    assert run("replay", SHIPPED, "--candidates", paper, "--json", out).returncode == 0
+    begun = write_session(tmp_path / "begun", open_any(SHIPPED).samples[:450])
+    assert run("replay", begun, "--candidates", paper, "--json", out).returncode == 0
     first = next(v for v in json.loads(out.read_text())["verdicts"] if not v["stands"])
     assert {c["name"] for c in first["candidates"]} >= {"paper 30 °C", "paper 70 °C", "paper 90 °C"}
 

@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 
 from tests.support.places import PROJECT
+from tests.support.processes import run_twinmatch
 
 PAGE = PROJECT / "docs" / "your_plant.md"
-TWINMATCH = [sys.executable, "-m", "twinmatch.cli"]
 
 
 def commands() -> list[list[str]]:
@@ -28,14 +28,21 @@ def files(folder: Path) -> None:
         (folder / name).write_text(code, encoding="utf-8")
 
 
+def python(*arguments: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, *arguments]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+
+
 @pytest.mark.slow
 def test_the_page_leads_from_a_table_to_a_verdict(tmp_path: Path) -> None:
     files(tmp_path)
-    subprocess.run([sys.executable, "make_log.py"], cwd=tmp_path, check=True)
+    assert python("make_log.py", folder=tmp_path).returncode == 0
     said: list[tuple[list[str], int, str]] = []
     for program, *arguments in commands():
-        words = TWINMATCH if program == "twinmatch" else [sys.executable]
-        done = subprocess.run([*words, *arguments], cwd=tmp_path, capture_output=True, text=True, check=False)
+        if program == "twinmatch":
+            done = run_twinmatch(*arguments, folder=tmp_path)
+        else:
+            done = python(*arguments, folder=tmp_path)
         assert "Traceback" not in done.stderr, done.stderr
         said.append((arguments, done.returncode, done.stdout + done.stderr))
     looked = [(code, text) for arguments, code, text in said if "--data" in arguments]

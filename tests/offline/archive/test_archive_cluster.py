@@ -16,7 +16,8 @@ import pytest
 from tests.support.processes import Process
 from tests.support.waiting import wait_for
 from twinmatch.offline import archive as archives
-from twinmatch.offline.archive import Archive, ClusterError
+from twinmatch.offline.archive import ClusterError
+from twinmatch.sessions import open_any, write_session
 from twinmatch.showing.summary import document
 
 pytest.importorskip("distributed", reason="distributed is not installed; it is in the extra 'cluster'")
@@ -93,15 +94,17 @@ def test_two_workers_find_what_processes_find(
 def test_real_hours_are_judged_alike_on_the_cluster(
     address: str, recordings: dict[int, Path], tmp_path: Path
 ) -> None:
-    chosen = [recordings[number] for number in sorted(recordings)[:2]]
+    """The first quarter of an hour of each."""
+    chosen = [
+        write_session(tmp_path / str(number), open_any(recordings[number]).samples[:900])
+        for number in sorted(recordings)[:2]
+    ]
 
-    def judged(**where: object) -> Archive:
-        return judge_archive(chosen, out=tmp_path / str(len(list(tmp_path.iterdir()))), **where)  # type: ignore[arg-type]
-
-    there, here = judged(scheduler=address), judged(jobs=1)
+    there = judge_archive(chosen, out=tmp_path / "there", scheduler=address)
+    here = judge_archive(chosen, out=tmp_path / "here", jobs=1)
     assert not here.failed
     assert there == here
-    assert results(tmp_path / "0") == results(tmp_path / "1")
+    assert results(tmp_path / "there") == results(tmp_path / "here")
 
 
 @pytest.mark.parametrize("bad", ["foo", "127.0.0.1", "http://127.0.0.1:8786", "tcp://127.0.0.1:1"])

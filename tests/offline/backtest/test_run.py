@@ -35,7 +35,6 @@ from twinmatch.signals import Window
 from twinmatch.twin import TwinSettings
 
 TWIN_ONLY = Choices(every=120.0, peers=())
-SPARSE = Choices(every=180.0)
 
 
 def card(tested: Backtest, who: str, horizon: float) -> Card:
@@ -184,18 +183,3 @@ def test_the_best_in_hindsight_is_one_of_the_candidates(shipped: Backtest) -> No
 def test_choices_that_cannot_be_are_refused(make: object, words: str) -> None:
     with pytest.raises(BacktestError, match=words):
         make()  # type: ignore[operator]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("number", [2, 20])
-def test_the_leader_beats_everybody_on_a_recorded_hour(number: int, recordings: dict[int, Path]) -> None:
-    """Over five minutes: less than half the error of any peer, near the best twin, an honest band."""
-    if number not in recordings:
-        pytest.skip(f"recording {number} is not there")
-    tested = backtest_session(recordings[number], SPARSE)
-    leader = card(tested, LEADER, 300.0)
-    others = [c for c in tested.cards if c.horizon == 300.0 and c.who not in TWINS]
-    assert all(c.median > 2.0 * leader.median for c in others)
-    assert leader.ratio < 1.15
-    assert leader.coverage_output == pytest.approx(0.9, abs=0.08)
-    assert leader.coverage_input == pytest.approx(0.9, abs=0.08)

@@ -16,7 +16,7 @@ from twinmatch.showing.report.report import SessionReport
 
 
 def test_report_and_figures_are_written_and_named(tmp_path: Path) -> None:
-    session = write_session(tmp_path / "quarter", quarter_of_an_hour())
+    session = write_session(tmp_path / "quarter", quarter_of_an_hour()[:480])
     done = run_twinmatch(
         "report", session, "--figures", tmp_path / "figures", "--format", "pdf", folder=tmp_path
     )
