@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -73,15 +74,16 @@ class Browser:
         self.driver = webdriver.Chrome(options=options, service=Service(str(shutil.which("chromedriver"))))
 
     def wait_for(self, condition: Callable[[], Any], what: str) -> Any:
-        return wait_for(condition, what)
+        """As `tests.support.waiting` does; looking at a page costs its browser more than a hundredth second."""
+        return wait_for(condition, what, meanwhile=lambda: time.sleep(0.1))
 
     def run(self, script: str, *arguments: Any) -> Any:
         return self.driver.execute_script(DEEP + script, *arguments)
 
     def open(self, url: str) -> None:
         self.driver.get(url)
-        wait_for(lambda: self.run("return window.Bokeh && Bokeh.documents.length == 1"), "the document")
-        wait_for(lambda: "what to do" in self.text, "the first text")
+        self.wait_for(lambda: self.run("return window.Bokeh && Bokeh.documents.length == 1"), "the document")
+        self.wait_for(lambda: "what to do" in self.text, "the first text")
 
     @property
     def text(self) -> str:
