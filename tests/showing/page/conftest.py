@@ -74,7 +74,7 @@ class Browser:
         self.driver = webdriver.Chrome(options=options, service=Service(str(shutil.which("chromedriver"))))
 
     def wait_for(self, condition: Callable[[], Any], what: str) -> Any:
-        """As `tests.support.waiting` does; looking at a page costs its browser more than a hundredth second."""
+        """Look less often than elsewhere: a look at a page keeps its browser busy."""
         return wait_for(condition, what, meanwhile=lambda: time.sleep(0.1))
 
     def run(self, script: str, *arguments: Any) -> Any:
