@@ -27,7 +27,14 @@ FIRST = ("system", "test_golden.py", "nodes", "emulation", "showing", "camera_se
 """Whose tests wait for other processes or compute longest; they begin first, so that none is the last."""
 APART = ("tests/test_golden.py", "tests/docs/test_examples.py")
 """Files whose tests share nothing and take long: each is run by whichever worker is free."""
-TOGETHER = ("tests/showing/report/", "tests/offline/backtest/", "tests/offline/archive/", "tests/fmu/")
+TOGETHER = (
+    "tests/fmu/",
+    "tests/offline/archive/",
+    "tests/offline/backtest/",
+    "tests/showing/report/",
+    "tests/system/subscribers/",
+    "tests/twin/",
+)
 """Folders whose files share what takes long to make: one worker runs them all."""
 
 settings.register_profile("repeatable", derandomize=True, deadline=None, max_examples=40)
