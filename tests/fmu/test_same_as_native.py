@@ -45,10 +45,13 @@ def a_window(samples: int = 150, seed: int = 3) -> Window:
     return Window(reference, run.output, run.input, period=1.0)
 
 
-@pytest.fixture
-def model(request: pytest.FixtureRequest, adopted: Callable[..., Model]) -> Model:
+@pytest.fixture(scope="module")
+def model(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Model:
+    """Taken in once for all tests; it goes with the last of this file."""
     name, _, kind = request.param.partition(" ")
-    return adopted(request.getfixturevalue(name), **({"kind": kind} if kind else {}))
+    fmu, folder = request.getfixturevalue(name), tmp_path_factory.mktemp("map")
+    chosen = {"kind": kind} if kind else {}
+    return adopt_fmus(write_map(folder, fmu, f"the shop's {request.param}", **chosen))[0]
 
 
 @pytest.mark.parametrize("model", KINDS, indirect=True)
@@ -160,6 +163,7 @@ def test_a_structure_is_fitted_alike(model: Model) -> None:
     assert found.charge == pytest.approx(native.charge, rel=1e-4)
 
 
+@pytest.mark.parametrize("model", ["exchange_fmu"], indirect=True)
 @given(
     seebeck=st.floats(0.02, 0.15),
     conductance=st.floats(0.1, 1.5),
@@ -168,20 +172,14 @@ def test_a_structure_is_fitted_alike(model: Model) -> None:
 )
 @settings(max_examples=15, deadline=None, derandomize=True)
 def test_any_plate_moves_as_its_equations_say(
-    everywhere: Model, seebeck: float, conductance: float, heat_capacity: float, begun: float
+    model: Model, seebeck: float, conductance: float, heat_capacity: float, begun: float
 ) -> None:
     values = {"seebeck": seebeck, "conductance": conductance, "heat_capacity": heat_capacity}
     reference = np.repeat([begun, begun + 10.0], 15)
-    one, other = NATIVE.parameters(**values), everywhere.parameters(**values)
+    one, other = NATIVE.parameters(**values), model.parameters(**values)
     runs = [simulate_closed_loop(p, reference, states=begin(p, begun)) for p in (one, other)]
     np.testing.assert_allclose(runs[1].output, runs[0].output, rtol=0, atol=1e-6)
     np.testing.assert_allclose(runs[1].input, runs[0].input, rtol=0, atol=1e-4)
-
-
-@pytest.fixture(scope="module")
-def everywhere(exchange_fmu: Path, tmp_path_factory: pytest.TempPathFactory) -> Model:
-    file = write_map(tmp_path_factory.mktemp("map"), exchange_fmu, "any")
-    return adopt_fmus(file)[0]
 
 
 def test_one_without_free_parameters_is_scored_as_it_is(adopted, exchange_fmu: Path) -> None:
