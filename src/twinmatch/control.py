@@ -17,6 +17,8 @@ from twinmatch.dynamics import Pid, PidGains, PidState, Plant, gains_of
 from twinmatch.errors import TwinmatchError
 from twinmatch.signals import Sample
 
+__all__ = ["ControlError", "Loop", "Profile"]
+
 
 class ControlError(TwinmatchError):
     """A profile or a loop cannot be run."""

@@ -14,6 +14,18 @@ from enum import Enum
 from twinmatch.errors import TwinmatchError
 from twinmatch.settings import setting
 
+__all__ = [
+    "ClockLimits",
+    "FaultKind",
+    "GuardFault",
+    "GuardLimits",
+    "OutputGuard",
+    "Runaway",
+    "RunawayLimits",
+    "SafetyClock",
+    "SafetyError",
+]
+
 
 class SafetyError(TwinmatchError):
     """Limits under which nothing is protected."""

@@ -16,6 +16,18 @@ from numpy.typing import NDArray
 
 from twinmatch.errors import TwinmatchError
 
+__all__ = [
+    "KELVIN",
+    "BoolArray",
+    "FloatArray",
+    "Sample",
+    "SignalError",
+    "Window",
+    "bridge",
+    "not_one_loop",
+    "unbroken",
+]
+
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 

@@ -22,6 +22,22 @@ from twinmatch.signals import Sample, Window, unbroken
 from twinmatch.twin import MatchReport, TwinSettings, response_on
 from twinmatch.twin.matcher import one_thread
 
+__all__ = [
+    "CRITERIA",
+    "OUTPUTS",
+    "Criterion",
+    "CriterionFigure",
+    "CriterionRow",
+    "Interval",
+    "Member",
+    "computed",
+    "criterion_rows",
+    "family",
+    "interval",
+    "outputs_of",
+    "value_of",
+]
+
 
 @dataclass(frozen=True, eq=False)
 class Member:

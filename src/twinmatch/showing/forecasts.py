@@ -25,6 +25,17 @@ from twinmatch.showing.quantities import number, signal_names, with_unit
 from twinmatch.showing.series import Fan, root_mean_square
 from twinmatch.signals import FloatArray
 
+__all__ = [
+    "asked",
+    "backtest_tables",
+    "backtest_words",
+    "card_columns",
+    "comparison_words",
+    "forecast_document",
+    "forecast_words",
+    "levels_words",
+]
+
 if TYPE_CHECKING:
     from rich.table import Table
 

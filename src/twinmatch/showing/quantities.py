@@ -10,6 +10,18 @@ from typing import Final, NamedTuple
 from twinmatch.dynamics import Parameter, Plant, State
 from twinmatch.signals import KELVIN
 
+__all__ = [
+    "ParameterFormat",
+    "SignalNames",
+    "in_order",
+    "number",
+    "parameter_format",
+    "percent",
+    "signal_names",
+    "span_text",
+    "with_unit",
+]
+
 _TAKE_PREFIXES: Final = frozenset({"V", "A", "W", "J", "N", "Ω", "m", "s", "F", "H", "Pa", "Hz", "rad"})
 
 

@@ -13,6 +13,8 @@ from twinmatch.forecasting import Band, Forecast
 from twinmatch.signals import FloatArray, Sample, Window, unbroken
 from twinmatch.twin import response_on
 
+__all__ = ["Comparison", "Fan", "compare", "fan", "rolling_rms", "root_mean_square"]
+
 
 @dataclass(frozen=True, eq=False)
 class Comparison:

@@ -12,6 +12,8 @@ from twinmatch.record import document_of, finite, parameters_document
 from twinmatch.showing.quantities import parameter_format, percent, signal_names
 from twinmatch.twin import MatchReport
 
+__all__ = ["UNEXPLAINED", "closing_lines", "document", "sentence"]
+
 _POOR: Final = 0.5
 """A fit over the whole session below this needs an explanation beside forecasts that hold."""
 UNEXPLAINED = "unexplained"

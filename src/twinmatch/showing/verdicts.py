@@ -14,6 +14,30 @@ from twinmatch.offline.summary import nominal_score
 from twinmatch.showing.quantities import number, signal_names
 from twinmatch.twin import MatchReport
 
+__all__ = [
+    "COLUMNS",
+    "LEVEL_WORDS",
+    "STATUS_WORDS",
+    "Event",
+    "EventKind",
+    "LevelStretch",
+    "Mark",
+    "News",
+    "admitted",
+    "events",
+    "events_since",
+    "extend_stretches",
+    "last_verdict",
+    "leader_words",
+    "level_stretches",
+    "level_words",
+    "match_word",
+    "missed",
+    "news",
+    "refusal",
+    "row",
+]
+
 LEVEL_WORDS: Final = {
     TrustLevel.UNKNOWN: "no forecast has been compared with measurements yet",
     TrustLevel.TRUSTED: "measurements lie within the forecast bands",

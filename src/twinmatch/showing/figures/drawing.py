@@ -12,6 +12,21 @@ from twinmatch.errors import TwinmatchError
 from twinmatch.showing.style import PLANT, SET_POINT, rc
 from twinmatch.signals import FloatArray, Window
 
+__all__ = [
+    "draw_inputs",
+    "draw_outputs",
+    "draw_set_point",
+    "empty",
+    "legend_above",
+    "new_figure",
+    "png",
+    "save",
+    "stack",
+    "styled",
+    "svg",
+    "time_axis",
+]
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure

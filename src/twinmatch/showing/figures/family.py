@@ -24,6 +24,16 @@ from twinmatch.showing.style import CLOSED, FAMILY_MAP, MATRIX_MAP, MODEL, ORDER
 from twinmatch.signals import FloatArray
 from twinmatch.twin import MatchReport, response_on
 
+__all__ = [
+    "draw_criteria",
+    "draw_gains",
+    "draw_matrix",
+    "draw_parameters",
+    "draw_responses",
+    "draw_uncertainty",
+    "fill_matrix",
+]
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure

@@ -24,6 +24,8 @@ from twinmatch.showing.series import Fan
 from twinmatch.showing.style import CLOSED, DRIVEN, MODEL, PLANT, SET_POINT
 from twinmatch.signals import FloatArray
 
+__all__ = ["draw_backtest", "draw_forecasts"]
+
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes

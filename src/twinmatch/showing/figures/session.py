@@ -29,6 +29,8 @@ from twinmatch.showing.verdicts import admitted, last_verdict, level_stretches
 from twinmatch.signals import FloatArray, Sample, Window, unbroken
 from twinmatch.twin import MatchReport, TwinSettings, response_on
 
+__all__ = ["draw_health", "draw_session", "draw_verdict"]
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure

@@ -32,6 +32,8 @@ from twinmatch.showing.quantities import signal_names
 from twinmatch.showing.series import Fan, fan
 from twinmatch.showing.verdicts import admitted, last_verdict, level_stretches
 
+__all__ = ["FORMATS", "Picture", "fans_of", "pictures", "write_pictures"]
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 

@@ -31,6 +31,8 @@ from twinmatch.showing.summary import sentence
 from twinmatch.showing.verdicts import last_verdict, level_words
 from twinmatch.twin import TwinSettings
 
+__all__ = ["JudgedSession", "SessionReport", "build_report", "judge_for_report", "make_report"]
+
 _LIBRARIES = ("numpy", "scipy", "numba", "control", "mcap", "matplotlib", "Jinja2")
 _CHUNK = 1 << 20
 
