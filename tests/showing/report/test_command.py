@@ -38,6 +38,11 @@ def test_it_prints_on_numbered_a4_pages(shipped: SessionReport, tmp_path: Path) 
         "--headless=new",
         "--no-sandbox",
         "--disable-gpu",
+        "--disable-dev-shm-usage",
+        "--no-first-run",
+        "--disable-background-networking",
+        "--disable-component-update",
+        "--disable-sync",
         "--no-pdf-header-footer",
         f"--user-data-dir={tmp_path / 'profile'}",
         f"--print-to-pdf={tmp_path / 'report.pdf'}",
@@ -46,12 +51,13 @@ def test_it_prints_on_numbered_a4_pages(shipped: SessionReport, tmp_path: Path) 
     subprocess.run(command, check=True, capture_output=True, timeout=360)
     pages = PdfReader(tmp_path / "report.pdf").pages
     assert 5 <= len(pages) <= 15
-    for number, page in enumerate(pages, 1):
+    texts = [page.extract_text() for page in pages]
+    for number, (page, text) in enumerate(zip(pages, texts, strict=True), 1):
         width, height = (float(v) / 72 * 25.4 for v in (page.mediabox.width, page.mediabox.height))
         assert (width, height) == pytest.approx((210, 297), abs=1)
-        assert f"{number} / {len(pages)}" in page.extract_text()
-    text = " ".join(" ".join(page.extract_text().split()) for page in pages)
+        assert f"{number} / {len(pages)}" in text
+    whole = " ".join(" ".join(texts).split())
     for title in ("Summary", "2. Health over time", "3. What comes next", "6. Which model order"):
-        assert title in text
+        assert title in whole
     pixels = sum(len(page.images) for page in pages)
     assert pixels <= 2, "but for the heat map and its colour bar pictures stay drawings, sharp at any size"
