@@ -60,7 +60,7 @@ class Hour:
         self._reference = np.array([s.reference for s in self.samples])
 
     def listen(self, twin: Twin, sample: Sample, outcome: Outcome) -> None:
-        """Compare what the twin forecasts now with what came."""
+        """Compare what the twin forecasts now with the samples after it."""
         self.graded(twin, sample, outcome)
         k = sample.index - self.samples[0].index
         if k + AHEAD >= len(self.samples):
