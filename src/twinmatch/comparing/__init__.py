@@ -41,6 +41,7 @@ from twinmatch.comparing.polynomials import DiscriminationError
 from twinmatch.comparing.uncertainty import FamilyUncertainty, Uncertain, family_uncertainty
 from twinmatch.comparing.verdict import (
     ADMITTED,
+    BASELINES,
     DECIDED_FROM,
     REFUSED,
     CandidateScore,
@@ -56,6 +57,7 @@ from twinmatch.comparing.verdict import (
 
 __all__ = [
     "ADMITTED",
+    "BASELINES",
     "DECIDED_FROM",
     "REFUSED",
     "AkaikeWeights",

@@ -33,13 +33,14 @@ REFUSED: Final = "refused"
 
 _WORSE: Final = 0.05
 """Errors of so much more than a baseline's, as a share, count as worse."""
-_BASELINES: Final = {"persistence": "saying that nothing changes", "arx": "an ARX model"}
+BASELINES: Final = {"persistence": "saying that nothing changes", "arx": "an ARX model"}
+"""The baselines, and what each is called in a sentence."""
 
 
 def beaten_words(beaten: Mapping[float, str]) -> str:
     """Where a baseline forecasts better, by `ForecastScore.beaten`, in words; empty if nowhere."""
     found = []
-    for baseline, words in _BASELINES.items():
+    for baseline, words in BASELINES.items():
         horizons = [f"{horizon:g}" for horizon, name in beaten.items() if name == baseline]
         if horizons:
             ahead = " and ".join(filter(None, (", ".join(horizons[:-1]), horizons[-1])))
@@ -128,11 +129,8 @@ class ForecastScore:
         """The baseline that forecasts better, by horizon, s; without those that none forecasts better."""
         found = {}
         for k, horizon in enumerate(horizons):
-            skills = {
-                name: skill[k]
-                for name, skill in (("persistence", self.persistence_skill), ("arx", self.arx_skill))
-                if skill and skill[k] < -_WORSE
-            }
+            every = {name: getattr(self, f"{name}_skill") for name in BASELINES}
+            skills = {name: skill[k] for name, skill in every.items() if skill and skill[k] < -_WORSE}
             if skills:
                 found[horizon] = min(skills, key=lambda name: skills[name])
         return found

@@ -49,7 +49,7 @@ _KEPT: Final = (
 """Environment variables passed to the FMU's process."""
 
 
-class MessageError(Exception):
+class FmuMessageError(Exception):
     """The received bytes are not a valid message."""
 
 
@@ -73,22 +73,22 @@ def unpacked(read: Callable[[int], bytes]) -> ProcessMessage:
     """Decode a message; `read` returns the requested number of bytes.
 
     Raises:
-        MessageError: the bytes are not a valid message.
+        FmuMessageError: the bytes are not a valid message.
     """
     lengths = read(_LENGTHS.size)
     size, numbers = _LENGTHS.unpack(lengths)
     if size > MOST_HEADER or numbers > MOST_NUMBERS:
-        raise MessageError(f"a message of {size} and {numbers} bytes")
+        raise FmuMessageError(f"a message of {size} and {numbers} bytes")
     try:
         header = json.loads(read(size))
         shapes = [(str(name), tuple(int(n) for n in shape)) for name, shape in header.pop("arrays")]
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
-        raise MessageError(f"a header that cannot be read: {error}") from error
+        raise FmuMessageError(f"a header that cannot be read: {error}") from error
     body, arrays, place = read(numbers), {}, 0
     for name, shape in shapes:
         count = math.prod(shape)
         if min(shape, default=0) < 0 or place + 8 * count > len(body):
-            raise MessageError(f"an array {name} of shape {shape} in {len(body)} bytes")
+            raise FmuMessageError(f"an array {name} of shape {shape} in {len(body)} bytes")
         arrays[name] = np.frombuffer(body, "<f8", count, place).reshape(shape).astype(np.float64)
         place += 8 * count
     return ProcessMessage(header, arrays)
@@ -164,7 +164,7 @@ class FmuProcess:
             except TimeoutError:
                 self.close()
                 raise ProcessLostError(f"it gave no answer within {limit:g} s and was killed") from None
-            except (MessageError, OSError) as error:
+            except (FmuMessageError, OSError) as error:
                 raise ProcessLostError(self._cause(error)) from None
         if "error" in message.header:
             raise FmuError(str(message.header["error"]))
@@ -200,7 +200,7 @@ class FmuProcess:
             _wait([handle], [], by)
             part = os.read(handle, min(size - len(found), 1 << 20))
             if not part:
-                raise MessageError("its answer ended early")
+                raise FmuMessageError("its answer ended early")
             found += part
         return bytes(found)
 

@@ -7,7 +7,7 @@ width of the bands from past errors, and the `Ledger` keeps the cost of every ca
 much better they are than those of the baselines, which need no twin.
 """
 
-from twinmatch.forecasting.baselines import BASELINES, Arx, ArxForecast
+from twinmatch.forecasting.baselines import Arx, ArxForecast
 from twinmatch.forecasting.forecast import (
     CONFIDENCE,
     HORIZONS,
@@ -33,7 +33,6 @@ from twinmatch.forecasting.what_if import (
 )
 
 __all__ = [
-    "BASELINES",
     "CONFIDENCE",
     "HORIZONS",
     "NEAR",

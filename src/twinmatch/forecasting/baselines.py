@@ -23,9 +23,6 @@ from twinmatch.dynamics.loop import Gains, pid_step
 from twinmatch.dynamics.simulation import NO_GAINS
 from twinmatch.signals import FloatArray, Sample
 
-BASELINES: Final = ("persistence", "arx")
-"""Names of the baselines."""
-
 _ROWS: Final = 3
 """Samples needed per coefficient."""
 _RANK: Final = 1e-12

@@ -31,7 +31,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from twinmatch.forecasting.baselines import BASELINES
+from twinmatch.comparing import BASELINES
 from twinmatch.forecasting.forecast import CONFIDENCE
 from twinmatch.signals import FloatArray
 

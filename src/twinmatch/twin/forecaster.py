@@ -11,10 +11,9 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from twinmatch.comparing import Candidate, ForecastScore, beaten_words
+from twinmatch.comparing import BASELINES, Candidate, ForecastScore, beaten_words
 from twinmatch.dynamics import Pid, PidGains, PidState, PlantError
 from twinmatch.forecasting import (
-    BASELINES,
     HORIZONS,
     Arx,
     ArxForecast,

@@ -14,7 +14,7 @@ from scipy.signal import lfilter
 from tests.offline.backtest.forecasts import linear_loop, set_points
 from tests.support.plants import Box, Lag
 from twinmatch.forecasting import Forecast, ForecastError
-from twinmatch.offline.backtest.arx import Arx, InputArx, equations
+from twinmatch.offline.backtest.arx import InputArx, LoopArx, equations
 from twinmatch.offline.backtest.peer import BacktestError, Peer
 from twinmatch.offline.backtest.peers import (
     PEERS,
@@ -94,14 +94,14 @@ def test_a_loop_with_a_measured_disturbance_is_forecast_exactly_without_noise() 
         u[k] = 0.8 * (r[k] - y[k])
     y, u, r = y + 50.0, u + 100.0, r + 50.0
     past = Window(r[:300], y[:300], u[:300], disturbances=d[:300, None])
-    forecast = Arx(Peltier).forecast(past, r[300:], d[300:, None])
+    forecast = LoopArx(Peltier).forecast(past, r[300:], d[300:, None])
     np.testing.assert_allclose(forecast.output.mean, y[300:], atol=0.02)
     np.testing.assert_allclose(forecast.input.mean, u[300:], atol=0.05)
-    stays = Arx(Peltier).forecast(past, r[300:])
+    stays = LoopArx(Peltier).forecast(past, r[300:])
     assert np.abs(stays.output.mean - y[300:]).max() > 0.3
 
 
-@pytest.mark.parametrize("kind", [Arx, VectorAutoregression])
+@pytest.mark.parametrize("kind", [LoopArx, VectorAutoregression])
 def test_models_find_a_linear_loop(kind: Callable[[type[Peltier]], Peer]) -> None:
     """Over 40 futures of one past: the mean is theirs, and the band holds nine in ten of their samples.
 
@@ -131,7 +131,7 @@ def test_the_limiter_is_foreseen() -> None:
     ahead = np.repeat([45.0, 105.0], [20, 100])
     random = np.random.default_rng(5)
     came = np.mean([linear_loop(ahead, random, past).output for _ in range(40)], axis=0)
-    forecast = Arx(Peltier).forecast(past, ahead)
+    forecast = LoopArx(Peltier).forecast(past, ahead)
     assert np.mean(np.abs(forecast.output.mean - came)) < 1.2
 
 

@@ -134,7 +134,7 @@ class _Loop(NamedTuple):
         return float(np.max(np.abs(np.linalg.eigvals(self.transition))))
 
 
-class Arx(Peer):
+class LoopArx(Peer):
     """Output and input regressed on the past of both, of the set-point and of the measured disturbances,
     refitted to all samples so far.
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from twinmatch.dynamics import Plant
 from twinmatch.forecasting import Band, Forecast, ForecastError
-from twinmatch.offline.backtest.arx import Arx, InputArx
+from twinmatch.offline.backtest.arx import InputArx, LoopArx
 from twinmatch.offline.backtest.peer import BacktestError, Peer
 from twinmatch.signals import FloatArray, Window
 
@@ -163,7 +163,7 @@ def order_of_least_bic(signals: FloatArray, exogenous: FloatArray) -> int | None
 
 
 PEERS: Final[Mapping[str, Callable[[type[Plant]], Peer]]] = MappingProxyType(
-    {"persistence": Persistence, "arx": Arx, "statsmodels": VectorAutoregression}
+    {"persistence": Persistence, "arx": LoopArx, "statsmodels": VectorAutoregression}
 )
 """Constructors of the peers for a plant, by name."""
 
