@@ -1,7 +1,11 @@
+""""""
+
 from __future__ import annotations
 
 import math
+from fractions import Fraction
 from itertools import combinations
+from math import lcm
 
 import control
 import numpy as np
@@ -9,16 +13,29 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.support.servo import PERIOD, Servo
 from twinmatch.comparing import (
     DiscriminationError,
     GraphSymbol,
+    LoopConditions,
+    Uncertain,
+    akaike_weights,
     chordal,
+    family_uncertainty,
     graph_symbol,
+    identify,
     nu_gap,
     nu_gap_matrix,
     nu_gap_of,
+    plant_gaps,
+    score_orders,
+    spans_of,
 )
-from twinmatch.signals import FloatArray
+from twinmatch.comparing.plant_gap import ANGLES, response_slopes
+from twinmatch.comparing.polynomials import Polynomial, is_hurwitz, multiply
+from twinmatch.dynamics import begin, simulate_closed_loop
+from twinmatch.plants import Peltier
+from twinmatch.signals import KELVIN, FloatArray, Window
 
 S = control.tf("s")
 
@@ -216,3 +233,126 @@ def test_open_time_bases_agree_with_any_that_fits() -> None:
     assert nu_gap(gain, control.tf([2], [1], dt=0.1)) == 0.0
     assert nu_gap(1 / (S + 1), gain) == nu_gap(1 / (S + 1), control.tf([2], [1]))
     assert graph_symbol(control.tf([1], [1, 1], dt=None)).period == 0.0
+
+
+# Stability decided without rounding.
+
+rationals = st.fractions(Fraction(-5), Fraction(5), max_denominator=1000)
+
+
+def of_roots(real: list[Fraction], pairs: list[tuple[Fraction, Fraction]]) -> Polynomial:
+    """The polynomial with these real roots and pairs a ± jb, in whole numbers, the constant first."""
+    product: Polynomial = [1]
+    for root in real:
+        product = multiply(product, [-root.numerator, root.denominator])
+    for a, b in pairs:
+        factor = [a * a + b * b, -2 * a, Fraction(1)]
+        scale = lcm(*(c.denominator for c in factor))
+        product = multiply(product, [int(c * scale) for c in factor])
+    return product
+
+
+@given(st.lists(rationals, max_size=5), st.lists(st.tuples(rationals, rationals), max_size=4), st.booleans())
+def test_it_agrees_with_the_roots(
+    real: list[Fraction], pairs: list[tuple[Fraction, Fraction]], negative: bool
+) -> None:
+    polynomial = of_roots(real, pairs)
+    stable = all(r < 0 for r in real) and all(a < 0 for a, _ in pairs)
+    assert is_hurwitz([-c for c in polynomial] if negative else polynomial) == stable
+
+
+def test_a_root_that_no_float_separates_from_the_axis_is_reported() -> None:
+    tiny = Fraction(1, 10**40)
+    assert is_hurwitz(of_roots([Fraction(-1)], [(-tiny, Fraction(3))]))
+    assert not is_hurwitz(of_roots([Fraction(-1)], [(tiny, Fraction(3))]))
+    assert not is_hurwitz(of_roots([Fraction(-1)], [(Fraction(0), Fraction(3))]))
+
+
+@pytest.mark.parametrize(
+    ("polynomial", "stable"), [([7], True), ([-7], True), ([0, 1], False), ([1, 1, 0], False)]
+)
+def test_constants_roots_at_zero_and_at_infinity(polynomial: Polynomial, stable: bool) -> None:
+    assert is_hurwitz(polynomial) == stable
+
+
+# Twins of an integrating plant: their responses at frequency zero are infinite.
+
+TERMS = LoopConditions(None, spans_of(Servo), 240, PERIOD)
+POINTS = (0.0, 90.0)
+
+
+def test_responses_are_those_of_an_integrator() -> None:
+    """By formula: k/(s (1 + t s)) with a hold, at frequencies at which the hold does not matter."""
+    servo = Servo.model("free").parameters(k=50.0, t=0.12)
+    response, slopes = response_slopes(servo, ("k", "t"), 0.0, TERMS)
+    assert np.isfinite(response).all()
+    assert np.isfinite(slopes).all()
+    s = 1j * ANGLES[1:3] / PERIOD
+    expected = TERMS.scales.ratio * 50.0 / (s * (1.0 + 0.12 * s))
+    np.testing.assert_allclose(response[1:3], expected, rtol=0.01)
+    np.testing.assert_allclose(slopes[0], response / 50.0, rtol=1e-6)
+
+
+def test_a_family_of_integrators_has_distances_with_intervals() -> None:
+    """Twins with the same integrator differ at higher frequencies only."""
+    one = Servo.model("free").parameters(k=50.0, t=0.12)
+    other = one.replace(t=0.2)
+    known = np.diag([0.1, 1e-3]) ** 2
+    twins = [Uncertain(one, ("k", "t"), known), Uncertain(other, ("k", "t"), known)]
+    gaps = plant_gaps([one, other], POINTS, TERMS)
+    found = family_uncertainty(twins, gaps, TERMS, seed=1)
+    low, high = found.nu_gap_low[0, 1], found.nu_gap_high[0, 1]
+    assert 0.0 < low < gaps.matrix[0, 1] < high < 1.0
+
+
+def test_published_weights() -> None:
+    """Printed on the reference page of `ic_weights` in the R package tidySEM."""
+    found = akaike_weights([100, 200, 102, 300])
+    expected = [7.310586e-01, 1.410029e-22, 2.689414e-01, 2.719593e-44]
+    np.testing.assert_allclose(found.weights, expected, rtol=5e-7)
+    np.testing.assert_array_equal(found.differences, [0, 100, 2, 200])
+
+
+def test_evidence_ratios() -> None:
+    """A difference of 2 ln k makes k to 1."""
+    assert akaike_weights([0.0, 2 * math.log(3)]).weights == pytest.approx([0.75, 0.25])
+    assert akaike_weights([7.0]).weights == pytest.approx([1.0])
+
+
+@given(st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=8), st.floats(-1e3, 1e3))
+def test_weights_are_shares_that_only_differences_decide(values: list[float], shift: float) -> None:
+    found = akaike_weights(values)
+    assert found.weights.sum() == pytest.approx(1.0)
+    assert found.differences.min() == 0.0
+    assert found.weights[np.argmin(values)] == found.weights.max()
+    np.testing.assert_allclose(akaike_weights(np.array(values) + shift).weights, found.weights, atol=1e-9)
+
+
+def test_a_perfect_prediction_takes_all() -> None:
+    assert akaike_weights([-math.inf, 3.0]).weights.tolist() == [1.0, 0.0]
+    assert akaike_weights([-math.inf, 3.0, -math.inf]).weights.tolist() == [0.5, 0.0, 0.5]
+
+
+@pytest.mark.parametrize("values", [[], [math.nan], [1.0, math.inf], [[1.0]]])
+def test_what_is_not_a_criterion_is_refused(values: list[float]) -> None:
+    with pytest.raises(DiscriminationError, match="give one number per model"):
+        akaike_weights(values)
+
+
+def test_orders_are_weighed_by_the_aic_of_both_outputs() -> None:
+    reference = np.repeat([30.0, 50.0, 70.0], [60, 120, 150])
+    rig = Peltier.model().parameters(seebeck=0.06, conductance=0.6, heat_capacity=28.0)
+    sensor = Peltier.sensor.realise(len(reference), 1.0, 3)
+    run = simulate_closed_loop(rig, reference, states=begin(rig, 30.0), sensor=sensor)
+    window = Window(reference, run.output, run.input)
+    models = identify(window)
+    scores = score_orders(models, window, absolute=KELVIN)
+    totals = []
+    for model, s in zip(models, scores, strict=True):
+        # AIC from nAIC: both differ by a constant that no order changes
+        assert s.y.naic + s.u.naic == s.total.naic
+        totals.append(len(window) * s.total.naic)
+        assert model.order == s.order
+    best = min(totals)
+    assert [s.aic_difference for s in scores] == pytest.approx([t - best for t in totals])
+    assert sum(s.weight for s in scores) == pytest.approx(1.0)

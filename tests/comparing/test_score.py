@@ -2,25 +2,53 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from twinmatch.comparing import (
+    CandidateScore,
+    Certainty,
     Criteria,
+    DiscriminationError,
+    GraphSymbol,
+    LoopConditions,
     OrderScore,
+    PlantGaps,
+    Uncertain,
+    bic,
     choose_order,
     code_length,
     common_order,
+    family_uncertainty,
     identify,
+    judge_uncertainty,
+    loop_controller,
+    loop_plant,
     mdl,
+    naic,
     nu_gap_of,
+    plant_gaps,
     score,
+    spans_of,
+    stability_margin,
     twin_response,
 )
 from twinmatch.comparing.models import ahead, deviations, operating_level
-from twinmatch.dynamics import Parameters, begin, simulate_closed_loop
+from twinmatch.comparing.uncertainty import (
+    directions,
+    disturbed_pair,
+    estimates,
+    failing_draws,
+    fitting_scales,
+    turn,
+)
+from twinmatch.dynamics import Parameters, PidGains, begin, gains_of, simulate_closed_loop
 from twinmatch.fitting import FittingError
 from twinmatch.plants import Peltier
 from twinmatch.signals import KELVIN, Window
@@ -148,3 +176,286 @@ def test_a_window_that_does_not_move_identifies_nothing() -> None:
     still = Window(np.full(200, 50.0), np.full(200, 50.0), np.full(200, 90.0))
     with pytest.raises(FittingError, match="is constant"):
         identify(still)
+
+
+def test_published_example_of_another_program() -> None:
+    """N = 300, six parameters, V = 1.6575: the figures MathWorks prints, to their last digit."""
+    assert naic(1.6575, 6, 300) == pytest.approx(0.5453, abs=5e-5)
+    assert bic(1.6575, 6, 300) == pytest.approx(1037.2, abs=0.05)
+
+
+def test_a_perfect_prediction_beats_any_penalty() -> None:
+    assert naic(0.0, 30, 100) == -math.inf
+    assert bic(0.0, 30, 100) == -math.inf
+    assert mdl(0.0, 30, 100) == 0.0
+
+
+@given(st.floats(1e-6, 1e6), st.integers(0, 60), st.integers(8, 10_000))
+def test_more_parameters_for_the_same_loss_never_help(v: float, n_p: int, n: int) -> None:
+    for criterion in (naic, bic, mdl):
+        assert criterion(v, n_p + 1, n) > criterion(v, n_p, n)
+        assert criterion(v * 1.01, n_p, n) > criterion(v, n_p, n)
+
+
+@pytest.mark.parametrize("criterion", [naic, bic, mdl])
+@pytest.mark.parametrize("bad", [-1e-9, math.nan, math.inf])
+def test_an_impossible_loss_is_refused(criterion: object, bad: float) -> None:
+    assert callable(criterion)
+    with pytest.raises(DiscriminationError, match=f"the loss is {bad}"):
+        criterion(bad, 3, 100)
+
+
+def test_impossible_counts_are_refused() -> None:
+    with pytest.raises(DiscriminationError, match="3 parameters and 0 samples"):
+        naic(1.0, 3, 0)
+    with pytest.raises(DiscriminationError, match="-1 parameters and 10 samples"):
+        mdl(1.0, -1, 10)
+
+
+# The kernels behind the intervals, against the formulas they stand for.
+
+Responses = np.ndarray
+
+
+def responses(rng: np.random.Generator, *shape: int) -> Responses:
+    return rng.normal(size=shape) + 1j * rng.normal(size=shape)
+
+
+def chordal(p1: Responses, p2: Responses) -> np.ndarray:
+    """√(1 − |1 + P2* P1|²/(1 + |P1|²)(1 + |P2|²)), outputs along the last axis."""
+    inner = 1 + np.sum(p1 * p2.conj(), axis=-1)
+    sizes = (1 + np.sum(np.abs(p1) ** 2, axis=-1)) * (1 + np.sum(np.abs(p2) ** 2, axis=-1))
+    return np.sqrt(1 - np.abs(inner) ** 2 / sizes)
+
+
+@given(st.integers(0, 10**9), st.integers(1, 3))
+def test_at_scale_one_the_estimates_are_the_disturbed_models_distances(seed: int, outputs: int) -> None:
+    rng = np.random.default_rng(seed)
+    p1, p2 = responses(rng, 6, outputs), responses(rng, 6, outputs)
+    m1, m2 = p1 + 0.2 * responses(rng, 4, 6, outputs), p2 + 0.2 * responses(rng, 4, 6, outputs)
+    still = directions(np.array([p1, p2]))
+    a, b, c = disturbed_pair(still[0], still[1], directions(m1), directions(m2))
+    np.testing.assert_allclose(np.sqrt(a), chordal(p1, p2), rtol=1e-9)
+    found = estimates(np.array([0]), a[None], b[None], c[None], 1.0)
+    np.testing.assert_allclose(found, chordal(m1, m2).max(axis=1), rtol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_the_winding_condition_of_stable_models_on_a_grid(seed: int) -> None:
+    """As the exact ν-gap decides it: equal to 1 or not."""
+    rng = np.random.default_rng(seed)
+    angles = np.linspace(0, np.pi, 2000)
+    z = np.exp(1j * angles)
+    symbols, columns = [], []
+    for _ in range(2):
+        d = np.poly(rng.uniform(-0.9, 0.95, 2))
+        n = rng.normal(0, 1.5, 2)
+        symbols.append(GraphSymbol.of_polynomials(d, [n], 1.0))
+        columns.append((np.polyval(n, z) / np.polyval(d, z))[:, None])
+    still = directions(np.array(columns))
+    expected = nu_gap_of(*symbols) == 1.0
+    assert (abs(turn(still[0], still[1])) > 0.5 * np.pi) == expected
+    moved = still[:, None].copy()
+    a, _, c = disturbed_pair(still[0], still[1], moved[0], moved[1])
+    pair = (still[0], still[1]), (moved[0], moved[1])
+    assert failing_draws(a, c, *pair, np.array([expected])).tolist() == [expected]
+
+
+def test_a_draw_that_takes_one_point_through_zero_fails_there() -> None:
+    """Two lags of gain 2 are near each other at both points; a draw turns one of them round at the second."""
+    z = np.exp(1j * np.linspace(0, np.pi, 400))
+    lag = (0.2 / (z - 0.9))[:, None]
+    near, far = np.concatenate([lag, lag]), np.concatenate([lag, -lag])
+    still, other = directions(np.array([near, 1.1 * near]))
+    moved = directions(np.array([near, near])), directions(np.array([1.1 * near, 1.1 * far]))
+    a, _, c = disturbed_pair(still, other, *moved)
+    assert failing_draws(a, c, (still, other), moved, np.zeros(2, dtype=bool)).tolist() == [False, True]
+    # and where it had failed without the draws, that draw makes it whole
+    across = directions(np.array([1.1 * far]))[0]
+    a, _, c = disturbed_pair(still, across, *moved)
+    failed = np.array([False, True])
+    assert failing_draws(a, c, (still, across), moved, failed).tolist() == [False, True]
+
+
+def test_scales_of_a_known_spread() -> None:
+    """One frequency, |t·v + e| with v = 0.5 and real e: t·v = 0.5 − e at its own quantiles."""
+    e = np.linspace(-0.2, 0.2, 1001)
+    a, b, c = np.array([[0.25]]), (2 * 0.5 * e).reshape(1, 1, -1), (e**2).reshape(1, 1, -1)
+    least, most = fitting_scales(np.array([0]), a, b, c, 0.05)
+    assert 0.5 * least == pytest.approx(0.5 - 0.18, abs=2e-3)
+    assert 0.5 * most == pytest.approx(0.5 + 0.18, abs=2e-3)
+
+
+def test_what_noise_alone_explains_may_be_nothing() -> None:
+    rng = np.random.default_rng(3)
+    e = 0.1 * (rng.normal(size=(1, 400, 20)) + 1j * rng.normal(size=(1, 400, 20)))
+    held = []
+    for _ in range(60):
+        v = 0.1 * (rng.normal(size=(1, 20)) + 1j * rng.normal(size=(1, 20)))  # estimated: noise again
+        moved = np.swapaxes(e, 1, 2)
+        a, b, c = np.abs(v) ** 2, 2 * (v.conj()[:, :, None] * moved).real, np.abs(moved) ** 2
+        least, most = fitting_scales(np.array([0]), a, b, c, 0.05)
+        held.append(least == 0.0)
+        assert most < 3.0
+    assert 0.85 <= np.mean(held) < 1.0
+
+
+# How certain a verdict is, on twins of simulated rigs.
+
+POINTS = (30.0, 50.0, 70.0, 90.0)
+RIGS = {
+    "50 °C": MODEL.parameters(seebeck=0.060, conductance=0.60, heat_capacity=28.0),
+    "70 °C": MODEL.parameters(seebeck=0.055, conductance=0.55, heat_capacity=28.0),
+    "90 °C": MODEL.parameters(seebeck=0.065, conductance=0.50, heat_capacity=22.0),
+}
+TERMS = LoopConditions(gains_of(Peltier, 1.0), spans_of(Peltier))
+COVARIANCE = np.diag([0.002, 0.03, 0.8]) ** 2
+"""Of Seebeck coefficient, conductance and heat capacity, as a good window leaves them."""
+
+
+def scored(name: str, rig: Parameters, operating_point: float | None = None) -> CandidateScore:
+    point = float(name.split(maxsplit=1)[0]) if operating_point is None else operating_point
+    return CandidateScore(name, point, rig, 0, 100, (), "22221", 0.1, None, 0.1)
+
+
+def twins(factor: float = 1.0) -> list[Uncertain]:
+    return [Uncertain(rig, MODEL.structure.free, factor * COVARIANCE) for rig in RIGS.values()]
+
+
+def gaps(family: list[Uncertain]) -> PlantGaps:
+    return plant_gaps([t.parameters for t in family], POINTS, TERMS)
+
+
+def judged(
+    nominal: str = "70 °C", factor: float = 1.0, gains: PidGains | None = None, family: int = 3
+) -> Certainty:
+    candidates = [scored(name, rig) for name, rig in RIGS.items()][:family]
+    terms = TERMS if gains is None else TERMS._replace(gains=gains)
+    known = twins(factor)[:family]
+    return judge_uncertainty(candidates, known, gaps(known), nominal, terms)
+
+
+def smallest_sum() -> str:
+    return list(RIGS)[int(np.argmin(gaps(twins()).matrix.sum(axis=0)))]
+
+
+def test_every_field_is_filled_with_what_its_source_says() -> None:
+    found = judged()
+    known = family_uncertainty(twins(), gaps(twins()), TERMS)
+    nominal = loop_plant(RIGS["70 °C"], 70.0)
+    for k, (candidate, (name, rig)) in enumerate(zip(found.candidates, RIGS.items(), strict=True)):
+        point = float(name.split(maxsplit=1)[0])
+        assert candidate.margin == stability_margin(
+            loop_plant(rig, point), loop_controller(gains_of(Peltier, 1.0))
+        )
+        assert candidate.plant_gap_to_nominal == nu_gap_of(loop_plant(rig, point), nominal)
+        assert candidate.nu_gap_low == tuple(known.nu_gap_low[k])
+        assert candidate.nu_gap_high == tuple(known.nu_gap_high[k])
+        assert candidate.nu_gap_sum_low == known.sum_low[k]
+        assert candidate.nu_gap_sum_high == known.sum_high[k]
+        assert candidate.nominal_probability == known.nominal_probability[k]
+        assert candidate.nu_gap_sum == 0.1  # what was there stays
+
+
+def test_a_clear_choice_is_decided_and_the_controller_holds_all() -> None:
+    name = smallest_sum()
+    found = judged(name, factor=1e-4)
+    assert found.decided
+    assert found.certainty.startswith(
+        f"{name} is nominal with probability above 0.99; the controller stabilises it"
+    )
+    assert "which covers all candidates (the farthest is 0." in found.certainty
+
+
+def test_when_the_data_cannot_tell_it_says_so() -> None:
+    found = judged(smallest_sum(), factor=100.0)
+    assert not found.decided
+    assert found.certainty.startswith(
+        f"the data do not decide which candidate is nominal: {smallest_sum()} with probability 0."
+    )
+    chosen = next(c for c in found.candidates if c.name == smallest_sum())
+    assert chosen.nominal_probability < 0.9
+
+
+def test_a_choice_against_the_probabilities_is_not_decided() -> None:
+    other = next(name for name in RIGS if name != smallest_sum())
+    found = judged(other, factor=1e-4)
+    assert not found.decided
+    assert f"{other} with probability below 0.01, {smallest_sum()} with above 0.99" in found.certainty
+
+
+def test_a_single_candidate_leaves_no_choice() -> None:
+    found = judged("50 °C", family=1)
+    assert found.decided
+    margin = stability_margin(loop_plant(RIGS["50 °C"], 50.0), loop_controller(gains_of(Peltier, 1.0)))
+    assert found.certainty == (
+        "50 °C is the only candidate; the controller stabilises it and every plant "
+        f"within a ν-gap of {margin:.2f}"
+    )
+
+
+def test_a_controller_that_is_too_hot_holds_nothing() -> None:
+    hot = replace(Peltier.loop, proportional=38.57 * 400, integral=1.46877 * 400, derivative=6.66875 * 400)
+    found = judged(gains=hot)
+    assert [c.margin for c in found.candidates] == [0.0, 0.0, 0.0]
+    assert found.certainty.endswith("; the controller does not stabilise it")
+
+
+def test_plants_beyond_the_margin_and_lost_ones_are_named() -> None:
+    family, matrix = twins(), gaps(twins())
+    candidates = [scored(name, rig) for name, rig in RIGS.items()]
+    # half the heat capacity, twice the gain: held, but far away
+    light = replace(candidates[2], parameters=RIGS["90 °C"].replace(heat_capacity=12.0))
+    found = judge_uncertainty([*candidates[:2], light], family, matrix, "70 °C", TERMS)
+    assert found.candidates[2].plant_gap_to_nominal > found.candidates[1].margin > 0
+    assert found.candidates[2].margin > 0
+    assert "which excludes 90 °C (0." in found.certainty
+    lighter = replace(candidates[2], parameters=RIGS["90 °C"].replace(heat_capacity=0.4))
+    found = judge_uncertainty([*candidates[:2], lighter], family, matrix, "70 °C", TERMS)
+    assert found.candidates[2].margin == 0.0
+    assert found.certainty.endswith(", but not 90 °C")
+
+
+def test_a_candidate_out_of_reach_has_no_margin() -> None:
+    candidates = [scored(name, rig) for name, rig in RIGS.items()]
+    candidates[0] = scored("50 °C", RIGS["50 °C"], operating_point=300.0)
+    found = judge_uncertainty(candidates, twins(), gaps(twins()), "70 °C", TERMS)
+    assert found.candidates[0].margin is None
+    assert found.candidates[0].plant_gap_to_nominal is None
+    assert found.candidates[1].margin is not None
+    found = judge_uncertainty(candidates, twins(), gaps(twins()), "50 °C", TERMS)
+    assert (
+        "the controller has no margin for it, because no input holds it at its set-point" in found.certainty
+    )
+    assert found.candidates[1].plant_gap_to_nominal is None
+
+
+def test_given_candidates_are_exact() -> None:
+    """They have no covariance, so nothing is left open."""
+    candidates = [scored(name, rig) for name, rig in RIGS.items()]
+    exact = [Uncertain(rig) for rig in RIGS.values()]
+    found = judge_uncertainty(candidates, exact, gaps(exact), smallest_sum(), TERMS)
+    assert found.decided
+    assert all(c.nu_gap_low == c.nu_gap_high for c in found.candidates)
+
+
+def test_points_at_which_a_candidate_has_no_plant_are_reported() -> None:
+    hopeless = {**RIGS, "90 °C": RIGS["90 °C"].replace(heat_capacity=1e-9)}
+    family = [Uncertain(rig) for rig in hopeless.values()]
+    candidates = [scored(name, rig) for name, rig in hopeless.items()]
+    found = judge_uncertainty(candidates, family, gaps(family), "50 °C", TERMS)
+    assert "; not compared everywhere: Peltier rig, held sink: its shortest time constant" in found.certainty
+
+
+def test_without_a_nominal_there_is_nothing_to_say() -> None:
+    assert judge_uncertainty([], [], gaps([]), None, TERMS) == Certainty((), False, "")
+
+
+def test_of_two_the_plant_is_asked() -> None:
+    family = twins(1e-2)[:2]
+    candidates = [scored(name, RIGS[name]) for name in list(RIGS)[:2]]
+    found = judge_uncertainty(candidates, family, gaps(family), "50 °C", TERMS, plant=RIGS["50 °C"])
+    assert found.decided
+    found = judge_uncertainty(candidates, family, gaps(family), "50 °C", TERMS)
+    assert not found.decided
+    assert found.candidates[0].nominal_probability == pytest.approx(0.5)

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import importlib.util
 from collections.abc import Callable
+from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,13 +13,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
+from scipy.signal import lfilter
 
 from twinmatch.dynamics import Parameters
-from twinmatch.fitting import Match, match
+from twinmatch.fitting import BoxJenkins, FittingError, Match, estimate, estimate_ladder, match
 from twinmatch.fitting.estimation import Estimate, on_bounds, solve, starts_for, uncertainty
+from twinmatch.fitting.prediction import MEMORY
 from twinmatch.fitting.problem import Noise, Problem
 from twinmatch.plants import Peltier
-from twinmatch.signals import KELVIN, Window
+from twinmatch.signals import KELVIN, FloatArray, Window
 
 Recorder = Callable[..., Window]
 
@@ -182,3 +187,259 @@ def test_bounds_are_named(record: Recorder) -> None:
     posed = problem(record(TRUTH))
     assert on_bounds(posed, np.array([0.075, 0.6, 30.0])) == ()
     assert on_bounds(posed, np.array([0.2, 0.0, 30.0])) == ("seebeck", "conductance")
+
+
+# Estimates against published figures, known truth and a plain program.
+
+B = np.array([0.0, 1.0, 0.5])
+C = np.array([1.0, 0.7, 0.2])
+D = np.array([1.0, -1.2, 0.5])
+F = np.array([1.0, -1.5, 0.7])
+TRUTH_BJ_ESTIMATION = np.concatenate((B[1:], C[1:], D[1:], F[1:]))
+
+
+def held(count: int, rng: np.random.Generator) -> FloatArray:
+    """A random binary signal that holds each value for four samples."""
+    return np.repeat(rng.choice([-1.0, 1.0], size=count // 4 + 1), 4)[:count]
+
+
+def recorded(count: int, seed: int, *, sigma: float = 0.3, skip: int = 0) -> tuple[FloatArray, FloatArray]:
+    rng = np.random.default_rng(seed)
+    u = held(count + skip, rng)
+    y = lfilter(B, F, u) + lfilter(C, D, sigma * rng.standard_normal(count + skip))
+    return u[skip:], y[skip:]
+
+
+@pytest.fixture(scope="module")
+def gas_furnace() -> tuple[FloatArray, FloatArray]:
+    """Series J of Box and Jenkins: gas rate and CO₂, their means taken off."""
+    spec = importlib.util.find_spec("TimeSeriesSRC")
+    assert spec is not None, "the test extra brings the package timeseries-toolbox"
+    assert spec.submodule_search_locations is not None
+    path = Path(spec.submodule_search_locations[0]) / "TestData" / "Series_J_Gas_Furnace.csv"
+    rate, gas = np.loadtxt(path, delimiter=",", skiprows=1).T
+    return rate - rate.mean(), gas - gas.mean()
+
+
+def test_gas_furnace_from_rest(gas_furnace: tuple[FloatArray, FloatArray]) -> None:
+    """A Levenberg–Marquardt program printed these coefficients and 0.0569 for the data from rest."""
+    model = estimate(*gas_furnace, (3, 0, 2, 1, 3), initial="zero")
+    np.testing.assert_allclose(model.B[3:], [-0.531, -0.380, -0.517], atol=1e-3)
+    np.testing.assert_allclose(model.F[1:], [-0.549], atol=1e-3)
+    np.testing.assert_allclose(model.D[1:], [-1.529, 0.630], atol=1e-3)
+    assert model.variance == pytest.approx(0.0569, abs=5e-5)
+
+
+def test_gas_furnace_with_its_start(gas_furnace: tuple[FloatArray, FloatArray]) -> None:
+    """The book: −(0.53 + 0.37B + 0.51B²)/(1 − 0.57B), 1/(1 − 1.53B + 0.63B²), σ² = 0.0561."""
+    model = estimate(*gas_furnace, (3, 0, 2, 1, 3))
+    book = np.array([-0.53, -0.37, -0.51, -1.53, 0.63, -0.57])
+    assert np.all(np.abs(model.coefficients - book) < 0.6 * model.standard_errors)
+    assert model.variance == pytest.approx(0.0561, abs=1e-4)
+
+
+@pytest.mark.parametrize("count", [300, 1000, 3000])
+def test_truth_is_recovered_within_its_standard_errors(count: int) -> None:
+    distances = []
+    for seed in range(12):
+        model = estimate(*recorded(count, seed), "22221")
+        error = model.coefficients - TRUTH_BJ_ESTIMATION
+        distances.append(error @ np.linalg.solve(model.covariance, error))
+        assert model.variance == pytest.approx(0.09, rel=4.0 * (2.0 / count) ** 0.5)
+    # Sum of twelve χ²(8): mean 96, standard deviation 13.9; short windows are allowed a longer tail.
+    assert 50.0 < sum(distances) < (180.0 if count == 300 else 150.0)
+
+
+def test_white_noise_needs_no_noise_model() -> None:
+    rng = np.random.default_rng(4)
+    u = held(800, rng)
+    model = estimate(u, lfilter(B, F, u) + 0.1 * rng.standard_normal(800), "20021")
+    np.testing.assert_allclose(model.B, B, atol=0.02)
+    np.testing.assert_allclose(model.F, F, atol=0.01)
+    np.testing.assert_array_equal(model.C, [1.0])
+
+
+def test_closed_loop_data() -> None:
+    rng = np.random.default_rng(5)
+    count, reference = 3000, held(3000, rng)
+    noise = lfilter(C, D, 0.1 * rng.standard_normal(count))
+    u, w, y = np.zeros(count), np.zeros(count), np.zeros(count)
+    for t in range(count):
+        w[t] = sum(B[i] * u[t - i] for i in (1, 2) if t >= i) - sum(F[i] * w[t - i] for i in (1, 2) if t >= i)
+        y[t] = w[t] + noise[t]
+        u[t] = 0.15 * (reference[t] - y[t])
+    model = estimate(u[100:], y[100:], "22221")
+    assert np.all(np.abs(model.coefficients - TRUTH_BJ_ESTIMATION) < 4.0 * model.standard_errors)
+
+
+def test_a_window_that_begins_in_a_transient() -> None:
+    """A slow plant whose past reaches far into the window, seven times."""
+    slow, gain = np.poly([0.98, 0.9]), np.array([0.0, 0.02, 0.01])
+    error: dict[str, list[float]] = {"estimate": [], "zero": []}
+    for seed in range(7):
+        rng = np.random.default_rng(seed)
+        u = np.repeat(rng.standard_normal(20), 50)
+        y = 10.0 * lfilter(gain, slow, u) + lfilter(C, D, rng.standard_normal(1000))
+        for initial, found in error.items():
+            model = estimate(u[700:], y[700:], "22221", initial=initial)
+            found.append(abs(model.B.sum() / model.F.sum() - 150.0) / 150.0)
+    # Noise of 1 through C/D on an output of some hundred: a gain good to a per cent or two.
+    assert np.median(error["estimate"]) < 0.03
+    assert np.median(error["zero"]) > 3.0 * np.median(error["estimate"])
+
+
+def plain_errors(x: FloatArray, u: FloatArray, y: FloatArray) -> FloatArray:
+    """Order 22221 written down without any of our code: filters and their states as parameters."""
+    b, c, d, f = np.append(0.0, x[:2]), np.append(1.0, x[2:4]), np.append(1.0, x[4:6]), np.append(1.0, x[6:8])
+    if np.max(np.abs(np.roots(c))) >= 1.0 - MEMORY / u.size or np.max(np.abs(np.roots(f))) >= 1.0:
+        return np.full(u.size, 1e3)
+    w = lfilter(b, f, u, zi=x[8:10])[0]
+    return np.asarray(lfilter(d, c, y - w, zi=x[10:12])[0])
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_no_plain_search_finds_a_lower_loss(seed: int) -> None:
+    u, y = recorded(250, seed, skip=60)
+    rng = np.random.default_rng(seed)
+    losses = []
+    for _ in range(8):
+        c, d, f = (np.poly(rng.uniform(-0.5, 0.9, 2))[1:] for _ in range(3))
+        x = np.concatenate((rng.standard_normal(2), c, d, f, np.zeros(4)))
+        found = least_squares(plain_errors, x, args=(u, y), x_scale="jac", xtol=1e-12, ftol=1e-12, gtol=1e-12)
+        losses.append(2.0 * found.cost / u.size)
+    model = estimate(u, y, "22221")
+    assert model.variance == pytest.approx(min(losses), rel=1e-6)
+
+
+def test_covariance_is_that_of_finite_differences() -> None:
+    u, y = recorded(300, 7, skip=50)
+    model = estimate(u, y, "22221")
+
+    def errors(coefficients: FloatArray) -> FloatArray:
+        b, c, d, f = coefficients.reshape(4, 2)
+        moved = BoxJenkins(
+            model.order,
+            np.append(0.0, b),
+            np.append(1.0, c),
+            np.append(1.0, d),
+            np.append(1.0, f),
+            model.variance,
+            model.covariance,
+            model.initial_state,
+            model.n_samples,
+        )
+        return moved.prediction_errors(u, y)
+
+    h = 1e-6
+    base = model.coefficients
+    jacobian = np.stack(
+        [(errors(base + h * e) - errors(base - h * e)) / (2.0 * h) for e in np.eye(8)], axis=1
+    )
+    # Errors with the start projected out: their Jacobian gives the same covariance without the
+    # initial conditions appearing in it (up to the second derivatives, a few per cent here).
+    noise = model.variance * 300 / (300 - 8 - 4)
+    expected = noise * np.linalg.inv(jacobian.T @ jacobian)
+    np.testing.assert_allclose(model.standard_errors, np.sqrt(np.diag(expected)), rtol=0.1)
+
+
+def test_same_data_same_bits() -> None:
+    u, y = recorded(400, 8)
+    first, second = (estimate_ladder(u, y, ("22221", "44441")) for _ in range(2))
+    for name, model in first.items():
+        assert model.coefficients.tobytes() == second[name].coefficients.tobytes()
+        assert model.covariance.tobytes() == second[name].covariance.tobytes()
+        assert model.variance == second[name].variance
+
+
+def test_more_freedom_is_never_worse() -> None:
+    for seed in range(5):
+        losses = [m.variance for m in estimate_ladder(*recorded(200, seed, skip=30)).values()]
+        assert all(b <= a * (1.0 + 1e-9) for a, b in pairwise(losses))
+
+
+def test_ladder_in_any_order_of_the_rungs() -> None:
+    u, y = recorded(150, 9)
+    assert list(estimate_ladder(u, y, ("33331", "22221", (2, 1, 1, 2, 1)))) == ["33331", "22221", "21121"]
+
+
+def test_a_warm_start_is_never_worse_than_where_it_starts() -> None:
+    u, y = recorded(500, 10)
+    before = estimate(u[:400], y[:400], "22221")
+    warm = estimate(u[100:], y[100:], "33331", start=before)
+    assert warm.variance <= before.loss(u[100:], y[100:]) * (1.0 + 1e-9)
+
+
+def test_a_warm_start_of_a_higher_order() -> None:
+    u, y = recorded(200, 11)
+    with pytest.raises(FittingError, match="33331 cannot start one of order 22221"):
+        estimate(u, y, "22221", start=estimate(u, y, "33331"))
+
+
+@pytest.mark.parametrize("order", ["22221", "55551"])
+def test_data_without_noise(order: str) -> None:
+    u = held(300, np.random.default_rng(12))
+    y = lfilter(B, F, u, zi=[2.0, 1.0])[0]
+    model = estimate(u, y, order)
+    assert model.variance < 1e-16 * np.mean(y**2)
+    assert np.all(np.isfinite(model.covariance))
+    steady = model.B.sum() / model.F.sum()
+    assert steady == pytest.approx(B.sum() / F.sum(), rel=1e-5)
+
+
+@pytest.mark.parametrize("output", ["zero", "constant", "input"])
+def test_outputs_that_leave_nothing_to_find(output: str) -> None:
+    u = held(120, np.random.default_rng(13))
+    y = {"zero": np.zeros(120), "constant": np.full(120, 25.0), "input": u}[output]
+    model = estimate(u, y, "33330" if output == "input" else "33331")
+    # The input itself cannot be predicted one sample ahead; the rest can, exactly.
+    assert model.variance <= 1e-12 * max(1.0, float(np.mean(y**2)))
+    assert np.all(np.isfinite(model.coefficients))
+
+
+def test_an_input_that_hardly_varies() -> None:
+    rng = np.random.default_rng(14)
+    u = np.full(200, 60.0)
+    u[100] += 1e-6
+    model = estimate(u, rng.standard_normal(200), "55551")
+    assert np.isfinite(model.variance)
+    assert np.all(np.isfinite(model.standard_errors))
+
+
+def test_an_order_that_is_too_high_keeps_a_finite_covariance() -> None:
+    u, y = recorded(600, 15)
+    model = estimate(u, y, "55551")
+    assert np.all(np.isfinite(model.standard_errors))
+    assert max(np.max(np.abs(np.roots(p))) for p in (model.C, model.D, model.F)) < 1.0
+
+
+@pytest.mark.parametrize("order", ["10001", "10100", "11001", "21021", (2, 0, 0, 2, 7)])
+def test_polynomials_that_are_missing(order: str) -> None:
+    u, y = recorded(200, 16)
+    model = estimate(u, y, order)
+    assert model.covariance.shape == (model.n_parameters, model.n_parameters)
+    assert model.variance < float(np.mean(y**2))
+
+
+def test_sixty_samples_are_enough_for_the_ladder() -> None:
+    models = estimate_ladder(*recorded(60, 17, skip=20))
+    assert list(models) == ["22221", "33331", "44441", "55551"]
+    assert models["22221"].n_samples == 60
+    assert models["55551"].n_parameters == 20
+
+
+def test_the_period_is_passed_on() -> None:
+    assert estimate(*recorded(100, 18), "22221", period=0.5).period == 0.5
+
+
+def test_data_that_cannot_be_used() -> None:
+    u, y = recorded(100, 19)
+    with pytest.raises(FittingError, match="input u is constant"):
+        estimate(np.full(100, 3.0), y)
+    with pytest.raises(FittingError, match="99 samples and output y 100"):
+        estimate(u[1:], y)
+    with pytest.raises(FittingError, match="inf at sample 2"):
+        estimate(u, np.where(np.arange(100) == 2, np.inf, y))
+    with pytest.raises(FittingError, match="30 samples are too few for order 55551; give at least 40"):
+        estimate(u[:30], y[:30], "55551")
+    with pytest.raises(FittingError, match="'guess' is unknown"):
+        estimate(u, y, initial="guess")

@@ -10,9 +10,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
 
-from twinmatch.dynamics import Parameters, PlantError, begin, simulate_closed_loop
-from twinmatch.fitting import FittingError, GateLimits, Match, Noise, Status, match
+from tests.support.plants import Lag, Motor
+from twinmatch.dynamics import Parameters, PlantError, Sensor, begin, simulate_closed_loop, simulate_driven
+from twinmatch.fitting import FittingError, GateLimits, Match, Status, match
+from twinmatch.fitting.estimation import (
+    QUANTILE,
+    Estimate,
+    Uncertainty,
+    profile_intervals,
+    solve,
+    starts_for,
+    uncertainty,
+)
+from twinmatch.fitting.problem import Noise, Problem
 from twinmatch.plants import Peltier
 from twinmatch.signals import Window
 
@@ -247,3 +259,195 @@ def test_the_authors_bounds_are_kept(recorded_hour: Callable[[int], Window]) -> 
     assert result.status is Status.BOUNDS_HIT
     for name, (low, high) in AUTHORS_BOUNDS.items():
         assert low <= result.parameters[name] <= high
+
+
+# Plants that are not thermal: matched by what their files say, with their loop and without one.
+
+MOTOR = Motor.model()
+TRUTH_ANY_PLANT = MOTOR.parameters(k=0.06, j=6e-4, b=2e-4)
+LAG = Lag.model()
+
+
+def spun(levels: tuple[float, ...] = (50.0, 150.0, 90.0), seed: int | None = 3) -> Window:
+    """The motor in its speed loop, every 0.05 s, under a load that changes halfway."""
+    reference = np.repeat(levels, 120)
+    load = np.where(np.arange(reference.size) < reference.size // 2, 0.0, 0.05)[:, None]
+    sensor = None if seed is None else Sensor(noise=0.2).realise(reference.size, 0.05, seed)
+    run = simulate_closed_loop(
+        TRUTH_ANY_PLANT,
+        reference,
+        states=begin(TRUTH_ANY_PLANT, 50.0),
+        gains=Motor.loop,
+        disturbances=load,
+        sensor=sensor,
+    )
+    return Window(reference, run.output, run.input, period=0.05, disturbances=load)
+
+
+def driven(seed: int | None = 5) -> Window:
+    """A lag under a staircase of voltages; nobody knows what commands them."""
+    u = np.repeat([0.0, 3.0, -2.0, 4.0], 60)
+    sensor = None if seed is None else Sensor(noise=0.01).realise(u.size, 1.0, seed)
+    truth = LAG.parameters(gain=3.0, lag=7.0)
+    run = simulate_driven(truth, u, states=begin(truth, 0.0), sensor=sensor)
+    return Window(np.zeros(u.size), run.output, u)
+
+
+def test_a_motor_is_found_without_noise() -> None:
+    found = match(spun(seed=None), start=MOTOR.parameters())
+    assert found.free == ("k", "j", "b")
+    assert found.accepted
+    for name in found.free:
+        assert found.parameters[name] == pytest.approx(TRUTH_ANY_PLANT[name], rel=1e-6)
+
+
+def test_a_motor_is_found_through_its_sensor() -> None:
+    found = match(spun(), start=MOTOR.parameters())
+    assert found.accepted
+    truth = np.array([TRUTH_ANY_PLANT[name] for name in found.free])
+    values = np.array([found.parameters[name] for name in found.free])
+    assert np.all(np.abs(values - truth) < 4.0 * found.standard_errors)
+
+
+def test_words_use_the_plant_s_own_units() -> None:
+    still = match(spun((50.0, 51.0)), start=MOTOR.parameters())
+    assert still.status is Status.NO_EXCITATION
+    assert still.reason == "the set-point did not move by 4 rad/s within the window's 240 samples"
+
+
+def test_a_lag_without_a_known_loop_is_found_from_its_input() -> None:
+    found = match(driven(None), start=LAG.parameters())
+    assert found.accepted
+    assert found.parameters["gain"] == pytest.approx(3.0, rel=1e-6)
+    assert found.parameters["lag"] == pytest.approx(7.0, rel=1e-6)
+    assert found.fit.y == pytest.approx(1.0, abs=1e-6)
+    assert np.isnan(found.fit.u)
+    assert found.suggestion == ""
+
+
+def test_what_a_driven_twin_says_of_its_error_is_that_of_plain_regression() -> None:
+    """Noise meets nothing on its way round, so (JᵀJ)⁻¹ of scipy's own Jacobian is the covariance."""
+    window = driven()
+    found = match(window, start=LAG.parameters())
+
+    def residuals(x: np.ndarray) -> np.ndarray:
+        plant = LAG.parameters(gain=x[0], lag=x[1])
+        run = simulate_driven(plant, window.input[2:], states=begin(plant, float(window.output[2])))
+        return (window.output[2:] - run.output) / Lag.y.noise
+
+    theirs = least_squares(residuals, [2.5, 6.0], x_scale=[1.0, 5.0], diff_step=1e-7)
+    assert [found.parameters["gain"], found.parameters["lag"]] == pytest.approx(theirs.x, rel=1e-5)
+    plain = np.sqrt(np.diag(np.linalg.inv(theirs.jac.T @ theirs.jac)) * found.chi2)
+    assert found.standard_errors == pytest.approx(plain, rel=0.05)
+    assert found.accepted
+
+
+def test_an_input_that_stands_still_excites_nothing() -> None:
+    still = Window(np.zeros(100), np.full(100, 6.0), np.full(100, 2.0))
+    found = match(still, start=LAG.parameters())
+    assert found.status is Status.NO_EXCITATION
+    assert found.reason == "the input did not move by 2 V within the window's 100 samples"
+
+
+def test_names_of_another_plant_are_refused() -> None:
+    with pytest.raises(FittingError, match="'seebeck' cannot be free in Lag, lag"):
+        match(driven(), start=LAG.parameters(), free=["seebeck"])
+
+
+# Profile-likelihood intervals: against brute force, and whether they hold what they promise.
+
+FREE = ("seebeck", "conductance", "heat_capacity")
+
+
+def fitted(window: Window) -> tuple[Problem, Estimate, Uncertainty]:
+    posed = Problem(window, FREE, TRUTH, Noise.of(Peltier), Peltier.loop)
+    found = solve(posed, starts_for(posed, TRUTH))
+    return posed, found, uncertainty(posed, found)
+
+
+@pytest.mark.parametrize(("levels", "seed"), [((30.0, 55.0, 42.0), 3), ((30.0, 45.0), 5), ((60.0, 35.0), 1)])
+def test_the_ends_are_where_a_fit_of_the_others_has_risen_to_the_limit(
+    record: Recorder, levels: tuple[float, ...], seed: int
+) -> None:
+    """Each finite end by brute force: the others fitted by scipy with this parameter held there."""
+    posed, found, known = fitted(record(TRUTH, levels=levels, seed=seed))
+    intervals = profile_intervals(posed, found.values, known.covariance)
+    rises = QUANTILE * np.diag(known.covariance) / np.diag(np.linalg.inv(known.fisher))
+    least = found.chi2 * found.residuals.size
+    finite = 0
+    for i, side in np.ndindex(3, 2):
+        end = intervals[i, side]
+        if not np.isfinite(end) or end == 0.0:
+            continue
+        finite += 1
+        others = [j for j in range(3) if j != i]
+
+        def residuals(x: np.ndarray, i: int = i, end: float = end, others: list[int] = others) -> np.ndarray:
+            values = np.empty(3)
+            values[i], values[others] = end, x
+            return posed.residuals(values)
+
+        fits = [
+            least_squares(
+                residuals,
+                start[others],
+                bounds=(posed.lower[others], posed.upper[others]),
+                x_scale=posed.scales[others],
+                diff_step=1e-6,
+            ).cost
+            for start in (found.values, *starts_for(posed, TRUTH))
+        ]
+        assert (2 * min(fits) - least) / rises[i] == pytest.approx(1.0, abs=0.05)
+    assert finite >= 4
+
+
+def test_a_well_determined_interval_is_that_of_the_variance(record: Recorder) -> None:
+    posed, _, known = fitted(record(TRUTH, seed=2))
+    alone = Problem(posed.window, ("heat_capacity",), TRUTH, Noise.of(Peltier), Peltier.loop)
+    single = solve(alone, [alone.values_of(TRUTH)])
+    of_one = uncertainty(alone, single)
+    (low, high) = profile_intervals(alone, single.values, of_one.covariance)[0]
+    half = 1.96 * np.sqrt(of_one.covariance[0, 0])
+    assert [low, high] == pytest.approx([single.values[0] - half, single.values[0] + half], rel=0.01)
+    assert high - low < 0.5 * 2 * 1.96 * np.sqrt(known.covariance[2, 2])
+
+
+def test_nineteen_of_twenty_intervals_hold_the_truth(record: Recorder) -> None:
+    """Eighty noisy windows; 95 % of 80 is 76 ± 2, and the folded valley of conductance costs some."""
+    truth = np.array([TRUTH[name] for name in FREE])
+    inside = []
+    for seed in range(80):
+        posed, found, known = fitted(record(TRUTH, levels=(30.0, 50.0), seed=seed))
+        low, high = profile_intervals(posed, found.values, known.covariance).T
+        inside.append((low <= truth) & (truth <= high))
+    assert np.all(np.mean(inside, axis=0) >= 0.86)
+    assert 0.91 <= np.mean(inside) <= 0.995
+
+
+def test_what_the_window_does_not_close_is_open(record: Recorder) -> None:
+    posed, found, known = fitted(record(TRUTH, levels=(30.0, 32.0), seed=4))
+    intervals = profile_intervals(posed, found.values, known.covariance)
+    assert np.argwhere(np.isinf(intervals)).tolist() == [[0, 0]]  # a Seebeck coefficient as small as you like
+    infinite = profile_intervals(posed, found.values, np.full((3, 3), np.inf))
+    assert infinite[:, 1].tolist() == [np.inf] * 3
+    assert infinite[:, 0].tolist() == [-np.inf, 0.0, -np.inf]
+
+
+def test_ends_beside_an_unknown_start_are_where_the_sum_has_risen(record: Recorder) -> None:
+    """A sink with mass: its start follows when the conductance is moved, by brute force too."""
+    rig = Peltier.model("sink with mass").parameters(
+        **{**dict(TRUTH), "sink_heat_capacity": 300.0, "sink_convection": 3.0}
+    )
+    posed = Problem(record(rig, seed=1), ("conductance",), rig, Noise.of(Peltier), Peltier.loop)
+    assert posed.names == ("conductance", "sink")
+    found = solve(posed, [posed.values_of(rig)])
+    known = uncertainty(posed, found)
+    low, high = profile_intervals(posed, found.values, known.covariance)[0]
+    rise = QUANTILE * known.covariance[0, 0] / np.linalg.inv(known.fisher)[0, 0]
+    least = found.chi2 * found.residuals.size
+    for end in (low, high):
+        fitted_start = least_squares(
+            lambda x, end=end: posed.residuals(np.array([end, x[0]])), [found.values[1]], diff_step=1e-6
+        )
+        assert (2 * fitted_start.cost - least) / rise == pytest.approx(1.0, abs=0.05)
+    assert low < found.values[0] < high

@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.stats import laplace
+from scipy.stats import laplace, norm
 
-from twinmatch.forecasting import Ledger
-from twinmatch.signals import FloatArray
+from tests.support.plants import Tank
+from twinmatch.dynamics import PidGains, PidState
+from twinmatch.forecasting import CONFIDENCE, Arx, Calibration, Ledger, StateFilter, leads_of
+from twinmatch.signals import FloatArray, Sample
 
 NOISE = np.array([0.1, 7.0])
 PERSISTENCE, ARX = "nothing changes", "a small model"
@@ -125,3 +127,245 @@ def test_skill_is_given_after_some_forecasts_only_and_is_inherited() -> None:
     ledger.inherit("heir", "a")
     np.testing.assert_array_equal(ledger.skills("heir"), ledger.skills("a"))
     assert (ledger.skills("a") > 0).all()
+
+
+# How wide a band has to be to hold what it promises.
+
+
+def learned(quotients: FloatArray, kept: float = 1.0) -> tuple[Calibration, FloatArray]:
+    """A calibration after quotients, shape (n, 2), and whether each lay within the width before it."""
+    calibration, inside = Calibration((1,), kept), []
+    for row in quotients:
+        inside.append(row <= calibration.widths[:, 0])
+        calibration.add(0, row)
+    return calibration, np.array(inside)
+
+
+def test_it_begins_as_a_normal_distribution_would_have_it() -> None:
+    """Of twelve points of |z| the greatest is taken, ⌈0.9·13⌉ being twelve: its level is 23/24."""
+    expected = norm.ppf(0.5 + 0.5 * 23 / 24)
+    assert Calibration((1, 10), 1.0).widths == pytest.approx(np.full((2, 2), expected), rel=1e-12)
+
+
+@pytest.mark.parametrize("of", ["normal", "laplace", "narrow", "wide"])
+def test_it_holds_what_it_promises_whatever_the_errors_are_like(of: str) -> None:
+    """In 3000 draws the share within has a standard error of 0.005; what is learned first costs some more."""
+    random = np.random.default_rng(7)
+    draws = {
+        "normal": random.normal(size=(3000, 2)),
+        "laplace": random.laplace(size=(3000, 2)),
+        "narrow": 0.1 * random.normal(size=(3000, 2)),
+        "wide": 7.0 * random.standard_t(3, size=(3000, 2)),
+    }[of]
+    _, inside = learned(np.abs(draws), kept=0.99)
+    assert inside.mean(axis=0) == pytest.approx([CONFIDENCE, CONFIDENCE], abs=0.025)
+
+
+def test_it_follows_errors_that_grow() -> None:
+    random = np.random.default_rng(8)
+    sizes = np.abs(random.normal(size=(600, 2))) * np.repeat([1.0, 3.0], 300)[:, None]
+    _, inside = learned(sizes, kept=float(np.exp(-1 / 60)))
+    assert inside[300:330].mean() < 0.75, "this test has to see the change"
+    assert inside[400:].mean() == pytest.approx(CONFIDENCE, abs=0.04)  # 400 draws: standard error 0.015
+
+
+@settings(deadline=None, max_examples=40)
+@given(st.lists(st.floats(0.0, 100.0), min_size=200, max_size=260))
+def test_with_equal_weights_it_is_the_empirical_quantile(values: list[float]) -> None:
+    """The one that leaves room for the next: rank ⌈0.9·(n + 1)⌉, an independent formula (Vovk et al.)."""
+    calibration, _ = learned(np.repeat(np.array(values)[:, None], 2, axis=1))
+    start = Calibration((1,), 1.0)._quotients[0][:, 0]
+    everything = np.sort(np.append(start, values))
+    rank = int(np.ceil(CONFIDENCE * (everything.size + 1) - 1e-9))
+    assert calibration.widths[0, 0] == everything[rank - 1]
+
+
+MEMORY = float(np.exp(-1 / 60))
+
+
+@pytest.mark.parametrize("size", [0.1, 1.0, 4.0])
+def test_scaled_by_past_errors_it_soon_holds(size: float) -> None:
+    """300 twins whose errors are so many times what they expect, forecasts 20 to 60 of each.
+
+    The share is known to 0.3 %; a prior that still counts costs up to 6 % (without scaling 10 %).
+    """
+    random = np.random.default_rng(4)
+    inside, wide = [], []
+    for _ in range(300):
+        calibration = Calibration((1,), MEMORY, 1, 1)
+        for k, quotient in enumerate(np.abs(size * random.normal(size=60))):
+            if k >= 20:
+                inside.append(quotient <= calibration.widths[0, 0])
+            calibration.add(0, np.array([quotient]))
+        wide.append(calibration.widths[0, 0] / size)
+    assert 0.89 < np.mean(inside) < 0.97
+    assert np.median(wide) == pytest.approx(norm.ppf(0.95), rel=0.2)
+
+
+def test_unscaled_it_stays_wide_much_longer() -> None:
+    """Errors are a tenth of what the twin expects: after 20 forecasts, and after 60."""
+    quotients = np.abs(0.1 * np.random.default_rng(5).normal(size=60))
+    plain, scaled = Calibration((1,), MEMORY, 1), Calibration((1,), MEMORY, 1, 1)
+    for k, quotient in enumerate(quotients):
+        plain.add(0, np.array([quotient]))
+        scaled.add(0, np.array([quotient]))
+        if k == 19:
+            assert scaled.widths[0, 0] < 0.6
+            assert plain.widths[0, 0] > 1.2
+    assert scaled.widths[0, 0] < 0.25
+
+
+@settings(deadline=None, max_examples=40)
+@given(st.lists(st.floats(0.0, 100.0), max_size=60), st.sampled_from([1, 2, 20]))
+def test_the_scale_is_a_mean_of_past_quotients_and_three_forecasts_as_expected(
+    values: list[float], lead: int
+) -> None:
+    """With equal weights; of forecasts that reach over `lead` of their intervals each counts a `lead`-th."""
+    calibration = Calibration((lead,), 1.0, 1, 1)
+    for value in values:
+        calibration.add(0, np.array([value]))
+    weights = np.array([3.0, *[1.0 / lead] * len(values)])
+    scale = np.average([norm.expect(abs), *values], weights=weights) / norm.expect(abs)
+    prior = norm.ppf(0.5 + 0.5 * (np.arange(12) + 0.5) / 12) * scale
+    everything = np.sort([*prior, *values])
+    rank = min(int(np.ceil(CONFIDENCE * (everything.size + 1) - 1e-9)), everything.size)
+    assert calibration.widths[0, 0] == pytest.approx(everything[rank - 1], rel=1e-9)
+
+
+def test_a_copy_learns_on_its_own() -> None:
+    first = Calibration((1,), MEMORY, 1, 1)
+    for _ in range(500):  # until the prior is forgotten
+        first.add(0, np.array([0.3]))
+    second = first.copy()
+    second.add(0, np.array([9.0]))
+    assert first.widths[0, 0] == pytest.approx(0.3)
+    for _ in range(30):
+        second.add(0, np.array([9.0]))
+        first.add(0, np.array([0.3]))
+    assert second.widths[0, 0] == pytest.approx(9.0)
+    assert first.widths[0, 0] == pytest.approx(0.3)
+
+
+def test_leads_fit_the_sample_time() -> None:
+    assert leads_of(1.0, 300) == (1, 3, 10, 30, 60, 120, 300)
+    assert leads_of(3.0, 20) == (1, 3, 10, 20)
+    assert leads_of(0.1, 50) == (10, 30, 50)
+
+
+# The forecasts that need no twin.
+
+GAINS = PidGains(2.0, 0.4, 0.1, 1.0, -5.0, 5.0)
+
+
+def plant(y: float, y_before: float, u: float, u_before: float, room: float) -> float:
+    return y + 0.3 - 0.1 * y + 0.4 * (y - y_before) + 0.2 * u + 0.05 * u_before + 0.02 * room
+
+
+def record(n: int, gains: PidGains | None, seed: int = 1) -> tuple[list[Sample], list[PidState]]:
+    """An exact run of `plant`: of the loop if there are gains, otherwise under random inputs."""
+    from twinmatch.dynamics import Pid
+
+    random = np.random.default_rng(seed)
+    y = y_before = u_before = 0.0
+    pid, samples, states = Pid(gains or GAINS), [], []
+    for k in range(n):
+        room, reference = (
+            20.0 + random.uniform(),
+            float(random.integers(0, 8)) if k % 25 == 0 else samples[-1].reference,
+        )
+        u = pid.step(reference, y) if gains else random.uniform(-1.0, 1.0)
+        samples.append(Sample(k, 0, reference, y, u, (room,)))
+        states.append(pid.state)
+        y, y_before, u_before = plant(y, y_before, u, u_before, room), y, u
+    return samples, states
+
+
+def fed(samples: list[Sample], gains: PidGains | None, kept: float = 1.0) -> Arx:
+    arx = Arx(gains, kept)
+    for sample in samples:
+        arx.push(sample)
+    return arx
+
+
+def future(
+    samples: list[Sample], at: int, gains: PidGains | None
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Condition, disturbances and measured signals after the sample `at`."""
+    rest = samples[at + 1 :]
+    given = np.array([s.reference if gains else s.input for s in rest])
+    return (
+        given,
+        np.array([s.disturbances for s in samples[at:]]),
+        np.array([[s.output, s.input] for s in rest]).T,
+    )
+
+
+@pytest.mark.parametrize("gains", [GAINS, None], ids=["closed loop", "given inputs"])
+def test_a_plant_of_its_form_is_forecast_exactly(gains: PidGains | None) -> None:
+    samples, states = record(300, gains)
+    given_ahead, rows, came = future(samples, 199, gains)
+    found = fed(samples[:200], gains).departure(states[199]).forecast(given_ahead, rows)
+    np.testing.assert_allclose(found, came, atol=1e-6)
+
+
+def test_until_there_are_enough_samples_nothing_changes() -> None:
+    samples, states = record(12, GAINS)
+    found = fed(samples, GAINS).departure(states[11]).forecast(np.ones(4), np.ones((5, 1)))
+    np.testing.assert_array_equal(found, np.repeat([[samples[-1].output], [samples[-1].input]], 4, axis=1))
+
+
+def test_it_does_not_leave_what_was_visited_by_more_than_its_width() -> None:
+    """A plant that runs away while it is watched."""
+    samples = [Sample(k, 0, 0.0, float(np.exp(0.05 * k)), 0.1 * (k % 3)) for k in range(80)]
+    found = fed(samples, None).departure(PidState()).forecast(np.zeros(400), None)
+    low, high = samples[0].output, samples[-1].output
+    assert found[0, -1] == pytest.approx(2.0 * high - low)
+
+
+@settings(max_examples=20)
+@given(st.sets(st.integers(3, 195), max_size=60), st.integers(0, 3))
+def test_lost_samples_and_gaps_teach_nothing_wrong(lost: set[int], seed: int) -> None:
+    """Values of stand-ins are nonsense here; whatever is learned comes from the others."""
+    samples, states = record(400, GAINS, seed)
+    with_gap = [
+        Sample(s.index, 0, s.reference, 1e3, -1e3, s.disturbances, seen=False) if k in lost and k % 2 else s
+        for k, s in enumerate(samples[:250])
+        if k not in lost or k % 2
+    ]
+    given_ahead, rows, came = future(samples, 249, GAINS)
+    arx = fed(with_gap, GAINS)
+    found = arx.departure(states[249]).forecast(given_ahead, rows)
+    np.testing.assert_allclose(found, came, atol=1e-4)
+
+
+def test_older_samples_weigh_less() -> None:
+    """The plant doubles its input's effect in the middle."""
+    samples, _ = record(400, None)
+    doubled = []
+    y = y_before = u_before = 0.0
+    for k, s in enumerate(samples):
+        factor = 2.0 if k >= 200 else 1.0
+        doubled.append(Sample(k, 0, 0.0, y, s.input, s.disturbances))
+        y, y_before, u_before = (
+            plant(y, y_before, factor * s.input, factor * u_before, s.disturbances[0]),
+            y,
+            s.input,
+        )
+    slopes = [fed(doubled, None, kept).departure(PidState()).coefficients[3] for kept in (1.0, 0.9)]
+    assert slopes[1] == pytest.approx(0.4, abs=1e-3)
+    assert slopes[0] < 0.38
+
+
+# A twin carried beside the plant.
+
+
+def test_a_twin_whose_states_are_lost_starts_over() -> None:
+    """One reading far below zero empties the tank beyond what its equations can say."""
+    state_filter = StateFilter(Tank.model().parameters(), 1.0, states=np.array([1.0]))
+    for index, output in enumerate((-3.0, 0.1, 0.12)):
+        state_filter.push(Sample(index, index * 10**9, 0.1, output, 0.1))
+        if index == 0:
+            assert state_filter.states[0] < 0.0
+    assert np.isfinite(state_filter.states).all()
+    assert np.isfinite(state_filter.joint).all()
+    assert 0.0 < state_filter.states[0] < 0.5

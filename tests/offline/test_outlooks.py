@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,8 +13,10 @@ from tests.support.plants import Motor
 from tests.support.steps import drive_lost
 from twinmatch.dynamics import Sensor, begin, simulate_closed_loop
 from twinmatch.forecasting import Forecast, ForecastError
-from twinmatch.offline.judging import Terms
+from twinmatch.offline import judging
+from twinmatch.offline.judging import Judgement, Terms, judge_samples
 from twinmatch.offline.outlooks import Prospect, prospects, samples_at
+from twinmatch.plants import Incubator, Peltier
 from twinmatch.sessions import Session, read_session, samples_of, write_session
 from twinmatch.signals import Sample, Window
 from twinmatch.twin import TwinSettings
@@ -164,3 +167,33 @@ def test_a_fault_is_in_the_notes(tmp_path: Path) -> None:
     found = prospects(session, Terms(TwinSettings()), [630, 700])
     assert not [n for n in found[630].outlook.notes if "drive-lost" in n]
     assert [n for n in found[700].outlook.notes if "has shown drive-lost since sample 6" in n]
+
+
+# The rehearsal reaches everything that a first run would otherwise compile, and happens once.
+
+
+def test_a_rehearsal_matches_judges_and_forecasts_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    judged: list[Judgement] = []
+
+    def judge(*args: Any, **settings: Any) -> Judgement:
+        judged.append(judge_samples(*args, **settings))
+        return judged[-1]
+
+    monkeypatch.setattr(judging, "cache_folder", lambda: tmp_path / "cache")
+    monkeypatch.setattr(judging, "judge_samples", judge)
+    for _ in range(2):
+        judging.rehearse(Peltier, TwinSettings(), lambda _done, _total: None)
+    (only,) = judged
+    last = only.verdicts[-1]
+    assert any(report.match.accepted for report in only.matches)
+    assert len(last.candidates) >= 2
+    assert last.nu_gap
+    assert last.forecasts
+
+
+def test_a_plant_without_a_loop_is_not_rehearsed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(judging, "cache_folder", lambda: tmp_path)
+    judging.rehearse(Incubator, TwinSettings(), lambda _done, _total: None)
+    assert not list(tmp_path.iterdir())

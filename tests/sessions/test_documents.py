@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -12,14 +13,30 @@ import pytest
 import yaml
 from hypothesis import given
 from hypothesis import strategies as st
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from tests.support.limits import within
+from tests.support.rig import rig
+from tests.support.schemas import bare
 from twinmatch.cli import main
+from twinmatch.dynamics import PlantError
 from twinmatch.errors import TwinmatchError
 from twinmatch.parameters.twin import read_settings
+from twinmatch.plants import Peltier
+from twinmatch.plants.records import parameters_from
+from twinmatch.sessions import SessionError, messages
 from twinmatch.sessions.candidates import CandidateFileError, parse_candidates, read_candidates
 from twinmatch.sessions.documents import MOST_BYTES, DocumentError, parse_json, parse_yaml, read_yaml
-from twinmatch.sessions.messages import Qos
+from twinmatch.sessions.messages import (
+    FLOAT64,
+    HEADER,
+    LOOP_SAMPLE,
+    TEMPERATURE,
+    TIME,
+    Qos,
+    fields_of,
+    schema_of,
+)
 from twinmatch.sessions.metadata import files_listed, parse_qos
 
 PROJECT = Path(__file__).resolve().parents[2]
@@ -244,3 +261,192 @@ def test_commands_end_with_one_line(tmp_path: Path, capsys: Any, option: str, na
     path.write_text(HOSTILE[name][0])
     assert main(["replay", str(PROJECT / "bags" / "four_setpoints"), option, str(path)]) == 2
     assert capsys.readouterr().err.count("\n") == 1
+
+
+# Files of candidates: plants, structures, names, and files from before there were structures.
+
+PAPER = Path(__file__).resolve().parents[2] / "config" / "paper_candidates.yaml"
+
+
+def entry_candidates(text: str) -> str:
+    return f"candidates:\n  - {{name: a, operating_point: 50.0, {text}}}\n"
+
+
+def test_the_papers_family_has_the_papers_structure() -> None:
+    family = read_candidates(PAPER)
+    assert [c.operating_point for c in family] == [30.0, 50.0, 70.0, 90.0]
+    assert family[0].parameters == rig(seebeck=0.0963, conductance=0.3, heat_capacity=34.9)
+    assert {c.parameters.model for c in family} == {Peltier.model()}
+
+
+def test_a_structure_is_taken_by_its_name() -> None:
+    text = entry_candidates("plant: peltier, structure: 'sink with mass, sensor lag', sensor_lag: 0.4")
+    (found,) = parse_candidates(text, "family")
+    assert found.parameters == rig("sink with mass, sensor lag", sensor_lag=0.4)
+
+
+def test_without_a_structure_the_values_say_which_parts_there_are() -> None:
+    (found,) = parse_candidates(entry_candidates("sink_heat_capacity: 250.0, sink_convection: 6.0"), "family")
+    assert found.parameters == rig("sink with mass", sink_heat_capacity=250.0, sink_convection=6.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("seebek: 0.1", "no parameter 'seebek' in this structure; it has seebeck, resistance"),
+        ("seebeck: high", "seebeck is 'high'; give a number"),
+        ("seebeck: -1.0", "seebeck is -1 V/K; it must be finite and at least 0"),
+        ("plant: kettle", "plant 'kettle': not known; choose from peltier"),
+        ("structure: two sinks", "no structure 'two sinks'; it has held sink"),
+        ("structure: held sink, sensor_lag: 1.0", "no parameter 'sensor_lag' in this structure"),
+    ],
+)
+def test_what_no_candidate_can_be_is_refused_in_words(text: str, message: str) -> None:
+    with pytest.raises(CandidateFileError) as caught:
+        parse_candidates(entry_candidates(text), "family")
+    assert str(caught.value).startswith("family: candidate 1: ")
+    assert message in str(caught.value)
+
+
+OLD = {
+    "seebeck": 0.06, "resistance": 3.3, "conductance": 0.5, "heat_capacity": 27.0, "ambient": 295.0,
+    "sink_heat_capacity": math.inf, "sink_convection": 0.0, "sensor_lag": 0.0, "seebeck_slope": 0.0,
+    "drive_ripple": 0.0,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("changes", "structure"),
+    [
+        ({}, "held sink"),
+        ({"sink_heat_capacity": 250.0}, "sink with mass"),
+        ({"sink_heat_capacity": 250.0, "sensor_lag": 0.5}, "sink with mass, sensor lag"),
+        (
+            {"sink_heat_capacity": 250.0, "seebeck_slope": 1e-4},
+            "sink with mass, free ambient, switched drive, α(T)",
+        ),
+        (
+            {"sink_heat_capacity": 250.0, "sensor_lag": 0.5, "seebeck_slope": 1e-4},
+            "sink with mass, free ambient, switched drive, sensor lag, α(T)",
+        ),
+    ],
+)
+def test_what_was_written_down_before_plants_had_structures(
+    changes: dict[str, float], structure: str
+) -> None:
+    """Every number that meant something then is there, and has the value it had."""
+    values = OLD | changes
+    found = parameters_from("", "", values)
+    assert found.model is Peltier.model(structure)
+    assert all(found[name] == value for name, value in values.items() if name in found)
+    assert {name for name, value in values.items() if value and math.isfinite(value)} <= set(found)
+
+
+def test_a_sink_that_was_held_beside_a_lag_is_a_sink_that_hardly_moves() -> None:
+    found = parameters_from("peltier", "", OLD | {"sensor_lag": 0.5})
+    assert found["sensor_lag"] == 0.5
+    assert found["sink_heat_capacity"] > 1e9
+
+
+def test_unknown_plants_are_named() -> None:
+    with pytest.raises(PlantError, match="plant 'kettle': not known"):
+        parameters_from("kettle", "", {"seebeck": 0.1})
+
+
+# Our definitions are those of the installed messages, the hashes those of ROS 2; schemas of any types.
+
+TYPES = (LOOP_SAMPLE, HEADER, TIME, TEMPERATURE, FLOAT64)
+SOURCE = Path(messages.__file__).parents[2] / "twinmatch_msgs" / "msg"
+
+
+def share_folders() -> list[Path]:
+    prefixes = [sys.prefix, *os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)]
+    return [Path(prefix) / "share" for prefix in prefixes if prefix]
+
+
+def installed(name: str, suffix: str) -> Path:
+    package, _, short = name.split("/")
+    for share in share_folders():
+        path = share / package / "msg" / f"{short}{suffix}"
+        if path.is_file():
+            return path
+    return pytest.skip(f"no {short}{suffix} of {package} is installed to compare with")
+
+
+def test_loop_sample_is_the_text_of_our_message_package():
+    if not SOURCE.is_dir():
+        pytest.skip("the sources of twinmatch_msgs are not beside this package")
+    assert (SOURCE / "LoopSample.msg").read_text("utf-8") == LOOP_SAMPLE.text
+
+
+@pytest.mark.parametrize("message", TYPES, ids=lambda m: m.name)
+def test_texts_are_the_installed_ones(message):
+    assert bare(installed(message.name, ".msg").read_text("utf-8")) == bare(message.text)
+
+
+@pytest.mark.parametrize("message", TYPES, ids=lambda m: m.name)
+def test_hashes_are_the_installed_ones(message):
+    published = json.loads(installed(message.name, ".json").read_text("utf-8"))["type_hashes"]
+    assert {h["type_name"]: h["hash_string"] for h in published}[message.name] == message.type_hash
+
+
+@pytest.mark.parametrize("message", TYPES, ids=lambda m: m.name)
+def test_hashes_are_those_of_an_independent_implementation(message):
+    store = get_typestore(Stores.EMPTY)
+    store.register(get_types_from_msg(message.schema, message.name))
+    assert store.hash_rihs01(message.name) == message.type_hash
+
+
+def test_schema_names_each_part_once():
+    headings = [line for line in LOOP_SAMPLE.schema.splitlines() if line.startswith("MSG: ")]
+    assert headings == ["MSG: std_msgs/Header", "MSG: builtin_interfaces/Time"]
+
+
+def test_fields_ignore_comments_and_blanks():
+    text = "# a\nfloat64   x  # metres\n\n" + "=" * 80 + "\nMSG: a/B\nint8 y\n"
+    assert fields_of(text) == ["float64 x"]
+
+
+@pytest.mark.parametrize("known", [LOOP_SAMPLE, TEMPERATURE, FLOAT64], ids=lambda t: t.name)
+def test_installed_schemas_are_the_known_ones(known):
+    if not (Path(sys.prefix) / "share" / "twinmatch_msgs").is_dir():
+        pytest.skip("twinmatch_msgs is not built; run make setup")
+    assert bare(schema_of(known.name)) == bare(known.schema)
+
+
+def install(folder: Path, **texts: str) -> dict[str, str]:
+    for name, text in texts.items():
+        path = folder / "share" / "rig_msgs" / "msg" / f"{name}.msg"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+    return {"AMENT_PREFIX_PATH": f"/nowhere:{folder}"}
+
+
+def test_parts_come_once_and_in_their_order(tmp_path):
+    environment = install(
+        tmp_path,
+        Frame="# a Nothing here\nuint8 KIND=3\nPixel[<=4] pixels\nrig_msgs/Lens lens\nstring<=9 name\n",
+        Pixel="float64[2] at\nbool DEAD = true # Ghost x\n",
+        Lens="Pixel centre\n",
+    )
+    blocks = schema_of("rig_msgs/msg/Frame", environment).split("=" * 80 + "\n")
+    assert [block.split("\n")[0] for block in blocks[1:]] == ["MSG: rig_msgs/Pixel", "MSG: rig_msgs/Lens"]
+
+
+def test_full_names_of_parts_are_understood(tmp_path):
+    environment = install(tmp_path, Frame="rig_msgs/msg/Lens lens\n", Lens="bool clean\n")
+    assert "MSG: rig_msgs/Lens" in schema_of("rig_msgs/msg/Frame", environment)
+
+
+@pytest.mark.parametrize(
+    ("kind", "message"),
+    [
+        ("rig_msgs/msg/Ghost", "the definition of rig_msgs/msg/Ghost is not installed; looked in /nowhere"),
+        ("rig_msgs/msg/Frame", "the definition of rig_msgs/msg/Pixel is not installed"),
+        ("../../etc/passwd", "is not a message type"),
+        ("rig_msgs/srv/Ask", "is not a message type"),
+    ],
+)
+def test_what_is_not_installed_is_named(tmp_path, kind, message):
+    with pytest.raises(SessionError, match=message):
+        schema_of(kind, install(tmp_path, Frame="Pixel pixel\n"))

@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
+import json
 import math
+import shutil
 import struct
+import subprocess
+from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from twinmatch.sessions import SessionError
+from twinmatch.cli import main
+from twinmatch.dynamics import Pid
+from twinmatch.offline.judging import recorded_terms
+from twinmatch.offline.verification import verify_session
+from twinmatch.plants import Peltier
+from twinmatch.sessions import SessionError, read_session, write_session
 from twinmatch.sessions.messages import (
     LOOP_SAMPLE,
     decode_sample,
@@ -19,6 +29,8 @@ from twinmatch.sessions.messages import (
     encode_sample,
     encode_temperature,
 )
+from twinmatch.sessions.metadata import METADATA
+from twinmatch.sessions.recording import repair_session
 from twinmatch.signals import Sample
 
 STORE = get_typestore(Stores.ROS2_KILTED)
@@ -126,3 +138,143 @@ def test_a_string_longer_than_the_message_is_refused():
     struct.pack_into("<I", raw, 12, 2**32 - 1)
     with pytest.raises(SessionError, match="too short"):
         decode_sample(bytes(raw))
+
+
+# A session of the first form: reference, temperature and PWM as numbers, the rig's own parameters.
+
+SESSION = Path(__file__).parent / "first_form"
+
+
+def test_the_file_is_of_the_first_form() -> None:
+    with AnyReader([SESSION]) as reader:
+        samples = next(c for c in reader.connections if c.topic == "/plant/sample")
+        assert "float64 temperature" in samples.msgdef.data
+        scores = next(c for c in reader.connections if c.topic == "/twin/model_score")
+        assert "RigParameters structure_parameters" in scores.msgdef.data
+
+
+def test_samples_are_those_that_another_reader_finds() -> None:
+    session = read_session(SESSION)
+    assert session.notes == []
+    with AnyReader([SESSION]) as reader:
+        wanted = [c for c in reader.connections if c.topic == "/plant/sample"]
+        theirs = [reader.deserialize(data, c.msgtype) for c, _, data in reader.messages(wanted)]
+    assert [(s.index, s.reference, s.output, s.input, s.disturbances) for s in session.samples] == [
+        (m.index, m.reference, m.temperature, m.pwm, ()) for m in theirs
+    ]
+    assert [s.stamp for s in session.samples] == [
+        m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in theirs
+    ]
+    assert len(theirs) == 360
+
+
+def test_outputs_and_inputs_are_those_of_the_loop() -> None:
+    """The rig's PID computes the inputs from references and outputs, so none is taken for another."""
+    window, pid = read_session(SESSION).window(), Pid(Peltier.loop)
+    computed = [pid.step(r, y) for r, y in zip(window.reference, window.output, strict=True)]
+    np.testing.assert_allclose(computed, window.input, atol=1e-9)
+
+
+def test_its_samples_are_played_as_those_of_today() -> None:
+    session = read_session(SESSION)
+    (topic,) = (t for t in session.topics if t.name == "/plant/sample")
+    assert (topic.schema, topic.type_hash) == (LOOP_SAMPLE.schema, LOOP_SAMPLE.type_hash)
+    played = list(session.messages(["/plant/sample"]))
+    assert {m.topic for m in played} == {topic}
+    assert [decode_sample(m.data) for m in played] == session.samples
+    length = struct.unpack_from("<I", played[0].data, 12)[0]
+    assert played[0].data[16 : 16 + length] == b"plate\0"
+
+
+def test_recorded_parameters_get_their_names_of_today() -> None:
+    terms = recorded_terms(read_session(SESSION), None, None)
+    assert (terms.settings.noise.output, terms.settings.noise.input) == (0.1, 7.0)
+
+
+def test_verdicts_are_compared_in_what_both_forms_have() -> None:
+    """Whether they are the same to the last bit is a matter of versions; like is compared with like."""
+    found = verify_session(SESSION)
+    assert (found.samples, found.verdicts, found.matches) == (360, 6, 1)
+    assert found.notes[0].startswith(
+        "recorded in another form; fields that only one form has were not compared"
+    )
+    assert " parameters.structure" in found.notes[0]
+    for renamed in ("rms_y", "rms_u", "residual", " parameters.heat_capacity", "starts"):
+        assert renamed not in found.notes[0]
+    if found.difference is not None:
+        assert type(found.difference.recorded) is type(found.difference.computed)
+
+
+@pytest.mark.parametrize("command", ["replay", "report"])
+def test_the_commands_read_it(
+    command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main([command, str(SESSION)]) == 0
+    assert "first_form.html" in (out := capsys.readouterr().out) or "Nominal: 40 °C set" in out
+
+
+def test_a_repaired_copy_stays_in_its_form(tmp_path: Path) -> None:
+    """What was recorded is kept, whatever the form."""
+    torn = tmp_path / "torn"
+    torn.mkdir()
+    whole = (SESSION / "first_form_0.mcap").read_bytes()
+    (torn / "torn_0.mcap").write_bytes(whole[: len(whole) * 2 // 3])
+    repair_session(torn)
+    samples = read_session(torn).samples
+    assert 200 < len(samples) < 360
+    assert samples == read_session(SESSION).samples[: len(samples)]
+    with AnyReader([torn]) as reader:
+        assert "float64 temperature" in next(c for c in reader.connections if "sample" in c.topic).msgdef.data
+
+
+# Sessions read by `@mcap/core`, the reader behind the usual viewers.
+
+VERSION = "2.2.2"
+CACHE = Path(__file__).resolve().parents[2] / "build" / f"mcap-core-{VERSION}"
+SCRIPT = Path(__file__).with_name("read_with_mcap_core.mjs")
+
+
+@pytest.fixture(scope="module")
+def core() -> Path:
+    """The reader's folder, installed once into the ignored build folder."""
+    if not (shutil.which("node") and shutil.which("npm")):
+        pytest.skip("node and npm are not installed")
+    module = CACHE / "node_modules" / "@mcap" / "core"
+    if not module.is_dir():
+        CACHE.mkdir(parents=True, exist_ok=True)
+        options = ["--prefix", str(CACHE), "--ignore-scripts", "--no-audit", "--no-fund", "--no-save"]
+        done = subprocess.run(
+            ["npm", "install", *options, f"@mcap/core@{VERSION}"], capture_output=True, text=True, check=False
+        )
+        if done.returncode:
+            pytest.skip(f"npm could not install @mcap/core: {done.stderr.strip().splitlines()[-1:]}")
+    return module
+
+
+def test_the_web_reader_finds_the_same(tmp_path, core):
+    samples = [Sample(k, 10**18 + k * 10**9, 30.0 + k // 500, 25.0 + k / 16, k / 4) for k in range(1000)]
+    folder = write_session(tmp_path / "run", samples)
+    done = subprocess.run(
+        ["node", str(SCRIPT), str(folder / "run_0.mcap"), str(core)],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    theirs = json.loads(done.stdout)
+    ours = read_session(folder)
+    assert theirs["profile"] == "ros2"
+    assert theirs["topics"] == {
+        topic.name: {
+            "type": topic.type,
+            "encoding": "ros2msg",
+            "schema": topic.schema,
+            "message": "cdr",
+            "hash": topic.type_hash,
+            "count": ours.counts[topic.name],
+        }
+        for topic in ours.topics
+    }
+    assert theirs["messages"] == [[m.topic.name, str(m.log_time), m.data.hex()] for m in ours.messages()]
+    text = (folder / METADATA).read_text()
+    assert all(line.strip() in text for line in theirs["metadata"]["serialized_metadata"].splitlines())

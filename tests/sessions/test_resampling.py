@@ -2,12 +2,25 @@
 
 from __future__ import annotations
 
+import tracemalloc
+from contextlib import closing
+from datetime import datetime, timedelta, timezone
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from twinmatch.sessions import RecordingError, resample
+from twinmatch.offline.archive import find_sessions
+from twinmatch.offline.archive.files import content_of
+from twinmatch.sessions import RecordingError, SessionError, SessionWriter, read_session, resample
+from twinmatch.sessions.messages import SAMPLE, encode_sample
+from twinmatch.sessions.metadata import CONTINUES
+from twinmatch.sessions.spool import MessageSpool, SampleSpool
+from twinmatch.sessions.tables import read_table
+from twinmatch.sessions.times import DAY_FIRST, MONTH_FIRST, in_order, order_of, read_times
+from twinmatch.signals import Sample
 
 
 def test_rows_on_a_clock_stay_as_they_are_to_the_last_bit():
@@ -159,3 +172,213 @@ def test_without_a_gap_splitting_changes_nothing():
     assert np.array_equal(one.columns["y"], other.columns["y"])
     assert other.index.tolist() == list(range(other.time.size))
     assert one.sentence == other.sentence
+
+
+# A run whose recorder was killed lies in several folders, and is one session for every reader.
+
+
+def record(folder: Path, *indices: int, continues: str = "run") -> Path:
+    """A piece with these samples."""
+    with SessionWriter(folder) as writer:
+        if continues:
+            writer.add_record(CONTINUES, {"session": continues})
+        writer.add_topic(SAMPLE)
+        for k in indices:
+            sample = Sample(k, (k + 1) * 10**9, 30.0, 25.0, float(k))
+            writer.write(SAMPLE.name, encode_sample(sample), sample.stamp)
+    return folder
+
+
+def indices(path: Path) -> list[int]:
+    return [sample.index for sample in read_session(path).samples]
+
+
+@pytest.fixture
+def killed(tmp_path: Path) -> Path:
+    """A run with four recorders: one had no time for a sample, the last two fetched the past."""
+    first = record(tmp_path / "run", 0, 1, 2, continues="")
+    record(tmp_path / "run_2")
+    record(tmp_path / "run_3", 0, 1, 2, 3, 4)
+    record(tmp_path / "run_4", 0, 1, 2, 3, 4, 5, 6)
+    return first
+
+
+def test_the_last_piece_that_begins_at_the_beginning_is_the_run(killed: Path) -> None:
+    session = read_session(killed)
+    assert [sample.index for sample in session.samples] == list(range(7))
+    assert (session.name, session.path) == ("run", killed)
+    assert session.counts == {SAMPLE.name: 7}
+    assert len(list(session.messages())) == 7
+    assert any(note.startswith("run_2 is left out: session run_2: has no ") for note in session.notes)
+
+
+def test_a_piece_without_samples_stands_for_its_run(killed: Path) -> None:
+    assert indices(killed.with_name("run_2")) == list(range(7))
+    assert indices(killed.with_name("run_3")) == list(range(5))
+
+
+def test_samples_after_the_keeper_was_gone_are_appended(tmp_path: Path) -> None:
+    first = record(tmp_path / "run", 0, 1, 2, continues="")
+    record(tmp_path / "run_2", 2, 5, 6)
+    session = read_session(first)
+    assert [sample.index for sample in session.samples] == [0, 1, 2, 5, 6]
+    assert session.counts == {SAMPLE.name: 5}
+    assert session.end == 7 * 10**9
+
+
+def test_a_piece_that_is_an_empty_file_is_left_out(tmp_path: Path) -> None:
+    first = record(tmp_path / "run", 0, 1, continues="")
+    (tmp_path / "run_2").mkdir()
+    (tmp_path / "run_2" / "run_2_0.mcap").touch()
+    assert indices(first) == [0, 1]
+    assert indices(tmp_path / "run_2") == [0, 1]
+
+
+def test_sessions_that_only_have_such_names_stay_apart(tmp_path: Path) -> None:
+    first = record(tmp_path / "run", 0, 1, continues="")
+    record(tmp_path / "run_2", 7, 8, 9, continues="")
+    (tmp_path / "run_3").mkdir()
+    assert indices(first) == [0, 1]
+    assert indices(tmp_path / "run_2") == [7, 8, 9]
+    assert find_sessions([tmp_path]) == [first, tmp_path / "run_2"]
+
+
+def test_a_run_without_any_sample_is_refused(tmp_path: Path) -> None:
+    first = record(tmp_path / "run", continues="")
+    record(tmp_path / "run_2")
+    with pytest.raises(SessionError, match="session run: has no "):
+        read_session(first)
+
+
+def test_an_archive_lists_a_run_once_and_sees_its_pieces_change(killed: Path) -> None:
+    assert find_sessions([killed.parent]) == [killed]
+    assert find_sessions([killed.with_name("run_3")]) == [killed.with_name("run_3")]
+    before = content_of(killed)
+    record(killed.with_name("run_5"), 0, 1)
+    assert content_of(killed) != before
+
+
+# Dates with the year last: which number is the day.
+
+FORMS = {DAY_FIRST: "%d/%m/%Y %H:%M:%S", MONTH_FIRST: "%m/%d/%Y %I:%M:%S %p"}
+
+
+@given(
+    st.datetimes(datetime(1971, 1, 1), datetime(2099, 12, 28)),
+    st.integers(1, 3600),
+    st.sampled_from([*FORMS]),
+)
+def test_a_night_decides_which_number_is_the_day(begin: datetime, step: int, order: str) -> None:
+    """Two days of rows: in the wrong order a row is not a date, or midnight is a step of a month."""
+    size = 2 * 86400 // step + 2
+    times = [
+        begin.replace(microsecond=0) + timedelta(seconds=k * step) for k in (0, *range(size)[-50:], size)
+    ]
+    times = sorted({*times, *(begin.replace(microsecond=0) + timedelta(hours=h) for h in range(49))})
+    texts = [time.strftime(FORMS[order]) for time in times]
+    assert order_of(texts) == order
+    seconds = [in_order(text, order) for text in texts]
+    assert seconds == [time.replace(tzinfo=timezone.utc).timestamp() for time in times]
+
+
+def test_within_a_day_the_clock_tells_the_custom() -> None:
+    assert order_of(["05/03/2026 10:00", "", "05/03/2026 10:01"]) == DAY_FIRST
+    assert order_of(["05/03/2026 10:00 am", "05/03/2026 12:01 pm"]) == MONTH_FIRST
+    assert order_of(["05/03/2026 10:00 AM", "13/03/2026 10:00 AM"]) == DAY_FIRST
+
+
+@pytest.mark.parametrize(
+    ("text", "seconds"),
+    [
+        ("22.01.2021 14:48:58,25", 1611326938.25),
+        ("22-01-21 14:48", 1611326880.0),
+        ("22/01/2021 02:48 PM", 1611326880.0),
+        ("22/01/2021 12:00 am", 1611273600.0),
+        ("22.01.2021 15:48:58+01:00", 1611326938.0),
+        ("32/01/2021 14:48", None),
+        ("22/01.2021 14:48", None),
+        ("22/01/2021 14:48 PM", None),
+    ],
+)
+def test_forms(text: str, seconds: float | None) -> None:
+    assert in_order(text, DAY_FIRST) == seconds
+
+
+def test_a_cell_with_other_text_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "oven.csv"
+    path.write_text("when,T\n05/03/2026 23:59:30,1\n06/03/2026 00:00:00,2\nlate,3\n")
+    with pytest.raises(RecordingError, match=r"line 4: 'when' is 'late', .* such as 22/01/2021"):
+        read_times(read_table(path), "when")
+    path.write_text("when,T\n05/03/2026 23:59:30,1\n06/03/2026 00:00:00,2\n")
+    found = read_times(read_table(path), "when")
+    assert found.seconds.tolist() == [0.0, 30.0]
+    assert found.order == DAY_FIRST
+
+
+# What is kept on the disk comes back as it was, whatever was missing and whatever is asked.
+
+numbers = st.floats(allow_nan=False, allow_infinity=False)
+
+
+@given(
+    st.lists(st.integers(1, 5), max_size=40),
+    st.integers(0, 2**40),
+    st.tuples(st.integers(0, 200), st.integers(0, 200), st.integers(1, 50)),
+    st.integers(0, 3),
+    st.data(),
+)
+def test_rows_are_the_samples_with_these_indices(
+    steps: list[int], begin: int, wish: tuple[int, int, int], width: int, data: st.DataObject
+) -> None:
+    first, count, most = wish
+    samples, index = [], begin
+    with closing(SampleSpool(width)) as spool:  # an example may end in the middle
+        for step in steps:
+            values = data.draw(st.tuples(numbers, numbers, numbers))
+            extra = data.draw(st.lists(numbers, min_size=width, max_size=width))
+            samples.append(Sample(index, index * 1000, *values, tuple(extra)))
+            spool.push(samples[-1])
+            index += step
+        assert len(spool) == len(samples)
+        assert spool.end == (samples[-1].index + 1 if samples else 0)
+        first = max(0, begin - 20) + first
+        wanted = [s for s in samples if first <= s.index < first + count][:most]
+        rows = spool.rows(first, count, most)
+        found = [
+            Sample(
+                *(row[n].item() for n in ("index", "stamp", "reference", "output", "input")),
+                tuple(row["disturbances"]),
+            )
+            for row in rows
+        ]
+        assert found == wanted
+
+
+@given(st.lists(st.binary(max_size=30), max_size=20), st.integers(0, 25), st.integers(0, 25))
+def test_messages_come_back_by_their_number_and_repeated_ones_count_once(
+    messages: list[bytes], number: int, most: int
+) -> None:
+    texts = MessageSpool()
+    for data in messages:
+        texts.push(data)
+        texts.push(data)
+    once = [data for data, before in zip(messages, [b"", *messages], strict=False) if data != before]
+    assert len(texts) == len(once)
+    assert list(texts.since(number, most)) == once[number : number + most]
+    texts.close()
+
+
+def test_a_sample_takes_no_memory() -> None:
+    spool = SampleSpool()
+    for k in range(1000):
+        spool.push(Sample(k, k, 1.0, 2.0, 3.0))
+    tracemalloc.start()
+    try:
+        for k in range(1000, 21_000):
+            spool.push(Sample(k, k, 1.0, 2.0, 3.0))
+        taken, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert taken < 20_000  # a byte per sample would be as much
+    assert len(spool) == 21_000
+    spool.close()
