@@ -115,7 +115,7 @@ def hour(recordings: dict[int, Path]) -> Callable[[int], Hour]:
             pytest.skip(f"recording {number} is not among those present")
         session = open_any(recordings[number])
         samples = list(session.samples)
-        found = Hour(samples, Listener.to(samples, SETTINGS.period, BACKTESTED))
+        found = Hour(samples, Listener(session.name, samples, SETTINGS.period, BACKTESTED))
         found.judgement = judge(session, terms_from_files(session), beside=found.listen)
         return found
 
@@ -215,7 +215,7 @@ def test_the_gap_goes_with_how_differently_two_candidates_behave(hours: list[Hou
 def test_the_leader_beats_everybody(number: int, hour: Callable[[int], Hour]) -> None:
     """Over five minutes: less than half the error of any peer, near the best twin, an honest band."""
     found = hour(number)
-    at_five_minutes = [c for c in graded(found.judgement, found.graded, BACKTESTED).cards if c.horizon == 300]
+    at_five_minutes = [c for c in graded(found.judgement, found.graded).cards if c.horizon == 300]
     (leader,) = (c for c in at_five_minutes if c.who == LEADER)
     others = [c for c in at_five_minutes if c.who not in TWINS]
     assert others

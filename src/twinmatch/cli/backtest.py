@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from twinmatch.cli.shared import (
     EXIT_PARTLY,
@@ -21,8 +21,6 @@ from twinmatch.errors import EXIT_USER_ERROR, TwinmatchError
 
 if TYPE_CHECKING:
     from twinmatch.offline.backtest.scoring import Backtest
-
-PEERS: Final = ("persistence", "arx", "statsmodels")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -45,13 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="forecast horizons, in seconds (default: 10 60 300; at least 2, 12 and 60 samples, at most 20, "
         "120 and 600)",
     )
-    parser.add_argument(
-        "--peers",
-        nargs="*",
-        choices=PEERS,
-        default=list(PEERS),
-        help="methods to compare the twin with; without a value: none (default: all)",
-    )
+    add_options(parser, "--peers")
     add_options(parser, "--json", help="write the scores, and those of every forecast, to this file")
     add_options(parser, "--figure", help="draw the scores (.png, .svg or .pdf)")
     add_options(parser, *TERMS)

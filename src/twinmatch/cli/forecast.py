@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from twinmatch.cli.shared import TERMS, Progress, add_options, check_writable, write_json
 from twinmatch.errors import TwinmatchError
-from twinmatch.offline.interrupts import held_interrupts
+from twinmatch.offline.processes import held_interrupts
 
 if TYPE_CHECKING:
     from twinmatch.offline.outlooks import Prospect

@@ -21,7 +21,7 @@ from twinmatch.cli.shared import (
     write_json,
 )
 from twinmatch.errors import EXIT_USER_ERROR, TwinmatchError
-from twinmatch.offline.interrupts import held_interrupts
+from twinmatch.offline.processes import held_interrupts
 
 if TYPE_CHECKING:
     from rich.table import Table

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import gc
 import os
 import shlex
 import sys
@@ -10,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from twinmatch.cli.shared import TERMS, Progress, add_options, check_writable
-from twinmatch.offline.interrupts import held_interrupts
+from twinmatch.offline.processes import held_interrupts
 
 if TYPE_CHECKING:
     from twinmatch.showing.report.report import SessionReport
@@ -21,11 +22,15 @@ FORMATS = ("png", "pdf")
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add_options(parser, "session")
+    # The session comes first: after --peers it would be parsed as another of these.
+    parser.usage = "%(prog)s SESSION [options]"
     parser.add_argument(
         "-o", "--output", type=Path, metavar="OUT", help="the file to write (default: SESSION.html, here)"
     )
     parser.add_argument("--figures", type=Path, metavar="DIR", help="also write the figures into this folder")
     parser.add_argument("--format", choices=FORMATS, default="png", help="their format (default: png)")
+    of_peers = "methods to compare the forecasts with; without a value: none (default: persistence arx)"
+    add_options(parser, "--peers", default=["persistence", "arx"], help=of_peers)
     add_options(parser, *TERMS)
 
 
@@ -34,6 +39,7 @@ def run(options: argparse.Namespace) -> int:
     session = Path(os.path.realpath(options.session))  # does not raise on a loop of links
     output: Path = options.output or Path(f"{session.name if session.is_dir() else session.stem}.html")
     check_writable(output, example="report.html")
+    gc.set_threshold(50_000)  # as in replay
     with held_interrupts():
         report = _make(options)
     report.write(output)
@@ -56,6 +62,7 @@ def _make(options: argparse.Namespace) -> SessionReport:
             config=options.config,
             candidates=options.candidates,
             plant=options.plant,
+            peers=options.peers,
             watch=progress.advance,
             progress=progress.reading,
             command=shlex.join(["twinmatch", *sys.argv[1:]]),

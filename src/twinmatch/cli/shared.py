@@ -29,6 +29,7 @@ def speed(text: str) -> float:
     return math.inf if text == "max" else float(text)
 
 
+PEERS: Final = ("persistence", "arx", "statsmodels")
 _FILE: Final = {"type": Path, "metavar": "FILE"}
 _OUT: Final = {"type": Path, "metavar": "OUT"}
 _FLAG: Final = {"action": "store_true"}
@@ -53,6 +54,10 @@ OPTIONS: Final[dict[str, dict[str, Any]]] = {
     "--figure": {**_OUT, "help": "draw the verdict (.png, .svg or .pdf)"},
     "--map": {"nargs": "+", "default": [], "metavar": "SIGNAL=COLUMN"},
     "--map-file": {**_FILE, "help": "the same as YAML; --map takes precedence"},
+    "--peers": {
+        **{"nargs": "*", "choices": PEERS, "default": list(PEERS)},
+        "help": "methods to compare the twin with; without a value: none (default: all)",
+    },
     "--period": {"type": float, "metavar": "S"},
     "--session": {"type": Path, "metavar": "FOLDER", "help": "record here (default: sessions/<time>)"},
     "--speed": {

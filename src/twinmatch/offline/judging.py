@@ -14,7 +14,7 @@ from twinmatch.comparing import Candidate, Verdict
 from twinmatch.dynamics import Plant, Sensor, begin, simulate_closed_loop
 from twinmatch.dynamics.store import cache_folder
 from twinmatch.errors import TwinmatchError
-from twinmatch.offline.interrupts import held_interrupts
+from twinmatch.offline.processes import held_interrupts
 from twinmatch.offline.summary import SessionSummary, summarise
 from twinmatch.parameters.twin import at_period, read_settings, recorded_values, settings_from
 from twinmatch.sessions import Session, open_any, samples_of

@@ -13,8 +13,8 @@ import numpy as np
 from twinmatch.dynamics import Drive, Output
 from twinmatch.errors import TwinmatchError
 from twinmatch.forecasting import Forecast, ForecastError, Outlook, SetPoints, horizons_for, time_scale
-from twinmatch.offline.interrupts import held_interrupts
 from twinmatch.offline.judging import EVERY, Terms, Watch
+from twinmatch.offline.processes import held_interrupts
 from twinmatch.sessions import Session
 from twinmatch.sessions.files import read_bounded
 from twinmatch.signals import FloatArray, Sample, unbroken

@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from twinmatch.offline.archive.files import Store, content_of, find_sessions, key_of
-from twinmatch.offline.archive.job import ArchiveTerms, Failure, Job, JobResult, cores, judge_in_processes
+from twinmatch.offline.archive.job import ArchiveTerms, Failure, Job, JobResult, judge_in_processes
+from twinmatch.offline.processes import cores
 
 
 @dataclass(frozen=True)

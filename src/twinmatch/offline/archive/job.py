@@ -6,22 +6,17 @@ same path.
 
 from __future__ import annotations
 
-import contextlib
-import multiprocessing
-import os
-import signal
-import threading
 import traceback
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
-from multiprocessing.connection import wait
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from twinmatch.errors import TwinmatchError
 from twinmatch.offline.archive.files import content_of
+from twinmatch.offline.processes import pool
 
 if TYPE_CHECKING:
     from twinmatch.comparing import Candidate
@@ -72,12 +67,6 @@ class Failure(NamedTuple):
     reason: str
 
 
-def prepare() -> None:
-    """Set up a process for judging: one thread of linear algebra, before numpy is first imported."""
-    for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ[variable] = "1"
-
-
 def judge_job(job: Job, place: str = "") -> JobResult:
     """Judge one session; any error becomes the outcome's error.
 
@@ -106,7 +95,7 @@ def judge_job(job: Job, place: str = "") -> JobResult:
 
 def _record(job: Job) -> dict[str, Any]:
     """The judged session as a dictionary for JSON, with one row per candidate."""
-    from twinmatch.offline.judging import judge_samples  # noqa: PLC0415 — numpy: not before `prepare`
+    from twinmatch.offline.judging import judge_samples  # noqa: PLC0415 — numpy: not before the process is set up
     from twinmatch.parameters.twin import at_period, read_settings  # noqa: PLC0415
     from twinmatch.plants import plant_named  # noqa: PLC0415
     from twinmatch.sessions import SessionError, open_any  # noqa: PLC0415
@@ -149,17 +138,11 @@ def _rows(judgement: Judgement, entry: dict[str, Any]) -> list[dict[str, Any]]:
     return rows
 
 
-def cores() -> int:
-    """How many cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
 def judge_in_processes(jobs: Sequence[Job], processes: int) -> Iterator[JobResult]:
     """Judge sessions in this many processes; yields outcomes as they complete.
 
-    Processes are spawned, not forked, since a fork would copy locked locks. If one dies (out of memory, for
-    example), the sessions without an outcome are judged again one by one, which finds the one that caused it.
-    Closing the iterator terminates the processes at once.
+    If a process dies (out of memory, for example), the sessions without an outcome are judged again one by
+    one, which finds the one that caused it. Closing the iterator terminates the processes at once.
     """
     left = {job.number: job for job in jobs}
     try:
@@ -175,41 +158,6 @@ def judge_in_processes(jobs: Sequence[Job], processes: int) -> Iterator[JobResul
 
 
 def _pooled(jobs: Sequence[Job], processes: int) -> Iterator[JobResult]:
-    before = set(multiprocessing.active_children())
-    context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(processes, mp_context=context, initializer=_begin)
-    finished = False
-    try:
-        with _interrupts_held():  # inherited by the new processes: Ctrl-C is handled by this process only
-            futures: list[Future[JobResult]] = [pool.submit(judge_job, job) for job in jobs]
-        for future in as_completed(futures):
+    with pool(processes) as workers:
+        for future in as_completed([workers.submit(judge_job, job) for job in jobs]):
             yield future.result()
-        finished = True
-    finally:
-        if not finished:
-            for process in set(multiprocessing.active_children()) - before:
-                process.terminate()
-        pool.shutdown(wait=True, cancel_futures=True)
-
-
-@contextlib.contextmanager
-def _interrupts_held() -> Iterator[None]:
-    """Block SIGINT within this context; processes started in it never receive it."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-def _begin() -> None:
-    """Set up a process; it exits when its parent does."""
-    prepare()
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        threading.Thread(target=_end_with, args=(parent.sentinel,), daemon=True).start()
-
-
-def _end_with(sentinel: int) -> None:
-    wait([sentinel])
-    os._exit(1)

@@ -7,7 +7,7 @@ and every minute; a `Backtest` holds the results. `marks` scores one forecast, `
 
 from twinmatch.offline.backtest.peer import BacktestError, Peer
 from twinmatch.offline.backtest.peers import PEERS, Absent, peers
-from twinmatch.offline.backtest.run import Choices, Listener, backtest, backtest_session, graded
+from twinmatch.offline.backtest.run import Choices, Listener, backtest, backtest_session, graded, portable
 from twinmatch.offline.backtest.scoring import (
     Backtest,
     Card,
@@ -46,4 +46,5 @@ __all__ = [
     "marks",
     "over_all",
     "peers",
+    "portable",
 ]

@@ -197,22 +197,28 @@ def _simulated(
     order, known = len(loop.plant.past), len(others) - ahead.size
     reference, output, entry = (signal[: -order - 1 : -1] for signal in past)
     lags = np.column_stack([output, entry, reference, others[known - order : known][::-1]])  # newest first
-    rows, transition = loop.rows, loop.transition
-    direct, variances = loop.controller.direct, (loop.plant.variance, loop.controller.variance)
+    rows, transition, (plant, controller) = loop.rows, loop.transition, loop
+    direct, variances = controller.direct, np.array([plant.variance, controller.variance])
+    (least, most), (lowest, highest) = span.tolist(), limits.tolist()
+    gain = float(direct[1])
     load = np.zeros((2 * order, 2))
-    load[0, 0], load[order] = 1.0, (direct[1], 1.0)
+    load[0, 0], load[order] = 1.0, (gain, 1.0)
     covariance = np.zeros((2 * order, 2 * order))
     means, spreads = np.empty((ahead.size, 2)), np.empty((ahead.size, 2))
+    now = np.empty(2)
     for k, wanted in enumerate(ahead):
-        y = min(max(loop.plant.constant + np.sum(loop.plant.past * lags), span[0]), span[1])
-        u = loop.controller.constant + direct @ (wanted, y) + np.sum(loop.controller.past * lags)
-        spread = np.sqrt(np.einsum("ij,jk,ik->i", rows, covariance, rows) + load[[0, order]] ** 2 @ variances)
-        means[k], spreads[k] = (y, u), spread
-        passed = ndtr((limits[1] - u) / spread[1]) - ndtr((limits[0] - u) / spread[1])
-        transition[order], load[order] = passed * rows[1], (passed * direct[1], passed)
+        y = min(max(plant.constant + float((plant.past * lags).sum()), least), most)
+        now[:] = wanted, y
+        u = controller.constant + float(direct @ now) + float((controller.past * lags).sum())
+        variance = np.einsum("ij,jk,ik->i", rows, covariance, rows) + load[::order] ** 2 @ variances
+        spread = spreads[k] = np.sqrt(variance)
+        means[k] = y, u
+        below, above = ndtr((limits - u) / spread[1]).tolist()
+        passed = above - below
+        transition[order], load[order] = passed * rows[1], (passed * gain, passed)
         covariance = transition @ covariance @ transition.T + (load * variances) @ load.T
         lags[1:] = lags[:-1]
-        lags[0, :3], lags[0, 3:] = (y, min(max(u, limits[0]), limits[1]), wanted), others[known + k]
+        lags[0, :3], lags[0, 3:] = (y, min(max(u, lowest), highest), wanted), others[known + k]
     return means, spreads
 
 

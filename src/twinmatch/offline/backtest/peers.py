@@ -39,19 +39,21 @@ class Persistence(Peer):
     ) -> Forecast:
         """Forecast one sample for each set-point ahead; see `Peer`."""
         self._require(past, _LEAST + 1)
-        bands = (self._band(signal, ahead.size) for signal in (past.output, past.input))
-        return self._told(past, ahead, *bands)
+        return self._told(past, ahead, *self._bands(np.array([past.output, past.input]), ahead.size))
 
-    def _band(self, signal: FloatArray, count: int) -> Band:
-        longest = min(count, signal.size - _LEAST)
+    def _bands(self, signals: FloatArray, count: int) -> list[Band]:
+        """The bands of these signals, shape (signals, N), at the next `count` samples."""
+        longest = min(count, signals.shape[1] - _LEAST)
         lags = np.unique(np.geomspace(1, longest, _LAGS).round().astype(np.int64))
         tails = ((1.0 - self._confidence) / 2.0, (1.0 + self._confidence) / 2.0)
-        ends = np.array([np.quantile(signal[lag:] - signal[:-lag], tails) for lag in lags])
+        ends = np.array([np.quantile(signals[:, lag:] - signals[:, :-lag], tails, axis=1) for lag in lags])
         ahead = np.arange(1, count + 1)
         growth = np.sqrt(np.maximum(ahead / longest, 1.0))
-        low, high = (growth * np.interp(ahead, lags, end) for end in ends.T)
-        newest = float(signal[-1])
-        return Band(np.full(count, newest), newest + low, newest + high)
+        found = []
+        for k, newest in enumerate(signals[:, -1]):
+            low, high = (newest + growth * np.interp(ahead, lags, end) for end in ends[:, :, k].T)
+            found.append(Band(np.full(count, newest), low, high))
+        return found
 
 
 class OutputPersistence(Persistence):

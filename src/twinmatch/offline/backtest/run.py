@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -25,16 +26,16 @@ from twinmatch.offline.backtest.scoring import (
     marks,
     samples_within,
 )
-from twinmatch.offline.interrupts import held_interrupts
 from twinmatch.offline.judging import Judgement, Terms, Watch, judge, terms_from_files
+from twinmatch.offline.processes import Beside, beside, held_interrupts
 from twinmatch.sessions import Session, open_any
 from twinmatch.sessions.files import ProgressCallback, part_of
 from twinmatch.signals import FloatArray, Sample, Window, unbroken
-from twinmatch.twin import Outcome, Twin, response_on
+from twinmatch.twin import Outcome, Twin, TwinSettings, response_on
 from twinmatch.twin.matcher import one_thread
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Origin:
     """A sample at which all forecasters make a forecast."""
 
@@ -47,12 +48,12 @@ class Origin:
     driven: bool = False
     """Whether the loop is not known, so that the actual inputs are given."""
 
-    @property
+    @cached_property
     def past(self) -> Window:
         """The samples known at the origin."""
         return self.stretch.part(self.stretch.first, self.sample)
 
-    @property
+    @cached_property
     def came(self) -> Window:
         """The samples that followed, as many as forecast."""
         return self.stretch.part(self.sample + 1, self.sample + self.count)
@@ -216,40 +217,98 @@ class _Outlooks(NamedTuple):
     """Name of the candidate by role: leader, nominal, newest."""
 
 
-@dataclass
+class _Common(NamedTuple):
+    """What all origins have in common."""
+
+    session: str
+    settings: TwinSettings
+    horizons: tuple[float, ...]
+    peers: tuple[str, ...]
+
+
+class _Graded(NamedTuple):
+    """What came of one origin."""
+
+    marked: list[Marked]
+    shown: Forecast
+    """The leader's forecast."""
+
+
 class Listener:
-    """Records the outlooks of the twin's candidates at some samples while a session is judged."""
+    """Records the outlooks of the twin's candidates at some samples while a session is judged, and gives the
+    forecasts and their scores to a second process, if there is one."""
 
-    wanted: frozenset[int]
-    """Samples at which outlooks are recorded, besides those of the verdicts."""
-    asked: dict[int, _Outlooks] = field(default_factory=dict)
-    twin: Twin | None = None
-
-    @classmethod
-    def to(cls, samples: Sequence[Sample], period: float, choices: Choices) -> Listener:
-        """A listener for these samples."""
-        choices.ahead(period)
-        return cls(frozenset(regular(stretches(samples, period), choices.pace(period))))
+    def __init__(
+        self,
+        session: str,
+        samples: Sequence[Sample],
+        period: float,
+        choices: Choices,
+        work: Beside | None = None,
+    ) -> None:
+        self.session, self.peers, self.work = session, choices.peers, work or Beside()
+        self.horizons = choices.ahead(period)
+        self.held = stretches(samples, period)
+        self.wanted = frozenset(regular(self.held, choices.pace(period)))
+        """Samples at which outlooks are recorded, besides those of the verdicts."""
+        self.graded: dict[int, Callable[[], _Graded] | None] = {}
+        """What comes of each origin; None where there was no candidate."""
+        self.twin: Twin | None = None
 
     def __call__(self, twin: Twin, sample: Sample, outcome: Outcome) -> None:
         """Take the outcome of one sample."""
         self.twin = twin
         if not (outcome.verdicts or sample.index in self.wanted):
             return
-        forecaster, nominal = twin.discriminator.forecaster, twin.discriminator.nominal
-        names, structures = forecaster.names, twin.settings.plant.structures
-        who = {
-            LEADER: forecaster.leader,
-            NOMINAL: nominal.name if nominal else None,
-            NEWEST: next((name for name in names if name not in structures), None),
-        }
-        parts = {part: name for part, name in who.items() if name in names}
-        self.asked[sample.index] = _Outlooks({name: forecaster.outlook(name) for name in names}, parts)
+        for origin in origins(self.held, [sample.index], self.horizons, driven=twin.settings.gains is None):
+            asked = _outlooks(twin)
+            known = LEADER in asked.who
+            terms = _Common(self.session, twin.settings, self.horizons, self.peers)
+            self.graded[sample.index] = self.work.give(_grade, terms, origin, asked) if known else None
 
     def spoilt(self, first: int, last: int) -> bool:
         """Whether the monitor found a fault of the plant between two samples."""
         monitor = self.twin.discriminator.monitor if self.twin else None
         return monitor is not None and monitor.fault_between(first, last) is not None
+
+
+def _outlooks(twin: Twin) -> _Outlooks:
+    forecaster, nominal = twin.discriminator.forecaster, twin.discriminator.nominal
+    names, structures = forecaster.names, twin.settings.plant.structures
+    who = {
+        LEADER: forecaster.leader,
+        NOMINAL: nominal.name if nominal else None,
+        NEWEST: next((name for name in names if name not in structures), None),
+    }
+    parts = {part: name for part, name in who.items() if name in names}
+    return _Outlooks({name: forecaster.outlook(name) for name in names}, parts)
+
+
+def _grade(terms: _Common, origin: Origin, asked: _Outlooks) -> _Graded:
+    """Make and score the forecasts of all available forecasters at one origin."""
+    session, settings, horizons, names = terms
+
+    def scored(who: str, forecast: Forecast, candidate: str = "") -> list[Marked]:
+        plant = settings.plant
+        return mark(session, who, forecast, origin, horizons=horizons, plant=plant, candidate=candidate)
+
+    marked: list[Marked] = []
+    with one_thread():
+        rows = origin.disturbances
+        forecasts = {n: outlook.forecast(origin.ahead, rows) for n, outlook in asked.outlooks.items()}
+        for part, name in asked.who.items():
+            marked += scored(part, forecasts[name], name)
+        if NOMINAL in asked.who and len(origin.past) > SKIPPED + 1:
+            name = asked.who[NOMINAL]
+            parameters = asked.outlooks[name].parameters
+            same = with_constant_band(forecasts[name], parameters, origin.past, settings.gains)
+            marked += scored(CONSTANT, same, name)
+    marked += best_in_hindsight(m for n, forecast in forecasts.items() for m in scored(n, forecast, n))
+    for peer in peers(settings.plant, names, driven=origin.driven)[0]:
+        forecast = ask(peer, origin)
+        if forecast is not None:
+            marked += scored(peer.name, forecast)
+    return _Graded(marked, forecasts[asked.who[LEADER]])
 
 
 def backtest_session(
@@ -274,112 +333,73 @@ def backtest_session(
         progress: called with the amount of the file read and the total.
     """
     session = open_any(path, progress=progress, plant=plant)
-    return backtest(session, terms_from_files(session, config, candidates), choices, watch=watch)
+    terms = terms_from_files(session, config, candidates)
+    with beside(len(session.samples), possible=portable(terms.settings.plant)) as work:
+        return backtest(session, terms, choices, watch=watch, work=work)
+
+
+def portable(plant: type[Plant]) -> bool:
+    """Whether another process finds all structures of a plant: not those that were added as FMUs here."""
+    return not any(structure.external for structure in plant.structures.values())
 
 
 def backtest(
-    session: Session, terms: Terms, choices: Choices | None = None, *, watch: Watch | None = None
+    session: Session,
+    terms: Terms,
+    choices: Choices | None = None,
+    *,
+    watch: Watch | None = None,
+    work: Beside | None = None,
 ) -> Backtest:
     """Test the twin on a session with these settings; see `backtest_session`."""
-    choices = choices or Choices()
-    listener = Listener.to(session.samples, terms.settings.period, choices)
+    period = terms.settings.period
+    listener = Listener(session.name, session.samples, period, choices or Choices(), work)
     judgement = judge(session, terms, watch=part_of(watch, 0, 2), beside=listener)
-    return graded(judgement, listener, choices, watch=part_of(watch, 1, 2))
+    return graded(judgement, listener, watch=part_of(watch, 1, 2))
 
 
-def graded(
-    judgement: Judgement, listener: Listener, choices: Choices, *, watch: Watch | None = None
-) -> Backtest:
-    """Score the recorded outlooks and the peers' forecasts.
+def graded(judgement: Judgement, listener: Listener, *, watch: Watch | None = None) -> Backtest:
+    """The scores of all forecasts.
 
     Forecasts across a fault of the plant are left out: faults cannot be forecast.
     """
-    plant, period, driven = (
-        judgement.settings.plant,
-        judgement.settings.period,
-        judgement.settings.gains is None,
-    )
-    held = stretches(judgement.samples, period)
-    horizons = choices.ahead(period)
-    found = origins(held, listener.asked, horizons, driven=driven)
-    others, absent = peers(plant, choices.peers, driven=driven)
-    grading = _Grading(judgement, listener, horizons)
+    plant, period = judgement.settings.plant, judgement.settings.period
+    found: list[tuple[_Graded, list[float]]] = []
+    spoilt = unasked = 0
+    total = len(listener.graded)
     with held_interrupts() as check_interrupt:
-        for done, origin in enumerate(found):
-            grading.at(origin, others)
+        for done, (sample, result) in enumerate(reversed(listener.graded.items())):
+            kept = [
+                h
+                for h in listener.horizons
+                if not listener.spoilt(sample, sample + samples_within(h, period))
+            ]
+            if not kept:
+                spoilt += 1
+            elif result is None:
+                unasked += 1
+            else:
+                found.append((result(), kept))
             if watch is not None:
-                watch(done * len(judgement.samples) // len(found), len(judgement.samples))
+                watch(done * len(judgement.samples) // total, len(judgement.samples))
             check_interrupt()
-    marked = common(grading.marked)
+    found.reverse()
+    everything = [one for result, kept in found for one in result.marked if one.horizon in kept]
+    marked = common(everything)
     judged = {one.sample for one in marked}
+    driven = judgement.settings.gains is None
     return Backtest(
         name=judgement.name,
         plant=plant,
         period=period,
-        horizons=horizons,
+        horizons=listener.horizons,
         confidence=CONFIDENCE,
         marked=tuple(marked),
-        came=held,
-        shown=_one_after_another(f for f in grading.shown if f.sample in judged),
-        absent=tuple(absent),
-        notes=tuple(_notes(len(found), judged, grading)),
+        came=listener.held,
+        shown=_one_after_another(result.shown for result, _ in found if result.shown.sample in judged),
+        absent=tuple(peers(plant, listener.peers, driven=driven)[1]),
+        notes=tuple(_notes(total, judged, everything, spoilt, unasked)),
     )
-
-
-class _Grading:
-    """The marks of one session, gathered origin by origin."""
-
-    def __init__(self, judgement: Judgement, listener: Listener, horizons: tuple[float, ...]) -> None:
-        self._judgement, self._listener, self._horizons = judgement, listener, horizons
-        self.marked: list[Marked] = []
-        self.shown: list[Forecast] = []
-        self.spoilt = 0
-        """Number of origins with a fault within the nearest horizon."""
-        self.unasked = 0
-        """Number of origins without a candidate."""
-
-    def at(self, origin: Origin, others: Sequence[Peer]) -> None:
-        """Make and score the forecasts of all available forecasters."""
-        horizons = [h for h in self._horizons if not self._meets_fault(origin, h)]
-        if not horizons:
-            self.spoilt += 1
-            return
-        asked = self._listener.asked[origin.sample]
-        if LEADER not in asked.who:
-            self.unasked += 1
-            return
-
-        def add(who: str, forecast: Forecast, candidate: str = "") -> list[Marked]:
-            plant = self._judgement.settings.plant
-            name = self._judgement.name
-            return mark(name, who, forecast, origin, horizons=horizons, plant=plant, candidate=candidate)
-
-        with one_thread():
-            rows = origin.disturbances
-            forecasts = {n: outlook.forecast(origin.ahead, rows) for n, outlook in asked.outlooks.items()}
-            for part, name in asked.who.items():
-                self.marked += add(part, forecasts[name], name)
-            if NOMINAL in asked.who and len(origin.past) > SKIPPED + 1:
-                self.marked += add(
-                    CONSTANT, self._constant(asked, forecasts, origin.past), asked.who[NOMINAL]
-                )
-        self.marked += best_in_hindsight(
-            m for name, forecast in forecasts.items() for m in add(name, forecast, name)
-        )
-        self.shown.append(forecasts[asked.who[LEADER]])
-        for peer in others:
-            forecast = ask(peer, origin)
-            if forecast is not None:
-                self.marked += add(peer.name, forecast)
-
-    def _meets_fault(self, origin: Origin, horizon: float) -> bool:
-        count = samples_within(horizon, self._judgement.settings.period)
-        return self._listener.spoilt(origin.sample, origin.sample + count)
-
-    def _constant(self, asked: _Outlooks, forecasts: dict[str, Forecast], past: Window) -> Forecast:
-        name = asked.who[NOMINAL]
-        gains = self._judgement.settings.gains
-        return with_constant_band(forecasts[name], asked.outlooks[name].parameters, past, gains)
 
 
 def _one_after_another(forecasts: Iterable[Forecast]) -> tuple[Forecast, ...]:
@@ -391,16 +411,18 @@ def _one_after_another(forecasts: Iterable[Forecast]) -> tuple[Forecast, ...]:
     return tuple(found)
 
 
-def _notes(asked: int, judged: set[int], grading: _Grading) -> Iterable[str]:
+def _notes(
+    asked: int, judged: set[int], marked: Sequence[Marked], spoilt: int, unasked: int
+) -> Iterable[str]:
     """Sentences on what was left out and why."""
-    if grading.unasked:
-        yield f"{grading.unasked} of {asked} forecasts could not be made: there was no candidate yet"
-    if grading.spoilt:
-        yield f"{grading.spoilt} of {asked} forecasts are left out: the plant had a fault"
+    if unasked:
+        yield f"{unasked} of {asked} forecasts could not be made: there was no candidate yet"
+    if spoilt:
+        yield f"{spoilt} of {asked} forecasts are left out: the plant had a fault"
     answered: dict[int, set[str]] = {}
-    for one in grading.marked:
+    for one in marked:
         answered.setdefault(one.sample, set()).add(one.who)
-    everybody = {one.who for one in grading.marked}
+    everybody = {one.who for one in marked}
     short = [everybody - names for sample, names in answered.items() if sample not in judged]
     if short:
         names = ", ".join(sorted(set().union(*short) - {CONSTANT}))

@@ -129,13 +129,9 @@ def marks(forecast: Forecast, came: Window, horizon: float, plant: type[Plant]) 
 def _signal(band: Band, came: FloatArray, count: int, noise: float, confidence: float) -> SignalMarks:
     x, mean, low, high = (a[:count] / noise for a in (came, band.mean, band.low, band.high))
     error = x - mean
-    return SignalMarks(
-        rms=float(np.sqrt(np.mean(error**2))),
-        end=float(error[-1]),
-        coverage=float(np.mean((low <= x) & (x <= high))),
-        width=float(np.mean(high - low)),
-        score=float(np.mean(interval_score(low, high, x, confidence))),
-    )
+    inside, scores = (low <= x) & (x <= high), interval_score(low, high, x, confidence)
+    square, coverage, width, score = np.array([error**2, inside, high - low, scores]).mean(axis=1).tolist()
+    return SignalMarks(math.sqrt(square), float(error[-1]), coverage, width, score)
 
 
 HINDSIGHT = "best in hindsight"

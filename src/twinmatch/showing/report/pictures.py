@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,6 +16,7 @@ from twinmatch.errors import TwinmatchError
 from twinmatch.forecasting import Forecast
 from twinmatch.offline.backtest import Backtest
 from twinmatch.offline.judging import Judgement
+from twinmatch.offline.processes import Beside
 from twinmatch.offline.summary import shown_twin
 from twinmatch.showing.family import Member
 from twinmatch.showing.figures.drawing import save, svg
@@ -53,8 +55,8 @@ class Picture:
     title: str
     alt: str
     """Description in words."""
-    figure: Figure
-    svg: str
+    draw: Callable[[], Figure]
+    svg: str = ""
 
     @property
     def uri(self) -> str:
@@ -62,53 +64,83 @@ class Picture:
         return "data:image/svg+xml;base64," + base64.b64encode(self.svg.encode()).decode("ascii")
 
 
-def pictures(judgement: Judgement, members: Sequence[Member], tested: Backtest) -> dict[str, Picture]:
-    """All figures of a session, by name and in the order of the report."""
-    j, last, found = judgement, last_verdict(judgement.verdicts), {}
+def pictures(
+    judgement: Judgement, members: Sequence[Member], tested: Callable[[], Backtest], work: Beside
+) -> dict[str, Picture]:
+    """All figures of a session, by name and in the order of the report.
 
-    def add(name: str, title: str, alt: str, figure: Figure) -> None:
-        found[name] = Picture(name, title, alt, figure, svg(figure))
+    Args:
+        judgement: the judged session.
+        members: the family of its last verdict.
+        tested: gives the backtest, which may not be complete yet.
+        work: draws some of them, if it has a second process.
+    """
+    early = _drawn([*_of_session(judgement), *_of_family(judgement, members)], work)
+    late = _drawn(_of_forecasts(judgement, tested()), work)
+    return {picture.name: picture for picture in (*early[:2], *late, *early[2:])}
 
+
+def _drawn(planned: Iterable[Picture], work: Beside) -> list[Picture]:
+    """The pictures; this process begins with the last."""
+    given = [(picture, work.give(_svg, picture.draw)) for picture in planned]
+    return [replace(picture, svg=result()) for picture, result in reversed(given)][::-1]
+
+
+def _svg(draw: Callable[[], Figure]) -> str:
+    return svg(draw())
+
+
+def _of_session(j: Judgement) -> Iterator[Picture]:
+    """The two figures of the whole session."""
     title = "Plant and leading twin over the whole session"
-    add("session", title, _session_alt(j), draw_session(j.samples, j.verdicts, j.settings))
-    figure = draw_health(j.samples, j.matches, j.verdicts, j.settings)
-    add("health", "Health over time", _health_alt(j), figure)
-    if tested.marked:
-        title = "Forecasts compared with measurements"
+    draw = partial(draw_session, j.samples, j.verdicts, j.settings)
+    yield Picture("session", title, _session_alt(j), draw)
+    draw = partial(draw_health, j.samples, j.matches, j.verdicts, j.settings)
+    yield Picture("health", "Health over time", _health_alt(j), draw)
+
+
+def _of_forecasts(j: Judgement, tested: Backtest) -> Iterator[Picture]:
+    if not tested.marked:
+        return
+    alt = (
+        "Errors and coverage of every forecaster by horizon, and the leader's forecasts with their "
+        f"bands, compared with the measurements. {' '.join(backtest_words(tested))}"
+    )
+    title = "Forecasts compared with measurements"
+    yield Picture("forecasts", title, alt, partial(draw_backtest, tested))
+    if fans := fans_of(tested, j):
+        made = ", ".join(f"{one.forecast.sample} by {one.forecast.candidate}" for one in fans)
         alt = (
-            "Errors and coverage of every forecaster by horizon, and the leader's forecasts with their "
-            f"bands, compared with the measurements. {' '.join(backtest_words(tested))}"
+            "Forecasts with their bands, the measurements before and after, and measured minus forecast "
+            f"within the band. Made at samples {made}."
         )
-        add("forecasts", title, alt, draw_backtest(tested))
-        fans = fans_of(tested, j)
-        if fans:
-            made = ", ".join(f"{one.forecast.sample} by {one.forecast.candidate}" for one in fans)
-            alt = (
-                "Forecasts with their bands, the measurements before and after, and measured minus forecast "
-                f"within the band. Made at samples {made}."
-            )
-            figure = draw_forecasts(fans, j.settings.plant)
-            add("leader_forecasts", "Forecasts of the leader", alt, figure)
+        draw = partial(draw_forecasts, fans, j.settings.plant)
+        yield Picture("leader_forecasts", "Forecasts of the leader", alt, draw)
+
+
+def _of_family(j: Judgement, members: Sequence[Member]) -> Iterator[Picture]:
     if j.matches:
         nominal = next((m.match for m in members if m.nominal), None)
-        figure = draw_parameters(j.matches, admitted(j.verdicts), nominal, j.settings.period)
         alt = (
             f"Value and 95 % interval of every fitted parameter at each of {len(j.matches)} matches; refused "
             "ones hollow, the nominal one as a diamond."
         )
-        add("parameters", "Parameters of every match", alt, figure)
+        draw = partial(draw_parameters, j.matches, admitted(j.verdicts), nominal, j.settings.period)
+        yield Picture("parameters", "Parameters of every match", alt, draw)
     if members:
         names, output = ", ".join(m.score.name for m in members), signal_names(j.settings.plant).output
         alt = (
             f"One panel for each candidate ({names}): set-point, measured {output} and control, the response "
             "of the twin and that of its Box–Jenkins model."
         )
-        add("responses", "The family on the measured data", alt, draw_responses(members))
+        title = "The family on the measured data"
+        yield Picture("responses", title, alt, partial(draw_responses, members))
         alt = (
             f"The twins of all candidates ({names}) on the window of the nominal one, and the differences "
             f"from the nominal twin in {output} and control."
         )
-        add("uncertainty", "Uncertainty of the twin", alt, draw_uncertainty(members))
+        yield Picture("uncertainty", "Uncertainty of the twin", alt, partial(draw_uncertainty, members))
+    last = last_verdict(j.verdicts)
     if last is not None:
         gains = ", ".join(
             f"{c.name}: order {c.chosen_order}, gain "
@@ -116,11 +148,10 @@ def pictures(judgement: Judgement, members: Sequence[Member], tested: Backtest) 
             for c in last.modelled
         )
         alt = f"Bars for every candidate and order. {gains}."
-        add("criteria", "Criteria of the orders", alt, draw_criteria(last))
+        yield Picture("criteria", "Criteria of the orders", alt, partial(draw_criteria, last))
         sums = ", ".join(f"{c.name} {c.nu_gap_sum:.2f}" for c in last.candidates)
         alt = f"Shaded matrix of the ν-gaps between the plants. Sums: {sums}. Nominal: {last.nominal}."
-        add("nu_gap", "ν-gap between the plants of the family", alt, draw_matrix(last))
-    return found
+        yield Picture("nu_gap", "ν-gap between the plants of the family", alt, partial(draw_matrix, last))
 
 
 def fans_of(tested: Backtest, judgement: Judgement) -> tuple[Fan, ...]:
@@ -151,7 +182,7 @@ def write_pictures(found: dict[str, Picture], folder: Path, ending: str) -> list
     paths = []
     for name, picture in found.items():
         path = folder / f"{name}.{ending}"
-        save(picture.figure, path)
+        save(picture.draw(), path)
         paths.append(path)
     return paths
 

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import hashlib
 import platform
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
+from functools import cached_property
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 import twinmatch
 from twinmatch.errors import TwinmatchError
-from twinmatch.offline.backtest import Backtest, Choices, Listener, graded
-from twinmatch.offline.judging import Judgement, Watch, judge, recorded_terms, terms_from_files
+from twinmatch.offline.backtest import Backtest, Choices, Listener, graded, portable
+from twinmatch.offline.judging import Judgement, Terms, Watch, judge, recorded_terms, terms_from_files
+from twinmatch.offline.processes import Beside, beside
 from twinmatch.offline.verification import compare, holds_verdicts
 from twinmatch.parameters.twin import twin_table, values_of
 from twinmatch.sessions import Session, open_any
@@ -33,6 +36,8 @@ from twinmatch.twin import TwinSettings
 
 __all__ = ["JudgedSession", "SessionReport", "build_report", "judge_for_report", "make_report"]
 
+PEERS: Final = ("persistence", "arx")
+"""Methods that forecasts are compared with unless told otherwise: those that take no time."""
 _LIBRARIES = ("numpy", "scipy", "numba", "control", "mcap", "matplotlib", "Jinja2")
 _CHUNK = 1 << 20
 
@@ -136,45 +141,57 @@ class JudgedSession:
 
     session: Session
     judgement: Judgement
-    tested: Backtest
-    """The forecasts made during the judgement, compared with the measurements."""
+    listener: Listener
+    """Has the forecasts made during the judgement."""
     parameters: str
     """Where the parameters came from, in words."""
     recorded: str
     """How the verdicts in the session compare with those of the judgement, in a sentence."""
     identical: bool | None
     """Whether they are the same bit for bit; None if there are none, or they cannot be compared."""
+    watch: Watch | None = None
+    """Called with the progress of the backtest."""
+
+    @cached_property
+    def tested(self) -> Backtest:
+        """The forecasts made during the judgement, compared with the measurements."""
+        return graded(self.judgement, self.listener, watch=self.watch)
 
 
-def judge_for_report(
-    path: Path,
-    *,
-    config: Path | None = None,
-    candidates: Path | None = None,
-    plant: str | None = None,
-    watch: Watch | None = None,
-    progress: ProgressCallback | None = None,
-) -> JudgedSession:
-    """Judge a session, an `.mcap` file or a recording for a report.
-
-    Without `config` the parameters are those recorded with the session, otherwise the defaults; the same
-    applies to the initial candidates.
+def judge_for_report(path: Path) -> JudgedSession:
+    """Judge a session, an `.mcap` file or a recording for a report, with the parameters and initial
+    candidates recorded with it, otherwise the defaults.
 
     Raises:
-        TwinmatchError: one of the files cannot be used.
+        TwinmatchError: the file cannot be used.
     """
-    session = open_any(path, progress=progress, plant=plant)
-    unlike = ""
+    session = open_any(path)
+    return _judged(session, *_terms(session, None, None))
+
+
+def _terms(session: Session, config: Path | None, candidates: Path | None) -> tuple[Terms, str]:
+    """The terms, and why the verdicts cannot be compared with the recorded ones; empty if they can."""
     try:
-        terms = recorded_terms(session, config, candidates)
-    except TwinmatchError as error:  # so the verdicts cannot be compared with the recorded ones
-        terms, unlike = terms_from_files(session, config, candidates), str(error)
-    choices = Choices()
-    listener = Listener.to(session.samples, terms.settings.period, choices)
+        return recorded_terms(session, config, candidates), ""
+    except TwinmatchError as error:
+        return terms_from_files(session, config, candidates), str(error)
+
+
+def _judged(
+    session: Session,
+    terms: Terms,
+    unlike: str,
+    *,
+    peers: Sequence[str] = PEERS,
+    watch: Watch | None = None,
+    work: Beside | None = None,
+) -> JudgedSession:
+    choices = Choices(peers=tuple(peers))
+    listener = Listener(session.name, session.samples, terms.settings.period, choices, work)
     judgement = judge(session, terms, watch=part_of(watch, 0, 2), beside=listener)
-    tested = graded(judgement, listener, choices, watch=part_of(watch, 1, 2))
     recorded, identical = _compared(session, judgement, unlike)
-    return JudgedSession(session, judgement, tested, terms.source, recorded, identical)
+    rest = part_of(watch, 1, 2)
+    return JudgedSession(session, judgement, listener, terms.source, recorded, identical, rest)
 
 
 def _compared(session: Session, judgement: Judgement, unlike: str) -> tuple[str, bool | None]:
@@ -262,6 +279,7 @@ class SessionReport:
             "words": [*plain_words(judgement), *backtest_words(judged.tested)[-1:]],
             "forecasts": tables.forecast_tables(judged.tested),
             "forecast_sentences": backtest_words(judged.tested),
+            "peers": _peer_words(judged.listener.peers, closed=closed),
             "fans": tables.leader_forecast_table(fans_of(judged.tested, judgement), plant),
             "horizons": ", ".join(f"{h:g}" for h in judged.tested.horizons),
             "confidence": f"{100 * judged.tested.confidence:.0f}",
@@ -299,10 +317,26 @@ class SessionReport:
         }
 
 
+def _peer_words(names: Sequence[str], *, closed: bool) -> list[str]:
+    """What the methods do that the forecasts are compared with."""
+    words = {
+        "persistence": "everything stays as it is (persistence)",
+        "arx": "least squares (ARX)" if closed else "least squares on the same inputs (ARX)",
+        "statsmodels": "a vector autoregression of statsmodels" if closed else "",
+    }
+    return [words[name] for name in words if name in names and words[name]]
+
+
 def build_report(
-    judged: JudgedSession, path: Path, *, command: str = "from Python", made: datetime | None = None
+    judged: JudgedSession,
+    path: Path,
+    *,
+    command: str = "from Python",
+    made: datetime | None = None,
+    work: Beside | None = None,
 ) -> SessionReport:
-    """Build the report of a judged session; `path` is where the session was read from."""
+    """Build the report of a judged session; `path` is where the session was read from, `work` draws some of
+    the figures."""
     judgement = judged.judgement
     members = family(
         judgement.samples, judgement.matches, last_verdict(judgement.verdicts), judgement.settings
@@ -311,7 +345,7 @@ def build_report(
     return SessionReport(
         judged=judged,
         members=members,
-        pictures=pictures(judgement, members, judged.tested),
+        pictures=pictures(judgement, members, lambda: judged.tested, work or Beside()),
         provenance=provenance(path, judgement.settings, command, made),
     )
 
@@ -322,6 +356,7 @@ def make_report(
     config: Path | None = None,
     candidates: Path | None = None,
     plant: str | None = None,
+    peers: Sequence[str] = PEERS,
     watch: Watch | None = None,
     progress: ProgressCallback | None = None,
     command: str = "from Python",
@@ -333,6 +368,7 @@ def make_report(
         config: parameter file; without one the parameters recorded with the session, or the defaults.
         candidates: file of initial candidates.
         plant: name or file of the plant, if the session does not name it or it is in a file.
+        peers: names of the methods that the forecasts are compared with.
         watch: called with the progress.
         progress: called with the amount of the file read and the total.
         command: command line shown in the report.
@@ -340,7 +376,8 @@ def make_report(
     Raises:
         TwinmatchError: one of the files cannot be used.
     """
-    judged = judge_for_report(
-        path, config=config, candidates=candidates, plant=plant, watch=watch, progress=progress
-    )
-    return build_report(judged, path, command=command)
+    session = open_any(path, progress=progress, plant=plant)
+    terms, unlike = _terms(session, config, candidates)
+    with beside(len(session.samples), possible=portable(terms.settings.plant)) as work:
+        judged = _judged(session, terms, unlike, peers=peers, watch=watch, work=work)
+        return build_report(judged, path, command=command, work=work)

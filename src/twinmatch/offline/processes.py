@@ -1,0 +1,126 @@
+"""Ctrl-C while compiled code runs, and processes beside this one."""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from functools import partial
+from multiprocessing.connection import wait
+from typing import Final, ParamSpec, TypeVar
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+LONG: Final = 1800
+"""Samples from which a session is worth a second process, which takes two seconds to start."""
+
+
+@contextlib.contextmanager
+def held_interrupts() -> Iterator[Callable[[], None]]:
+    """Defer Ctrl-C; the yielded function raises the deferred `KeyboardInterrupt`, if any.
+
+    Python may raise it while a compiled loop converts its arguments or its result, where it is not handled:
+    the loop then fails with another error, or the process crashes.
+    """
+    held = threading.Event()
+
+    def check() -> None:
+        if held.is_set():
+            raise KeyboardInterrupt
+
+    if threading.current_thread() is not threading.main_thread():  # only the main thread receives signals
+        yield check
+        return
+    before = signal.signal(signal.SIGINT, lambda *_: held.set())
+    try:
+        yield check
+    finally:
+        signal.signal(signal.SIGINT, before)
+    check()
+
+
+def cores() -> int:
+    """How many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@contextlib.contextmanager
+def pool(processes: int) -> Iterator[ProcessPoolExecutor]:
+    """This many processes; they are terminated at once if the block is left by an exception.
+
+    They are spawned, not forked, since a fork would copy locked locks. Ctrl-C is handled by this one only.
+    """
+    before = set(multiprocessing.active_children())
+    context = multiprocessing.get_context("spawn")
+    made = ProcessPoolExecutor(processes, mp_context=context, initializer=_begin)
+    finished = False
+    try:
+        blocked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # inherited by the new processes
+        try:
+            made.submit(os.getpid)  # the first task starts them
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
+        yield made
+        finished = True
+    finally:
+        if not finished:
+            for process in set(multiprocessing.active_children()) - before:
+                process.terminate()
+        made.shutdown(wait=True, cancel_futures=True)
+
+
+def _begin() -> None:
+    """Set up a process: one thread of linear algebra, before numpy is imported; it exits with its parent."""
+    for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ[variable] = "1"
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        threading.Thread(target=_end_with, args=(parent.sentinel,), daemon=True).start()
+
+
+def _end_with(sentinel: int) -> None:
+    wait([sentinel])
+    os._exit(1)
+
+
+class Beside:
+    """Work that this process does not wait for, done in turn by a second process, if there is one."""
+
+    def __init__(self, second: Executor | None = None) -> None:
+        self._second = second
+
+    def give(self, task: Callable[P, R], *args: P.args, **kwargs: P.kwargs) -> Callable[[], R]:
+        """Give a task; the function returned gives its result.
+
+        A task that the second process has not begun by then, or has died of, is done by the caller. So both
+        processes have work if results are asked for from last to first.
+        """
+        here = partial(task, *args, **kwargs)
+        if self._second is None:
+            return here
+        given = self._second.submit(task, *args, **kwargs)
+
+        def result() -> R:
+            try:
+                return here() if given.cancel() else given.result()
+            except BrokenProcessPool:
+                return here()
+
+        return result
+
+
+@contextlib.contextmanager
+def beside(samples: int, *, possible: bool = True) -> Iterator[Beside]:
+    """A second process for work on a session with this many samples; none for a short one, on a single core,
+    or where it is not `possible`."""
+    if not possible or samples < LONG or cores() < 2:
+        yield Beside()
+        return
+    with pool(1) as second:
+        yield Beside(second)
