@@ -16,7 +16,7 @@ from tests.support.places import SHIPPED
 from tests.support.plants import Motor
 from tests.support.processes import run_twinmatch
 from tests.support.steps import drive_lost
-from twinmatch.cli.backtest import PEERS as OFFERED
+from twinmatch.cli.shared import PEERS as OFFERED
 from twinmatch.dynamics import Sensor, begin, simulate_closed_loop
 from twinmatch.offline.backtest import Choices
 from twinmatch.offline.backtest.peer import BacktestError
