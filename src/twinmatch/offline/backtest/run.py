@@ -227,7 +227,7 @@ class _Common(NamedTuple):
 
 
 class _Graded(NamedTuple):
-    """What came of one origin."""
+    """The forecasts made at one origin, scored."""
 
     marked: list[Marked]
     shown: Forecast
@@ -252,7 +252,7 @@ class Listener:
         self.wanted = frozenset(regular(self.held, choices.pace(period)))
         """Samples at which outlooks are recorded, besides those of the verdicts."""
         self.graded: dict[int, Callable[[], _Graded] | None] = {}
-        """What comes of each origin; None where there was no candidate."""
+        """The results of each origin; None where there was no candidate."""
         self.twin: Twin | None = None
 
     def __call__(self, twin: Twin, sample: Sample, outcome: Outcome) -> None:
