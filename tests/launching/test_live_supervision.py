@@ -68,6 +68,6 @@ def test_others_are_restarted_but_not_for_ever(name: str, capsys: pytest.Capture
         assert run.check(Watch) is None  # type: ignore[arg-type]
     assert f"{name} ended with code -9; restarting it" in capsys.readouterr().out
     assert len(processes.started) == RESTARTS
-    assert processes.started[0].startswith(f"{name}: twinmatch.nodes.{name} --ros-args")
+    assert processes.started[0].startswith(f"{name}: twinmatch.nodes {name} --ros-args")
     assert run.check(Watch) == 3  # type: ignore[arg-type]
     assert "after 12 restarts in 600 s" in run._live.ending

@@ -12,7 +12,7 @@ from std_srvs.srv import SetBool
 
 from tests.support.processes import Start
 from tests.support.ros import Listener
-from twinmatch.nodes.messages import match_from, verdict_from
+from twinmatch.nodes.messages import record_of
 from twinmatch.nodes.topics import EVERYTHING
 from twinmatch.offline.judging import TermsError
 from twinmatch.offline.verification import Verification, VerifyError, verify_session
@@ -117,8 +117,8 @@ class Run:
                 f"{len(self.scores)} of {len(verdicts)} verdicts, {len(self.states)} of {len(steps)} states"
             ),
         )
-        assert [repr(verdict_from(m)) for m in self.scores] == [repr(v) for v in verdicts]
-        assert [repr(match_from(m)) for m in self.matches] == [repr(m) for m in matches]
+        assert [repr(record_of(m)) for m in self.scores] == [repr(v) for v in verdicts]
+        assert [repr(record_of(m)) for m in self.matches] == [repr(m) for m in matches]
         last = steps[-1].index
         self.listener.spin_until(lambda: self.forecasts[-1].sample == last, "the last forecast")
         told, foretold = [s.index for s in self.states], [f.sample for f in self.forecasts]

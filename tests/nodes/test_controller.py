@@ -24,7 +24,7 @@ from tests.support.rig import GAINS
 from tests.support.ros import Listener
 from twinmatch.dynamics import Pid
 from twinmatch.nodes.controller import ControllerNode
-from twinmatch.nodes.sample_messages import sample_from
+from twinmatch.nodes.messages import sample_from
 from twinmatch.nodes.topics import EVERYTHING, LATCHED, RELIABLE
 from twinmatch_msgs.msg import LoopSample, PwmApplied, PwmCommand
 

@@ -19,20 +19,19 @@ from twinmatch.description import Quantity
 from twinmatch.dynamics import Parameters, PlantError
 from twinmatch.fitting import Fit, Match, Status
 from twinmatch.nodes.messages import (
-    candidate_message,
     description_from,
     description_message,
-    match_from,
-    match_message,
+    message_of,
+    one_of,
     parameters_from,
     parameters_message,
+    record_of,
     request_from,
     request_message,
-    score_message,
+    sample_from,
+    sample_message,
     state_message,
-    verdict_from,
 )
-from twinmatch.nodes.sample_messages import one_of, sample_from, sample_message
 from twinmatch.plants import Peltier
 from twinmatch.plants.records import description_of
 from twinmatch.record import object_of, tree_of_message
@@ -144,11 +143,11 @@ def reports(draw: st.DrawFn) -> MatchReport:
 @given(report=reports(), stamp=STAMPS)
 @pytest.mark.filterwarnings("ignore:invalid value encountered in sqrt:RuntimeWarning")
 def test_match(report: MatchReport, stamp: int) -> None:
-    message = there_and_back(match_message(report, stamp))
+    message = there_and_back(message_of(report, stamp))
     assert message.header.stamp.sec * 10**9 + message.header.stamp.nanosec == stamp
     assert message.status_name == report.match.status.value
     assert len(message.standard_errors) == len(report.match.free)
-    found = match_from(message)
+    found = record_of(message)
     assert repr(found[:2]) == repr(report[:2])
     same(found.match, report.match)
 
@@ -212,15 +211,15 @@ def verdicts(draw: st.DrawFn) -> Verdict:
 
 @given(verdict=verdicts(), stamp=STAMPS)
 def test_verdict(verdict: Verdict, stamp: int) -> None:
-    message = there_and_back(score_message(verdict, stamp))
+    message = there_and_back(message_of(verdict, stamp))
     assert message.header.stamp.sec * 10**9 + message.header.stamp.nanosec == stamp
     assert message.level_name == verdict.level.value
-    same(verdict_from(message), verdict)
+    same(record_of(message), verdict)
 
 
 @given(CANDIDATES)
 def test_candidate(candidate: CandidateScore) -> None:
-    message = there_and_back(candidate_message(candidate))
+    message = there_and_back(message_of(candidate))
     same(object_of(CandidateScore, tree_of_message(message)), candidate)
 
 
@@ -314,5 +313,5 @@ def test_every_word_has_a_number_of_its_own(kind: Any) -> None:
 
 def test_a_words_number_is_beside_it() -> None:
     verdict = Verdict(0, 0, 0, TrustLevel.DOUBTFUL, True, None, "", 2, (), None, (), 0.0, 0.0)
-    message = score_message(verdict, 0)
+    message = message_of(verdict, 0)
     assert (message.level, message.level_name) == (messages.ModelScore.DOUBTFUL, "doubtful")

@@ -32,10 +32,9 @@ from twinmatch.launching.watch import Settled, Watch
 from twinmatch.nodes.entrance import MOST_KINDS, Course
 from twinmatch.nodes.expected import CHECKS, FOLLOWS, READ, check
 from twinmatch.nodes.fields import MessageError
-from twinmatch.nodes.matcher import MOST_WAITING
-from twinmatch.nodes.messages import match_message, request_message, score_message
-from twinmatch.nodes.sample_messages import sample_message
+from twinmatch.nodes.messages import message_of, request_message, sample_message
 from twinmatch.nodes.topics import EVERYTHING
+from twinmatch.nodes.twin import MOST_WAITING
 from twinmatch.plants import Peltier
 from twinmatch.showing.foxglove.node import Foxglove
 from twinmatch.showing.page.node import Dashboard
@@ -66,11 +65,11 @@ def sound_match() -> messages.Match:
         directions=np.eye(2),
         intervals=np.array([[0.0, 1.0], [0.0, 1.0]]),
     )
-    return match_message(MatchReport(320, 40.0, found), 0)
+    return message_of(MatchReport(320, 40.0, found), 0)
 
 
 def sound_score() -> messages.ModelScore:
-    return score_message(replace(LED, horizons=(10.0,)), 0)
+    return message_of(replace(LED, horizons=(10.0,)), 0)
 
 
 def sound_sample() -> messages.LoopSample:
@@ -380,7 +379,7 @@ def test_a_flood_of_sound_messages_is_not_queued(
 ) -> None:
     """Matches that nobody asked for, and requests beyond some: they would be asked for again."""
     let = threading.Event()
-    monkeypatch.setattr("twinmatch.nodes.matcher.carry_out", lambda *given: let.wait() and carry_out(*given))
+    monkeypatch.setattr("twinmatch.nodes.twin.carry_out", lambda *given: let.wait() and carry_out(*given))
     twin = start("twin")
     nodes = {node.NAME: node for node in twin.nodes}
     matches = listener.node.create_publisher(messages.Match, "twin/match", EVERYTHING)
@@ -415,7 +414,7 @@ def test_a_keeper_keeps_no_more_verdicts_than_there_are_samples(
     scores = listener.node.create_publisher(messages.ModelScore, "twin/model_score", EVERYTHING)
     listener.spin_until(scores.get_subscription_count, "the keeper")
     for k in range(150):
-        scores.publish(score_message(verdict(TrustLevel.TRUSTED, sample=300 + k), 0))
+        scores.publish(message_of(verdict(TrustLevel.TRUSTED, sample=300 + k), 0))
     key = "twin/model_score: more than samples"
     listener.spin_until(lambda: keeper.health.report().values.get(key) == "50", "the count")
     assert len(keeper._messages["twin/model_score"]) == 100

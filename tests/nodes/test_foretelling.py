@@ -15,7 +15,7 @@ from twinmatch.nodes.messages import (
     answer_message,
     forecast_from,
     forecast_message,
-    leader_message,
+    message_of,
     shown_samples,
 )
 from twinmatch.nodes.topics import EVERYTHING, LATCHED
@@ -45,7 +45,7 @@ class Offline:
         if forecaster.leader is None:
             return
         (score,) = (score for score in forecaster.scores if score.name == forecaster.leader)
-        leader = leader_message(score)
+        leader = message_of(score)
         if not self.leaders or _identity(leader) != _identity(self.leaders[-1]):
             self.leaders.append(leader)
         ahead = shown_samples(1.0, forecaster.horizons)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from twinmatch.nodes.middleware import problem
+from twinmatch.nodes import problem
 from twinmatch.nodes.network import (
     LEASE,
     PROFILES,
@@ -172,7 +172,7 @@ def test_a_domain_that_there_is_not_is_refused(value: str, network: str) -> None
 @pytest.mark.parametrize(
     ("start", "network"),
     [
-        (["-m", "twinmatch.nodes.matcher"], "open"),
+        (["-m", "twinmatch.nodes", "matcher"], "open"),
         (["launch_scripts/live.py", "--virtual"], "loopback"),
     ],
 )

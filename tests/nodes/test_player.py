@@ -16,8 +16,8 @@ from std_srvs.srv import SetBool
 
 from tests.support.processes import Start
 from tests.support.ros import Listener
+from twinmatch.nodes.messages import sample_from
 from twinmatch.nodes.player import Pace, PlayerError, class_of, playing_profile
-from twinmatch.nodes.sample_messages import sample_from
 from twinmatch.nodes.topics import EVERYTHING
 from twinmatch.sessions import Qos, Topic, read_session, write_session
 from twinmatch.signals import Sample

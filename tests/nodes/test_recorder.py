@@ -22,7 +22,7 @@ from tests.support.ros import Listener
 from tests.support.schemas import bare
 from tests.support.waiting import wait_for
 from twinmatch.nodes import recorder
-from twinmatch.nodes.sample_messages import sample_message
+from twinmatch.nodes.messages import sample_message
 from twinmatch.nodes.topics import EVERYTHING, LATCHED, RELIABLE
 from twinmatch.offline.verification import verify_session
 from twinmatch.sessions import Session, SessionError, read_session, recording

@@ -14,14 +14,7 @@ import pytest
 from tests.support.nonsense import Nonsense, is_sound
 from tests.support.processes import Start
 from tests.support.ros import Listener
-from twinmatch.nodes.messages import (
-    match_from,
-    match_message,
-    parameters_message,
-    score_message,
-    state_message,
-    verdict_from,
-)
+from twinmatch.nodes.messages import message_of, parameters_message, record_of, state_message
 from twinmatch.nodes.topics import EVERYTHING, LATCHED
 from twinmatch.plants import Peltier
 from twinmatch.signals import Sample
@@ -77,16 +70,16 @@ def test_live_verdicts_are_the_offline_ones_whatever_is_published_beside(
     listener.spin_until(lambda: sum(map(is_sound, heard_matches)) >= len(matches), "the last match")
     heard_matches, requests = (list(filter(is_sound, found)) for found in (heard_matches, requests))
     stamps = {sample.index: sample.stamp for sample in steps}
-    expected: list[Any] = [score_message(verdict, stamps[verdict.sample]) for verdict in verdicts]
+    expected: list[Any] = [message_of(verdict, stamps[verdict.sample]) for verdict in verdicts]
     assert [repr(m) for m in heard] == [repr(m) for m in expected]
-    expected = [match_message(report, stamps[report.sample]) for report in matches]
+    expected = [message_of(report, stamps[report.sample]) for report in matches]
     # On a busy machine one may have been asked for, and so answered, twice.
     assert list(dict.fromkeys(repr(m) for m in heard_matches)) == [repr(m) for m in expected]
     assert list(dict.fromkeys(r.sample for r in requests)) == [report.sample for report in matches]
     assert [state.index for state in states] == [sample.index for sample in steps]
     listener.spin_until(lambda: nominals[-1].name == verdicts[-1].nominal, "the last nominal")
-    assert repr(verdict_from(heard[-1])) == repr(verdicts[-1])
-    assert repr(match_from(heard_matches[-1])) == repr(matches[-1])
+    assert repr(record_of(heard[-1])) == repr(verdicts[-1])
+    assert repr(record_of(heard_matches[-1])) == repr(matches[-1])
 
 
 def test_a_matcher_that_dies_costs_time_and_nothing_else(
@@ -111,7 +104,7 @@ def test_a_matcher_that_dies_costs_time_and_nothing_else(
     start_process("matcher")
     verdicts = [verdict for outcome in offline for verdict in outcome.verdicts]
     listener.spin_until(lambda: len(heard) == len(verdicts), "the last verdict")
-    assert [repr(verdict_from(m)) for m in heard] == [repr(v) for v in verdicts]
+    assert [repr(record_of(m)) for m in heard] == [repr(v) for v in verdicts]
 
 
 def test_late_simulator_is_given_the_leader(start: Start, listener: Listener, steps: list[Sample]) -> None:

@@ -19,13 +19,12 @@ import check_machine
 import pytest
 
 import twinmatch
+from twinmatch.nodes.__main__ import PROGRAMS, nodes_of
 
 PROJECT = Path(__file__).resolve().parents[2]
 SCRIPTS = re.findall(
     r'^(\w+) = "(twinmatch\.\S+):main"', (PROJECT / "pyproject.toml").read_text(), re.MULTILINE
 )
-MAIN = re.compile(r"^(def main\(|main = program\()", re.MULTILINE)
-"""How a module of a program defines its main function."""
 
 
 def test_colcon_installs_the_nodes(sources: Path, tmp_path: Path) -> None:
@@ -72,20 +71,20 @@ def test_package_xml_names_what_pyproject_needs() -> None:
     assert not missing
 
 
-@pytest.mark.parametrize(("name", "module"), SCRIPTS)
-def test_console_script_has_its_module(name: str, module: str) -> None:
+def test_every_program_of_nodes_has_a_console_script() -> None:
     """`ros2 run twinmatch <name>` starts what is called so."""
-    source = PROJECT / "src" / (module.replace(".", "/") + ".py")
-    assert source.stem == ("cli" if name == "twinmatch" else name)
-    if not source.exists():
-        source = source.with_suffix("") / "__init__.py"
-    assert MAIN.search(source.read_text())
+    ours = dict(SCRIPTS)
+    assert ours.pop("twinmatch") == "twinmatch.cli"
+    assert ours == dict.fromkeys(PROGRAMS, "twinmatch.nodes.__main__")
+    for name in PROGRAMS:
+        assert [kind.NAME for kind in nodes_of(name)]
 
 
-def test_every_node_has_a_console_script() -> None:
-    nodes = PROJECT / "src" / "twinmatch" / "nodes"
-    modules = {path.stem for path in nodes.glob("*.py") if MAIN.search(path.read_text())}
-    assert modules == dict(SCRIPTS).keys() - {"twinmatch"}
+def test_a_program_that_there_is_not_is_answered_with_those_there_are() -> None:
+    command = [sys.executable, "-m", "twinmatch.nodes", "playr"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert re.fullmatch(r"usage: python -m twinmatch\.nodes \{.*player,.*\} \[--help\]\n", done.stderr)
 
 
 @pytest.mark.parametrize("folder", [".", "src/twinmatch_msgs"])

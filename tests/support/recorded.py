@@ -9,7 +9,7 @@ from typing import Any
 
 from rclpy.serialization import serialize_message
 
-from twinmatch.nodes.messages import match_message, score_message
+from twinmatch.nodes.messages import message_of
 from twinmatch.sessions import Qos, SessionWriter, Topic
 from twinmatch.sessions.messages import SAMPLE, encode_sample, schema_of
 from twinmatch.sessions.metadata import CANDIDATES, parameters_record
@@ -40,8 +40,8 @@ def write_judged(
 ) -> Path:
     """Samples with what a twin said of them, the parameters of these nodes and the initial candidates."""
     outcomes, stamps = list(outcomes), {sample.index: sample.stamp for sample in samples}
-    matches = [match_message(o.match, stamps[o.match.sample]) for o in outcomes if o.match is not None]
-    scores = [score_message(v, stamps[v.sample]) for o in outcomes for v in o.verdicts]
+    matches = [message_of(o.match, stamps[o.match.sample]) for o in outcomes if o.match is not None]
+    scores = [message_of(v, stamps[v.sample]) for o in outcomes for v in o.verdicts]
     change(matches, scores)
     entries = {name: json.dumps(value) for name, value in values.items()}
     with SessionWriter(folder) as writer:

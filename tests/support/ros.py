@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import threading
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -21,9 +20,10 @@ from rclpy.signals import SignalHandlerOptions
 
 from tests.support.waiting import PATIENCE, wait_for
 from twinmatch.errors import EXIT_USER_ERROR, TwinmatchError
+from twinmatch.nodes.__main__ import nodes_of
+from twinmatch.nodes.messages import sample_message
 from twinmatch.nodes.node import TwinmatchNode
 from twinmatch.nodes.runner import EXIT_DEFECT, Nodes
-from twinmatch.nodes.sample_messages import sample_message
 from twinmatch.nodes.topics import EVERYTHING
 from twinmatch.signals import Sample
 from twinmatch_msgs.msg import LoopSample
@@ -112,7 +112,7 @@ class Inside:
     def __init__(self, name: str, *ros_arguments: str, kinds: Sequence[type[TwinmatchNode]] = ()) -> None:
         """Start it with ROS arguments; a mistake in them ends it as it would end the program.
 
-        The program is `twinmatch.nodes.name`, or these kinds of nodes.
+        The program is that of `twinmatch.nodes` of this name, or these kinds of nodes.
         """
         self.text = ""
         """The line or the traceback with which it ended."""
@@ -122,7 +122,7 @@ class Inside:
         self._nodes, self._stop = Nodes(Context()), threading.Event()
         self._thread = threading.Thread(target=self._guarded, args=(self._spin,), daemon=True)
         if not kinds:
-            (kinds,) = importlib.import_module(f"twinmatch.nodes.{name}").main.args
+            kinds = nodes_of(name)
         arguments = [name, *(["--ros-args", *ros_arguments] if ros_arguments else [])]
         self._guarded(lambda: self._nodes.start(kinds, arguments))
         if self._code:

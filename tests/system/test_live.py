@@ -30,13 +30,11 @@ from twinmatch.sessions.recording import repair_session
 from twinmatch_msgs.msg import Forecast
 
 LIVE = PROJECT / "launch_scripts" / "live.py"
-MODULES = {
-    "rig": "twinmatch.nodes.rig",
-    "twin": "twinmatch.nodes.twin",
-    "recorder": "twinmatch.nodes.recorder",
-    "plant_clock": "twinmatch.nodes.plant_clock",
-    "virtual_rig": "twinmatch.cli",
+CHILDREN = {
+    **{name: ("twinmatch.nodes", name) for name in ("rig", "twin", "recorder", "plant_clock")},
+    "virtual_rig": ("twinmatch.cli", "virtual-rig"),
 }
+"""Module and first argument of each."""
 
 
 class LiveRun:
@@ -77,14 +75,15 @@ class LiveRun:
         self.wait_until(lambda: abs(self.state()["pwm"]) > 5, "a driven plate")
 
     def child(self, name: str) -> int | None:
-        """Process id of a child by its module."""
+        """Process id of a child."""
+        wanted = b"".join(word.encode() + b"\0" for word in CHILDREN[name])
         for entry in Path("/proc").glob("[0-9]*"):
             try:
-                words = (entry / "cmdline").read_bytes().split(b"\0")
+                words = (entry / "cmdline").read_bytes()
                 parent = int((entry / "stat").read_text().rsplit(")", 1)[1].split()[1])
             except (OSError, ValueError):
                 continue
-            if parent == self.process.id and MODULES[name].encode() in words:
+            if parent == self.process.id and wanted in words:
                 return int(entry.name)
         return None
 
@@ -147,7 +146,7 @@ def test_a_busy_machine_and_suspended_processes_cost_nothing_but_time(
     run = live_run()
     run.wait_until_driving()
     control = Path(run.control)
-    found = {name: run.child(name) for name in MODULES}
+    found = {name: run.child(name) for name in CHILDREN}
     camera = Process.children_of(found["virtual_rig"] or 0)
     with busy(2):
         for victim in (*found.values(), *camera, run.process.id):

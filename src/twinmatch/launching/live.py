@@ -238,8 +238,8 @@ class _LiveRun(Supervised):
         self.processes.environment = {VARIABLE: self._addresses["clock"]} if follows else {}
         if name == "recorder":
             self._live.sessions.append(self._next_session())
-        module = plan.wiring.module if name == plan.driver else f"twinmatch.nodes.{name}"
-        self.processes.start_module(name, module, *self._arguments(name))
+        program = plan.wiring.program if name == plan.driver else name
+        self.processes.start_module(name, "twinmatch.nodes", program, *self._arguments(name))
 
     def _arguments(self, name: str) -> list[str]:
         """ROS arguments of a process."""

@@ -54,8 +54,8 @@ class VirtualPlan:
 class Wiring:
     """How to start the process that drives a plant."""
 
-    module: str
-    """Module with the plant's nodes and the controller, run as one process."""
+    program: str
+    """Program with the plant's nodes and the controller."""
     bridge: str
     """Name of the node that holds the serial port."""
     check: Callable[[str], None] = lambda _: None
@@ -79,8 +79,8 @@ def _check_kit(port: str) -> None:
 
 
 WIRINGS: Final = {
-    "peltier": Wiring("twinmatch.nodes.rig", "pwm_bridge"),
-    "tclab": Wiring("twinmatch.nodes.tclab_rig", "tclab_bridge", _check_kit),
+    "peltier": Wiring("rig", "pwm_bridge"),
+    "tclab": Wiring("tclab_rig", "tclab_bridge", _check_kit),
 }
 """By plant name."""
 
@@ -199,7 +199,7 @@ class AttachPlan(LivePlan):
     @property
     def wiring(self) -> Wiring:
         """How it is started."""
-        return Wiring("twinmatch.nodes.sampler", "")
+        return Wiring(SAMPLER, "")
 
     def rig_arguments(self, addresses: Mapping[str, str]) -> list[str]:  # noqa: ARG002
         """ROS arguments of the sampler."""

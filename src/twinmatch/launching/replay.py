@@ -162,10 +162,10 @@ class _ReplayRun(Supervised):
             options += ["--params-file", str(replay.config)]
         if replay.candidates is not None:
             options += ["-p", f"discriminator:candidates:={replay.candidates}"]
-        self.processes.start_module("twin", "twinmatch.nodes.twin", *options)
+        self.processes.start_module("twin", "twinmatch.nodes", "twin", *options)
 
     def _start_player(self) -> None:
         self._playing = True
         options = ["--ros-args", "-p", f"session:={self._playable}", "-p", f"readers:={READERS}"]
         options += ["-p", f"rate:={float(self._replay.rate)}", "-p", "wait_timeout:=60.0"]
-        self.processes.start_module("player", "twinmatch.nodes.player", *options)
+        self.processes.start_module("player", "twinmatch.nodes", "player", *options)

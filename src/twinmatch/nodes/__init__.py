@@ -3,12 +3,64 @@
 `network` binds everything to this machine before ROS starts, `runner` starts and ends nodes, and `node` is
 their base class. A node's subscriptions only put messages into the queue of its `worker`, a thread that
 calls the synchronous object of the core and publishes the results. `parameters` and the nodes' tables need
-no ROS, so that an offline replay reads the same files. For that reason ROS is not imported here, and
-`middleware` only hooks into a later import.
+no ROS, so that an offline replay reads the same files.
+
+For that reason ROS is not imported here; only a hook checks RMW_IMPLEMENTATION when it will be. The library
+behind `rclpy` compares the variable with the installed middlewares; if it does not match, it prints a line
+about its own source and exits with code 102, so that no `except` of ours ever runs.
 """
 
-import sys
+from __future__ import annotations
 
-from twinmatch.nodes.middleware import BeforeRos
+import os
+import sys
+from collections.abc import Mapping, Sequence
+from importlib.abc import MetaPathFinder
+from pathlib import Path
+from types import ModuleType
+
+from twinmatch.errors import EXIT_USER_ERROR
+
+VARIABLE = "RMW_IMPLEMENTATION"
+_INDEX = Path("share", "ament_index", "resource_index", "rmw_typesupport")
+_LOADER = "rmw_implementation"
+
+
+def problem(environment: Mapping[str, str] = os.environ, own: str = sys.prefix) -> str:
+    """An error line if the selected middleware is not installed; empty if no problem is found.
+
+    Args:
+        environment: the variables of the process.
+        own: prefix of a ROS 2 that was installed from wheels.
+    """
+    named = environment.get(VARIABLE, "")
+    prefixes = environment.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+    folders = [Path(prefix) / _INDEX for prefix in (*prefixes, own) if prefix]
+    found = {file.name for folder in folders if folder.is_dir() for file in folder.iterdir()} - {_LOADER}
+    if not named or not found or named in found:
+        return ""
+    there = ", ".join(sorted(found))
+    return (
+        f"network: {VARIABLE} is {named[:80]!r}, which is not installed (installed: {there}); "
+        "install it, or unset the variable"
+    )
+
+
+class BeforeRos(MetaPathFinder):
+    """An import hook that finds no module, but exits with a clear error line before `rclpy` would exit."""
+
+    def find_spec(
+        self,
+        name: str,
+        path: Sequence[str] | None = None,  # noqa: ARG002 - the import system gives it
+        target: ModuleType | None = None,  # noqa: ARG002
+    ) -> None:
+        """Check when `rclpy` is imported."""
+        if name != "rclpy":
+            return
+        if line := problem():
+            print(line, file=sys.stderr, flush=True)
+            raise SystemExit(EXIT_USER_ERROR)
+
 
 sys.meta_path.insert(0, BeforeRos())

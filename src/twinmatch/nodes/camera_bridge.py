@@ -24,9 +24,8 @@ from twinmatch.links.thermal_client import (
 )
 from twinmatch.links.thermal_frame import DEFAULT_PORT, Exposure, ThermalFrame
 from twinmatch.nodes.health import Level, Report
+from twinmatch.nodes.messages import time_message
 from twinmatch.nodes.node import Background, TwinmatchNode
-from twinmatch.nodes.runner import program
-from twinmatch.nodes.sample_messages import time_message
 from twinmatch.parameters.declared import Setting, given_to, parameters_of
 from twinmatch.signals import KELVIN
 
@@ -268,10 +267,3 @@ class CameraBridge(TwinmatchNode):
 def _region_from(values: dict[str, Any], name: str) -> Region:
     column, row = values[f"{name}.x"], values[f"{name}.y"]
     return Region(row=row, column=column, rows=values[f"{name}.height"], columns=values[f"{name}.width"])
-
-
-main = program(CameraBridge)
-
-
-if __name__ == "__main__":
-    main()

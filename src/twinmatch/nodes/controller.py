@@ -16,9 +16,8 @@ from std_msgs.msg import Float64
 from twinmatch.control import ControlError, Loop, Profile
 from twinmatch.dynamics import Pid, Plant, PlantError
 from twinmatch.nodes.health import Level, Report
+from twinmatch.nodes.messages import sample_message, time_message
 from twinmatch.nodes.node import READERS, Missed, Readers, TwinmatchNode
-from twinmatch.nodes.runner import program
-from twinmatch.nodes.sample_messages import sample_message, time_message
 from twinmatch.nodes.topics import LATCHED, RELIABLE
 from twinmatch.parameters.declared import ParameterError, Setting, Values, group
 from twinmatch.parameters.loop import loop_parameters, pid_gains
@@ -307,10 +306,3 @@ class ControllerNode(TwinmatchNode):
 
     def _now(self) -> int:
         return int(self.get_clock().now().nanoseconds) if self.step is None else self.step.now
-
-
-main = program(ControllerNode)
-
-
-if __name__ == "__main__":
-    main()

@@ -20,16 +20,13 @@ from twinmatch.forecasting import what_if
 from twinmatch.nodes.health import Level
 from twinmatch.nodes.messages import (
     answer_message,
-    candidate_message,
     forecast_message,
-    leader_message,
-    match_from,
+    message_of,
     question_from,
+    record_of,
     request_message,
-    score_message,
     shown_samples,
 )
-from twinmatch.nodes.runner import program
 from twinmatch.nodes.samples import SampleNode, TwinNode
 from twinmatch.nodes.topics import EVERYTHING, LATCHED, RELIABLE
 from twinmatch.sessions.candidates import read_candidates
@@ -75,7 +72,7 @@ class ForecastPublisher:
         leader = (outlook.candidate, outlook.parameters)
         if leader != self._leader:
             score = next(score for score in discriminator.forecaster.scores if score.name == name)
-            self._leaders.publish(leader_message(score))
+            self._leaders.publish(message_of(score))
             self._leader = leader
         if not self._ahead:
             self._ahead = shown_samples(outlook.period, discriminator.forecaster.horizons)
@@ -181,7 +178,7 @@ class DiscriminatorNode(SampleNode):
         """Take the results of a discriminator before this one, which are not published again."""
         self._published_before = said.scores_heard
         self._forecasts.heard = said.forecasts_heard
-        self._answers += map(match_from, said.match)
+        self._answers += map(record_of, said.match)
 
     def _answer(self, request: twin.MatchRequest) -> MatchReport | None:
         """The known answer to a request, if there is one."""
@@ -233,22 +230,15 @@ class DiscriminatorNode(SampleNode):
         self.health.set("nominal", verdict.nominal or "none")
         self._made += 1
         if self._made > self._published_before:
-            message = score_message(verdict, self._stamps.get(verdict.sample, 0))
+            message = message_of(verdict, self._stamps.get(verdict.sample, 0))
             self.publish(self._scores, message)
         if self._made < self._published_before:
             return
         chosen = next((c for c in verdict.candidates if c.name == verdict.nominal), None)
         if chosen is None:
             return
-        nominal = candidate_message(chosen)
+        nominal = message_of(chosen)
         identity = (nominal.name, nominal.first, nominal.last, nominal.parameters)
         if identity != self._nominal:
             self._nominal = identity
             self._nominals.publish(nominal)
-
-
-main = program(DiscriminatorNode)
-
-
-if __name__ == "__main__":
-    main()

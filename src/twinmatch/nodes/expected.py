@@ -20,7 +20,7 @@ from std_msgs.msg import Float64
 
 from twinmatch.nodes import messages as converted
 from twinmatch.nodes.fields import GREATEST_INDEX, Expected, MessageError, check_fields
-from twinmatch.nodes.sample_messages import LOOP, nanoseconds, one_of, sample_from
+from twinmatch.nodes.messages import LOOP, nanoseconds, one_of, sample_from
 from twinmatch.signals import not_one_loop
 from twinmatch_msgs import msg as ours
 from twinmatch_msgs.srv import Past, WhatIf
@@ -310,11 +310,11 @@ CHECKS: Final[dict[Any, Callable[[Any], None]]] = {
 
 READ: Final[dict[Any, Callable[[Any], Any]]] = {
     ours.LoopSample: sample_from,
-    ours.Match: converted.match_from,
+    ours.Match: converted.record_of,
     ours.MatchRequest: lambda m: (converted.request_from(m), nanoseconds(m.header.stamp)),
-    ours.ModelScore: converted.verdict_from,
+    ours.ModelScore: converted.record_of,
     ours.Forecast: converted.forecast_from,
-    ours.ForecastScore: converted.leader_from,
+    ours.ForecastScore: converted.record_of,
 }
 """What subscribers get in place of a message of these types."""
 

@@ -1,6 +1,8 @@
 """Convert between the twin's objects and messages, without losing a bit.
 
-`twinmatch.record` describes the recorded form of verdicts and matches; this module fills the messages.
+`twinmatch.record` describes the recorded form of verdicts and matches; this module fills the messages. In a
+message every signal is an array, so that a plant with two inputs needs no other message type. A twin runs one
+loop: a message without exactly one reference, one output and one input is refused.
 """
 
 from __future__ import annotations
@@ -9,21 +11,83 @@ import math
 from array import array
 from collections.abc import Iterable
 from dataclasses import asdict
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
+from builtin_interfaces.msg import Time
 
 from twinmatch.comparing import ForecastScore, Verdict
 from twinmatch.comparing.verdict import CandidateScore
 from twinmatch.description import Description, Quantity
 from twinmatch.dynamics import Parameters, PlantError
 from twinmatch.forecasting import Band, Forecast, Question, WhatIfResult
-from twinmatch.nodes.sample_messages import LOOP, stamped
 from twinmatch.record import fill, object_of, parameters_of, parameters_tree, tree_of, tree_of_message
-from twinmatch.signals import FloatArray, SignalError, Window
+from twinmatch.signals import FloatArray, Sample, SignalError, Window, not_one_loop
 from twinmatch.twin import MatchReport, MatchRequest, MirrorState
 from twinmatch_msgs import msg as messages
 from twinmatch_msgs import srv as services
+
+NANOSECONDS = 1_000_000_000
+LOOP = ("reference", "output", "input")
+"""The signals of a loop, without disturbances."""
+
+
+def time_message(stamp: int) -> Time:
+    """A stamp (ns) as a message."""
+    seconds, rest = divmod(stamp, NANOSECONDS)
+    return Time(sec=seconds, nanosec=rest)
+
+
+def nanoseconds(stamp: Any) -> int:
+    """A ROS time stamp in nanoseconds."""
+    return int(stamp.sec) * NANOSECONDS + int(stamp.nanosec)
+
+
+def stamped(message: Any, stamp: int) -> Any:
+    """The message, with a stamp (ns) in its header."""
+    message.header.stamp = time_message(stamp)
+    return message
+
+
+def sample_message(sample: Sample, frame: str = "plate") -> messages.LoopSample:
+    """A sample as `LoopSample`."""
+    message = messages.LoopSample(
+        index=sample.index,
+        disturbances=list(sample.disturbances),
+        **{name: [getattr(sample, name)] for name in LOOP},
+    )
+    message.header.frame_id = frame
+    return stamped(message, sample.stamp)
+
+
+def sample_from(message: messages.LoopSample) -> Sample:
+    """A sample from `LoopSample`.
+
+    Raises:
+        SignalError: it does not have exactly one reference, one output and one input.
+    """
+    loop = [getattr(message, name) for name in LOOP]
+    lengths = [len(values) for values in loop]
+    if lengths != [1, 1, 1]:
+        raise SignalError(not_one_loop(message.index, lengths))
+    (reference,), (output,), (entry,) = loop
+    stamp = nanoseconds(message.header.stamp)
+    return Sample(message.index, stamp, reference, output, entry, tuple(message.disturbances))
+
+
+def one_of(message: Any, name: str) -> float:
+    """The single value of an array in a message about one loop.
+
+    Raises:
+        SignalError: there is not exactly one value.
+    """
+    values = getattr(message, name)
+    if len(values) != 1:
+        raise SignalError(
+            f"{name} of sample {message.index} has {len(values)} values; a twin runs one loop, with one value"
+        )
+    return float(values[0])
+
 
 _SAMPLED = (*LOOP, "disturbances")
 
@@ -56,43 +120,29 @@ def state_message(state: MirrorState, leader: str, states: Iterable[str]) -> mes
     return stamped(message, state.sample.stamp)
 
 
-def match_message(report: MatchReport, stamp: int) -> messages.Match:
-    """A match as `Match`; `stamp` (ns) is that of the sample that triggered it."""
-    return stamped(_filled(messages.Match(), tree_of(report)), stamp)
+_RECORDS: Final[dict[Any, Any]] = {
+    MatchReport: messages.Match,
+    Verdict: messages.ModelScore,
+    CandidateScore: messages.Candidate,
+    ForecastScore: messages.ForecastScore,
+}
+"""The message of each record; all their fields have the same names."""
 
 
-def match_from(message: messages.Match) -> MatchReport:
-    """A match from `Match`."""
-    return object_of(MatchReport, tree_of_message(message))
+def message_of(record: Any, stamp: int | None = None) -> Any:
+    """A record as its message; `stamp` (ns), for those with a header, is that of the sample behind it."""
+    message = _filled(_RECORDS[type(record)](), tree_of(record))
+    return message if stamp is None else stamped(message, stamp)
 
 
-def score_message(verdict: Verdict, stamp: int) -> messages.ModelScore:
-    """A verdict as `ModelScore`; `stamp` (ns) is that of the sample that triggered it."""
-    return stamped(_filled(messages.ModelScore(), tree_of(verdict)), stamp)
-
-
-def verdict_from(message: messages.ModelScore) -> Verdict:
-    """A verdict from `ModelScore`."""
-    return object_of(Verdict, tree_of_message(message))
-
-
-def candidate_message(candidate: CandidateScore) -> messages.Candidate:
-    """A candidate of a verdict as `Candidate`."""
-    return _filled(messages.Candidate(), tree_of(candidate))
-
-
-def leader_message(score: ForecastScore) -> messages.ForecastScore:
-    """The leader's score as `ForecastScore`."""
-    return _filled(messages.ForecastScore(), tree_of(score))
-
-
-def leader_from(message: messages.ForecastScore) -> ForecastScore:
-    """The leader's score from `ForecastScore`.
+def record_of(message: Any) -> Any:
+    """The record in a message.
 
     Raises:
-        TwinmatchError: its parameters cannot be used.
+        TwinmatchError: it cannot be used.
     """
-    return object_of(ForecastScore, tree_of_message(message))
+    (kind,) = (record for record, sent in _RECORDS.items() if sent is type(message))
+    return object_of(kind, tree_of_message(message))
 
 
 def parameters_from(message: messages.Parameters) -> Parameters:

@@ -16,8 +16,8 @@ from typing import Any, NamedTuple
 from rclpy.serialization import deserialize_message, serialize_message
 
 from twinmatch.nodes.health import Level
+from twinmatch.nodes.messages import nanoseconds
 from twinmatch.nodes.node import TwinmatchNode
-from twinmatch.nodes.sample_messages import nanoseconds
 from twinmatch.sessions.messages import decode_sample, encode_sample
 from twinmatch.signals import Sample
 from twinmatch_msgs.msg import Match, ModelScore

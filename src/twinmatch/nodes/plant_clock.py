@@ -11,7 +11,6 @@ from rosgraph_msgs.msg import Clock
 from twinmatch.emulation.clock import ClockClient, Stillness, parse_address
 from twinmatch.nodes.health import Level, Report
 from twinmatch.nodes.node import TwinmatchNode
-from twinmatch.nodes.runner import program
 from twinmatch.parameters.declared import Setting
 
 CLOCK = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -54,10 +53,3 @@ class PlantClock(TwinmatchNode):
     def _on_time(self, stamp: int) -> None:
         self._stillness.tell(stamp)
         self._publisher.publish(Clock(clock=Time(nanoseconds=stamp).to_msg()))
-
-
-main = program(PlantClock)
-
-
-if __name__ == "__main__":
-    main()

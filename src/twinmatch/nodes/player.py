@@ -19,9 +19,7 @@ from std_srvs.srv import SetBool
 
 from twinmatch.errors import TwinmatchError
 from twinmatch.nodes.health import Level, Report
-from twinmatch.nodes.keeper import Keeper
 from twinmatch.nodes.node import READERS, Background, Readers, TwinmatchNode
-from twinmatch.nodes.runner import program
 from twinmatch.nodes.topics import DEPTH, MessageTypeError, message_class, profile_of
 from twinmatch.parameters.declared import Setting, Values
 from twinmatch.sessions import Message, Qos, Topic, read_session
@@ -290,10 +288,3 @@ def class_of(topic: Topic) -> Any:
         return message_class(topic.type)
     except MessageTypeError as error:
         raise PlayerError(f"player: {topic.name}: {error}") from None
-
-
-main = program(Player, Keeper)
-
-
-if __name__ == "__main__":
-    main()

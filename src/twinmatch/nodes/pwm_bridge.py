@@ -20,8 +20,7 @@ from twinmatch.links.pwm_link import (
 from twinmatch.links.pwm_protocol import Banner, Flags
 from twinmatch.nodes.gated import NAN, Decision, DriverThread, GatedNode, fault_text, gate_table
 from twinmatch.nodes.health import Level, Report
-from twinmatch.nodes.runner import program
-from twinmatch.nodes.sample_messages import nanoseconds
+from twinmatch.nodes.messages import nanoseconds
 from twinmatch.nodes.topics import RELIABLE
 from twinmatch.parameters.declared import Setting, given_to, parameters_of
 from twinmatch.parameters.loop import unit_of
@@ -185,10 +184,3 @@ class PwmBridge(GatedNode):
             self.health.set("applied", message.pwm)
             self.health.set("current", f"{applied.current:.2f} A")
         self._applied.publish(message)
-
-
-main = program(PwmBridge)
-
-
-if __name__ == "__main__":
-    main()

@@ -20,7 +20,6 @@ from rclpy.parameter import parameter_value_to_python
 from twinmatch.nodes.health import Level, Report
 from twinmatch.nodes.node import TwinmatchNode, Worker
 from twinmatch.nodes.past import RecorderPast
-from twinmatch.nodes.runner import program
 from twinmatch.nodes.topics import message_class, offered, profile_of, wanted
 from twinmatch.parameters.declared import Setting, given_to, parameters_of
 from twinmatch.sessions import Recording, RecordingLimits, SessionError, Topic
@@ -354,10 +353,3 @@ class RecorderNode(TwinmatchNode):
         if silent:
             return Report(Level.WARN, f"silent: {', '.join(silent)}", values)
         return Report(Level.OK, f"{len(arrivals)} topics", values)
-
-
-main = program(RecorderNode)
-
-
-if __name__ == "__main__":
-    main()

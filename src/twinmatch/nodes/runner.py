@@ -15,9 +15,8 @@ import re
 import signal
 import sys
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from threading import Event
@@ -100,15 +99,6 @@ def run(kinds: Sequence[type[TwinmatchNode]], arguments: Sequence[str] | None = 
         os._exit(code or 0)
     signal.alarm(0)
     return code or 0
-
-
-def program(*kinds: type[TwinmatchNode]) -> Callable[[], None]:
-    """The console script of nodes that run together in one process."""
-    return partial(_exit, kinds)
-
-
-def _exit(kinds: Sequence[type[TwinmatchNode]]) -> None:
-    sys.exit(run(kinds))
 
 
 class Nodes:

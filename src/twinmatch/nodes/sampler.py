@@ -14,10 +14,8 @@ from twinmatch.description import Quantity
 from twinmatch.dynamics import Plant, PlantError
 from twinmatch.errors import TwinmatchError
 from twinmatch.nodes.health import Level, Report
-from twinmatch.nodes.keeper import Keeper
+from twinmatch.nodes.messages import nanoseconds, sample_message
 from twinmatch.nodes.node import READERS, Missed, Readers, TwinmatchNode
-from twinmatch.nodes.runner import program
-from twinmatch.nodes.sample_messages import nanoseconds, sample_message
 from twinmatch.nodes.topics import RELIABLE, ForeignTopics
 from twinmatch.parameters.declared import ParameterError, Setting
 from twinmatch.plants import Peltier, find_plant, written_name
@@ -318,10 +316,3 @@ class SamplerNode(TwinmatchNode):
 def _ahead(topic: str, nanos: int) -> str:
     ahead = f"{nanos / 1e9:.1f} s"
     return f"the stamps of {topic} are {ahead} ahead of this machine's clock; the time of arrival is used"
-
-
-main = program(SamplerNode, Keeper)
-
-
-if __name__ == "__main__":
-    main()

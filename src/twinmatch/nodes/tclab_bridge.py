@@ -9,8 +9,7 @@ from rclpy.qos import qos_profile_sensor_data
 
 from twinmatch.links.kit_link import KitAbsentError, KitError, KitLink, KitReading, KitSilentError
 from twinmatch.nodes.gated import NAN, Decision, DriverThread, GatedNode, fault_text, gate_table
-from twinmatch.nodes.runner import program
-from twinmatch.nodes.sample_messages import nanoseconds
+from twinmatch.nodes.messages import nanoseconds
 from twinmatch.nodes.topics import RELIABLE
 from twinmatch.parameters.declared import Setting
 from twinmatch.parameters.loop import unit_of
@@ -134,10 +133,3 @@ class TCLabBridge(GatedNode):
         self.note_fault()
         applied.fault = fault_text(self.gate.fault)
         self._applied.publish(applied)
-
-
-main = program(TCLabBridge)
-
-
-if __name__ == "__main__":
-    main()

@@ -1,14 +1,109 @@
-"""The three nodes of the twin in one process, as the launch scripts start them."""
+"""The twin simulator and the matcher; the discriminator has a file of its own."""
 
 from __future__ import annotations
 
-from twinmatch.nodes.discriminator import DiscriminatorNode
-from twinmatch.nodes.matcher import MatcherNode
-from twinmatch.nodes.runner import program
-from twinmatch.nodes.twin_simulator import TwinSimulatorNode
+import threading
 
-main = program(TwinSimulatorNode, MatcherNode, DiscriminatorNode)
+from twinmatch import comparing, twin
+from twinmatch.nodes.messages import description_message, message_of, state_message
+from twinmatch.nodes.samples import SampleNode, TwinNode
+from twinmatch.nodes.topics import EVERYTHING, LATCHED, RELIABLE
+from twinmatch.plants.records import description_of
+from twinmatch.signals import Sample
+from twinmatch.twin import Mirror, carry_out
+from twinmatch_msgs.msg import ForecastScore, Match, MatchRequest, PlantDescription, TwinState
+from twinmatch_msgs.srv import Past
 
 
-if __name__ == "__main__":
-    main()
+class TwinSimulatorNode(SampleNode):
+    """Runs the leading twin beside the plant: samples and `twin/leader` in, `twin/state` out.
+
+    Before there is a leader, the twins use the start values. The description of the plant is published once,
+    latched: `plant/description`.
+    """
+
+    NAME = "twin_simulator"
+
+    def open(self) -> None:
+        """Start to mirror the samples."""
+        self._mirror = Mirror(
+            self.settings.start,
+            self.settings.gains,
+            self.values["recent"],
+            self.settings.period,
+            self.settings.schedule.gap,
+        )
+        self._leader = ""
+        self._made = 0  # states
+        self._published_before = 0  # states published before this node started
+        self._publisher = self.create_publisher(TwinState, "twin/state", RELIABLE)
+        self._describer = self.create_publisher(PlantDescription, "plant/description", LATCHED)
+        self._describer.publish(
+            description_message(description_of(self.settings.plant), self.settings.period)
+        )
+        super().open()
+        self.create_subscription(ForecastScore, "twin/leader", self.put, LATCHED)
+
+    def learn(self, said: Past.Response) -> None:
+        """Take the number of states that a simulator before this one published."""
+        self._published_before = said.states_heard
+
+    def work(self, item: Sample | comparing.ForecastScore) -> None:
+        """Mirror one sample, or take over the parameters of a new leader."""
+        if isinstance(item, Sample):
+            state = self._mirror.push(item)
+            self._made += 1
+            if self._made > self._published_before:
+                message = state_message(state, self._leader, self.settings.plant.states)
+                self.publish(self._publisher, message)
+            return
+        self._mirror.parameters = item.parameters
+        self._leader = item.name
+        self.health.set("leader", item.name)
+
+
+MOST_WAITING = 20
+"""Most requests that wait; a discriminator has one, and repeats it."""
+
+
+class MatcherNode(TwinNode):
+    """Fits the plant's parameters to requested windows: `twin/match_request` in, `twin/match` out.
+
+    Every request is answered; one that is repeated while in progress is answered once.
+    """
+
+    NAME = "matcher"
+
+    def open(self) -> None:
+        """Wait for requests."""
+        self._publisher = self.create_publisher(Match, "twin/match", RELIABLE)
+        self._in_progress: set[tuple[int, int]] = set()
+        self._lock = threading.Lock()
+        self.health.say("waiting for requests")
+        super().open()
+        self.create_subscription(MatchRequest, "twin/match_request", self._on_request, EVERYTHING)
+
+    def work(self, item: tuple[twin.MatchRequest, int]) -> None:
+        """Compute the match and publish it, with the stamp (ns) of its request."""
+        request, stamp = item
+        try:
+            report = carry_out(request, self.settings)
+        finally:
+            with self._lock:
+                self._in_progress.discard((request.sample, request.window.first))
+        self.health.count("matches")
+        self.health.set("last match", f"{report.match.status.value} at sample {report.sample}")
+        self.publish(self._publisher, message_of(report, stamp))
+
+    def _on_request(self, item: tuple[twin.MatchRequest, int]) -> None:
+        self.health.say("working")
+        request, _ = item
+        name = (request.sample, request.window.first)
+        with self._lock:
+            if name in self._in_progress:
+                return
+            if len(self._in_progress) >= MOST_WAITING:
+                self.health.count("left to be repeated")
+                return
+            self._in_progress.add(name)
+        self.put(item)

@@ -38,7 +38,7 @@ from tests.support.schemas import bare
 from tests.support.verdicts import verdict
 from tests.support.waiting import wait_for
 from twinmatch.comparing import TrustLevel
-from twinmatch.nodes.messages import description_message, score_message
+from twinmatch.nodes.messages import description_message, message_of
 from twinmatch.plants.records import description_of
 from twinmatch.sessions import read_session, write_session
 from twinmatch_msgs.msg import LoopSample, ModelScore, PlantDescription
@@ -132,7 +132,7 @@ def test_messages_arrive_byte_for_byte_and_decode_by_the_definitions_that_come_w
     viewer.subscribe("/plant/sample", "/twin/model_score", "/thermal/image")
     viewer.wait(rig.is_heard, "its reader")
     sent = [rig.sample(k) for k in range(3)]
-    score = score_message(verdict(TrustLevel.TRUSTED, nominal="60 °C"), 0)
+    score = message_of(verdict(TrustLevel.TRUSTED, nominal="60 °C"), 0)
     score.candidates[0].orders[0].y.gain = 12.5
     image = Image(height=2, width=3, encoding="32FC1", step=12, data=bytes(range(24)))
     raw = serialize_message(score)  # published as it is: what is between the fields is not always the same
@@ -172,7 +172,7 @@ def test_definitions_are_those_of_a_session_recorded_at_the_same_time(
     rig = graph()
     viewer = view(serve().url)
     options = ["--ros-args", "-p", f"folder:={tmp_path}", "-p", "name:=session"]
-    command = [sys.executable, "-m", "twinmatch.nodes.recorder", *options]
+    command = [sys.executable, "-m", "twinmatch.nodes", "recorder", *options]
     recorder = Process(*command, output=tmp_path / "recorder.txt")
     try:
         readers = (rig.samples, rig.scores, rig.images, rig.references)

@@ -24,8 +24,7 @@ from tests.support.ros import listening
 from tests.support.waiting import wait_for
 from twinmatch.comparing import ADMITTED
 from twinmatch.dynamics import Plant
-from twinmatch.nodes.messages import description_message, score_message, state_message
-from twinmatch.nodes.sample_messages import sample_message
+from twinmatch.nodes.messages import description_message, message_of, sample_message, state_message
 from twinmatch.nodes.topics import LATCHED, RELIABLE
 from twinmatch.offline.judging import Judgement
 from twinmatch.plants import Peltier
@@ -115,7 +114,7 @@ class Graph:
             self.publish("twin/state", state_message(mirror.push(sample), "", Peltier.states))
             for verdict in judged.verdicts if judged else ():
                 if verdict.sample == sample.index:
-                    self.publish("twin/model_score", score_message(verdict, sample.stamp))
+                    self.publish("twin/model_score", message_of(verdict, sample.stamp))
             time.sleep(1 / rate)
 
     def _replace(self, name: str, kind: Any) -> None:

@@ -44,11 +44,11 @@ needs_cyclone = pytest.mark.skipif(
 def said(session: Path) -> list[dict[str, Any]]:
     """The verdicts of an offline run, as reader.py shows them."""
     from tests.system.subscribers import reader
-    from twinmatch.nodes.messages import score_message
+    from twinmatch.nodes.messages import message_of
 
     stamps = {sample.index: sample.stamp for sample in read_session(session).samples}
     verdicts = judge_session(session).verdicts
-    shown = [reader.plain(score_message(verdict, stamps[verdict.sample])) for verdict in verdicts]
+    shown = [reader.plain(message_of(verdict, stamps[verdict.sample])) for verdict in verdicts]
     return [json.loads(json.dumps(score)) for score in shown]
 
 
@@ -160,7 +160,16 @@ def test_cyclone_reads_every_sample(programs: Any, session: Path) -> None:
     cyclone = programs.start(HERE / "cyclone_reader.py")
     cyclone.said("^ready$")
     player = programs.start(
-        *("-m", "twinmatch.nodes.player", "--ros-args", "-p", f"session:={session}", "-p", f"rate:={RATE}.0")
+        *(
+            "-m",
+            "twinmatch.nodes",
+            "player",
+            "--ros-args",
+            "-p",
+            f"session:={session}",
+            "-p",
+            f"rate:={RATE}.0",
+        )
     )
     assert player.wait() == 0, player.text
     samples = read_session(session).samples
@@ -180,10 +189,10 @@ def last_verdict(lasting_programs: Any, session: Path) -> Any:
         "twinmatch_msgs/ModelScore", "/late/twin/model_score", "everything"
     )
     namespace = ("-r", "__ns:=/late")
-    start("-m", "twinmatch.nodes.twin", "--ros-args", *namespace)
+    start("-m", "twinmatch.nodes", "twin", "--ros-args", *namespace)
     # The player waits for the twin, nobody for the reader: at this rate it has seconds to find the twin.
     player = start(
-        *("-m", "twinmatch.nodes.player", "--ros-args", *namespace, "-p", f"session:={session}"),
+        *("-m", "twinmatch.nodes", "player", "--ros-args", *namespace, "-p", f"session:={session}"),
         *("-p", "rate:=100.0", "-p", "wait_for:=2", "-p", "wait_timeout:=60.0", "-p", "clock:=false"),
     )
     assert player.wait() == 0, player.text
@@ -229,7 +238,7 @@ def test_rigs_do_not_mix(programs: Any, session: Path, tmp_path: Path) -> None:
         part = write_session(tmp_path / rig, read_session(session).samples[: LENGTHS[rig]])
         players.append(
             programs.start(
-                *("-m", "twinmatch.nodes.player", "--ros-args", "-r", f"__ns:=/rig_{rig}"),
+                *("-m", "twinmatch.nodes", "player", "--ros-args", "-r", f"__ns:=/rig_{rig}"),
                 *("-p", f"session:={part}", "-p", "rate:=200.0", "-p", "clock:=false"),
             )
         )

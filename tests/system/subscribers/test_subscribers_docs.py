@@ -56,11 +56,11 @@ def start_shell(programs: Any, page: Path, text: str, more: str = "", **variable
 
 def start_player(programs: Any, session: Path, *more: str, rate: float = 80.0, **variables: str) -> Any:
     options = ("-p", f"session:={session}", "-p", f"rate:={rate}", "-p", "wait_timeout:=60.0", *more)
-    return programs.start("-m", "twinmatch.nodes.player", "--ros-args", *options, **variables)
+    return programs.start("-m", "twinmatch.nodes", "player", "--ros-args", *options, **variables)
 
 
 def start_twin(programs: Any, *more: str) -> Any:
-    return programs.start("-m", "twinmatch.nodes.twin", *(["--ros-args", *more] if more else []))
+    return programs.start("-m", "twinmatch.nodes", "twin", *(["--ros-args", *more] if more else []))
 
 
 def test_page_has_the_blocks_that_are_run_here() -> None:
@@ -130,7 +130,7 @@ def test_open_network(programs: Any, page: Path, session: Path, project: Path) -
     assert command == "python launch_scripts/replay.py bags/four_setpoints"
     assert (project / command.split()[1]).is_file()
     assert (project / command.split()[2]).is_dir()
-    player = f"\npython -m twinmatch.nodes.player --ros-args -p session:={session} -p paused:=true"
+    player = f"\npython -m twinmatch.nodes player --ros-args -p session:={session} -p paused:=true"
     opened = start_shell(programs, page, export, "\nexec" + player.replace("\n", " "))
     opened.said("NETWORK OPEN")
     closed = start_player(programs, session, "-p", "paused:=true")

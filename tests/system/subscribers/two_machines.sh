@@ -25,7 +25,7 @@ ip link set there netns "$there"
 ip addr add 10.77.0.1/24 dev here
 ip link set here up
 ip route add 224.0.0.0/4 dev here
-"$python" -m twinmatch.nodes.player --ros-args -p "session:=$session" -p wait_for:=0 -p rate:=5.0 &
+"$python" -m twinmatch.nodes player --ros-args -p "session:=$session" -p wait_for:=0 -p rate:=5.0 &
 here=$!
 trap 'kill "$here" "$there" 2>/dev/null || true' EXIT
 while ! grep -q ready "$output" || [ "$(wc -l </proc/net/udp)" -lt 2 ]; do # both have opened their sockets

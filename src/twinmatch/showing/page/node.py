@@ -16,9 +16,8 @@ from sensor_msgs.msg import Image
 
 from twinmatch.description import UNDESCRIBED
 from twinmatch.nodes.health import Report
-from twinmatch.nodes.messages import description_from
+from twinmatch.nodes.messages import description_from, one_of
 from twinmatch.nodes.node import TwinmatchNode
-from twinmatch.nodes.sample_messages import one_of
 from twinmatch.nodes.topics import LATCHED
 from twinmatch.parameters.declared import Setting
 from twinmatch.parameters.twin import read_settings
