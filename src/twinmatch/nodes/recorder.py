@@ -20,7 +20,7 @@ from rclpy.parameter import parameter_value_to_python
 from twinmatch.nodes.health import Level, Report
 from twinmatch.nodes.node import TwinmatchNode, Worker
 from twinmatch.nodes.past import RecorderPast
-from twinmatch.nodes.topics import message_class, offered, profile_of, wanted
+from twinmatch.nodes.topics import Following, offered, wanted
 from twinmatch.parameters.declared import Setting, given_to, parameters_of
 from twinmatch.sessions import Recording, RecordingLimits, SessionError, Topic
 from twinmatch.sessions.documents import DocumentError, read_text
@@ -203,8 +203,8 @@ class RecorderNode(TwinmatchNode):
         limits = given_to(RecordingLimits(), values)
         distro = os.environ.get("ROS_DISTRO", "unknown")
         self._recording = Recording(Path(values["folder"]) / name, limits, ros_distro=distro)
-        self._readers: dict[str, tuple[Topic, Any]] = {}
-        self._counted: dict[str, int] = {}
+        self._following = Following(self, raw=True)
+        self._kinds: dict[str, str] = {}
         self._unknown: set[str] = set()
         self._arrivals: dict[str, Arrivals] = {}
         self._taken = self._written = self._dropped = 0  # bytes, bytes, messages
@@ -216,7 +216,7 @@ class RecorderNode(TwinmatchNode):
         if self.step is not None:
             self.step.wait_for(lambda: worker.depth > AHEAD)
         self._settings = NodeSettings(self, self._on_record)
-        self._past = RecorderPast(self, self._keep, self._readers.__contains__)
+        self._past = RecorderPast(self, self._keep, self._following.__contains__)
         self.wall_timer(SEARCH, self._on_search)
         self.wall_timer(FLUSH, partial(worker.put, self._recording.flush))
         self.get_logger().info(f"recording into {self._recording.folder}")
@@ -229,7 +229,7 @@ class RecorderNode(TwinmatchNode):
             self.worker.watch()
         self.health.set("session", self._recording.folder)
         self.health.set("messages", self._recording.messages)
-        self.health.set("topics", len(self._readers))
+        self.health.set("topics", len(self._following))
         self.health.set("bytes waiting", self._taken - self._written)
         return super().report()
 
@@ -272,47 +272,29 @@ class RecorderNode(TwinmatchNode):
         self._settings.ask()
 
     def _subscribe(self, name: str, kinds: list[str]) -> None:
-        publishers = self.count_publishers(name)
-        if name in self._unknown or publishers == self._counted.get(name, 0):
-            return  # querying their QoS is a hundred times as expensive
-        endpoints = self.get_publishers_info_by_topic(name)
-        if not endpoints:
+        publishers = None if name in self._unknown else self._following.news(name)
+        if not publishers:
             return
-        self._counted[name] = publishers
-        qos = offered(endpoints)
-        known, reader = self._readers.get(name, (None, None))
-        if known is not None:
-            if profile_of(qos) == profile_of(known.qos):
-                return
-            self.destroy_subscription(reader)  # a new publisher offers a weaker QoS
-            topic = known
-        else:
-            kind = endpoints[0].topic_type
+        kind = self._kinds.setdefault(name, publishers[0].topic_type)
+        if name not in self._following:
             try:
-                topic = Topic(name, kind, schema_of(kind), str(endpoints[0].topic_type_hash), qos)
+                topic = Topic(
+                    name, kind, schema_of(kind), str(publishers[0].topic_type_hash), offered(publishers)
+                )
             except SessionError as error:
-                self._refuse(name, str(error))
+                self._unknown.add(name)
+                self.health.flag(name, Level.ERROR, f"{name} is not recorded: {error}")
                 return
             self._arrivals[name] = Arrivals()
             self._put(partial(self._recording.add_topic, topic))
         if len(kinds) > 1:
-            text = f"{name} is published as {' and '.join(kinds)}; only {topic.type} is recorded"
+            text = f"{name} is published as {' and '.join(kinds)}; only {kind} is recorded"
             self.health.flag(name, Level.WARN, text)
-        reader = self.create_subscription(
-            message_class(topic.type),
-            name,
-            partial(self._on_message, name),
-            profile_of(qos),
-            raw=True,
-            event_callbacks=SubscriptionEventCallbacks(
-                message_lost=partial(self._on_lost, name), use_default_callbacks=False
-            ),
+        lost = SubscriptionEventCallbacks(
+            message_lost=partial(self._on_lost, name), use_default_callbacks=False
         )
-        self._readers[name] = topic._replace(qos=qos), reader
-
-    def _refuse(self, name: str, why: str) -> None:
-        self._unknown.add(name)
-        self.health.flag(name, Level.ERROR, f"{name} is not recorded: {why}")
+        take = partial(self._on_message, name)
+        self._following.subscribe(name, kind, publishers, take, event_callbacks=lost)
 
     def _on_message(self, name: str, data: bytes) -> None:
         self._arrivals[name].push(time.monotonic())

@@ -120,6 +120,51 @@ def _field(text: str) -> Field:
     return Field(base, text.startswith("sequence") or length is not None, int(length) if length else None)
 
 
+class Following:
+    """Subscriptions that follow their publishers: made again where those now there offer a weaker QoS."""
+
+    def __init__(self, node: Node, **options: Any) -> None:
+        """`options` are those of every subscription."""
+        self._node, self._options = node, options
+        self._counted: dict[str, int] = {}
+        self._readers: dict[str, tuple[QoSProfile, Any]] = {}
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._readers
+
+    def __len__(self) -> int:
+        return len(self._readers)
+
+    def news(self, name: str) -> Sequence[Any] | None:
+        """The publishers of a topic (`TopicEndpointInfo`); None while they are as many as before."""
+        count = self._node.count_publishers(name)
+        if count == self._counted.get(name, 0):
+            return None  # querying their QoS is a hundred times as expensive
+        found: Sequence[Any] = self._node.get_publishers_info_by_topic(name)
+        if count and not found:
+            return None
+        self._counted[name] = count
+        return found
+
+    def subscribe(
+        self, name: str, kind: str, publishers: Sequence[Any], take: Callable[[Any], None], **options: Any
+    ) -> None:
+        """Subscribe with the QoS that all publishers offer, unless that is done already.
+
+        Raises:
+            MessageTypeError: the type is not installed.
+        """
+        profile = profile_of(offered(publishers))
+        known, reader = self._readers.get(name, (None, None))
+        if known == profile:
+            return
+        sent = message_class(kind)
+        if reader is not None:
+            self._node.destroy_subscription(reader)
+        reader = self._node.create_subscription(sent, name, take, profile, **self._options, **options)
+        self._readers[name] = profile, reader
+
+
 _OURS: Final = ("/plant/", "/twin/", "/thermal/")
 _MOST_LISTED: Final = 40
 """Most topics that an error lists."""
@@ -146,8 +191,9 @@ class ForeignTopics:
         self._receive = receive
         self._types = {node.resolve_topic_name(topic): kind for topic, kind in types.items()}
         self._names = {c.topic: node.resolve_topic_name(c.topic) for c in channels}
-        self._counted: dict[str, int] = {}
-        self._readers: dict[str, tuple[Any, Any]] = {}  # profile and subscription
+        quiet = SubscriptionEventCallbacks(use_default_callbacks=False)
+        # One each: a topic may be configured under two names, with a namespace and without.
+        self._following = {topic: Following(node, event_callbacks=quiet) for topic in self._names}
         self.kinds: dict[str, str] = {}
         """Types of the topics found, by topic name as configured."""
 
@@ -167,12 +213,8 @@ class ForeignTopics:
             TwinmatchError: a topic has several types, or a type that is not installed.
         """
         for topic, name in self._names.items():
-            count = self.publishers(topic)
-            if count and count != self._counted.get(topic):
-                self._subscribe(topic, name)
-                self._counted[topic] = count
-            elif not count:
-                self._counted.pop(topic, None)
+            if publishers := self._following[topic].news(name):
+                self._subscribe(topic, name, publishers)
 
     def path(self, channel: Channel) -> str:
         """The field path of a channel whose topic was found.
@@ -195,26 +237,13 @@ class ForeignTopics:
         more = f" and {len(found) - _MOST_LISTED} more" if len(found) > _MOST_LISTED else ""
         return ", ".join(found[:_MOST_LISTED]) + more or "none, in this domain and from this machine"
 
-    def _subscribe(self, topic: str, name: str) -> None:
-        endpoints = self._node.get_publishers_info_by_topic(name)
-        if not endpoints:
-            return
-        kind = self._kind(topic, name, {endpoint.topic_type for endpoint in endpoints})
-        profile = profile_of(offered([e for e in endpoints if e.topic_type == kind] or endpoints))
-        known, reader = self._readers.get(topic, (None, None))
-        if known == profile:
-            return
+    def _subscribe(self, topic: str, name: str, publishers: Sequence[Any]) -> None:
+        kind = self._kind(topic, name, {publisher.topic_type for publisher in publishers})
+        ours = [publisher for publisher in publishers if publisher.topic_type == kind] or publishers
         try:
-            sent = message_class(kind)
-        except TwinmatchError as error:
+            self._following[topic].subscribe(name, kind, ours, partial(self._receive, topic))
+        except MessageTypeError as error:
             raise SamplingError(f"{topic}: {error}") from error
-        if reader is not None:  # a new publisher offers a weaker QoS
-            self._node.destroy_subscription(reader)
-        quiet = SubscriptionEventCallbacks(use_default_callbacks=False)
-        reader = self._node.create_subscription(
-            sent, name, partial(self._receive, topic), profile, event_callbacks=quiet
-        )
-        self._readers[topic] = profile, reader
         self.kinds[topic] = kind
 
     def _kind(self, topic: str, name: str, found: set[str]) -> str:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import importlib
 import time
 from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from rclpy.clock import Clock, ClockType
 from rosgraph_msgs.msg import Clock as ClockMessage
@@ -16,9 +15,9 @@ from twinmatch.nodes.health import Level, Report
 from twinmatch.nodes.messages import description_from
 from twinmatch.nodes.node import TwinmatchNode
 from twinmatch.nodes.plant_clock import CLOCK
-from twinmatch.nodes.topics import LATCHED, offered, profile_of, wanted
+from twinmatch.nodes.topics import LATCHED, Following, wanted
 from twinmatch.parameters.declared import Setting
-from twinmatch.sessions import Qos, SessionError
+from twinmatch.sessions import SessionError
 from twinmatch.sessions.messages import schema_of
 from twinmatch.showing.foxglove.layout import APPLIED, IMAGE, OUTSIDE, TOPICS, layout, write_layout
 from twinmatch.showing.foxglove.server import GraphServer, StreamTime
@@ -52,8 +51,7 @@ class Foxglove(TwinmatchNode):
         self._server = GraphServer("twinmatch", address, self.values["port"])
         self._serving = True
         self._time = StreamTime()
-        self._offers: dict[str, tuple[int, Qos]] = {}
-        self._readers: dict[str, Any] = {}
+        self._following = Following(self, raw=True)
         self._types: dict[str, str] = {}
         self._unknown: set[str] = set()
         rig = self.get_namespace().rstrip("/")
@@ -76,7 +74,7 @@ class Foxglove(TwinmatchNode):
         """Report the address and the numbers of viewers and topics."""
         self.health.set("address", self._server.url)
         self.health.set("viewers", self._server.viewers)
-        self.health.set("topics", len(self._readers))
+        self.health.set("topics", len(self._following))
         return super().report()
 
     def close(self) -> bool:
@@ -100,7 +98,7 @@ class Foxglove(TwinmatchNode):
         if self._described is None:
             return
         rig = self.get_namespace().rstrip("/")
-        present = frozenset(topic for topic in (APPLIED, IMAGE) if f"{rig}/{topic}" in self._readers)
+        present = frozenset(topic for topic in (APPLIED, IMAGE) if f"{rig}/{topic}" in self._following)
         if self._laid_out == (self._described, present):
             return
         self._laid_out = self._described, present
@@ -114,29 +112,15 @@ class Foxglove(TwinmatchNode):
 
     def _subscribe(self, name: str) -> None:
         """Subscribe to a topic, or again if its publishers now offer another QoS."""
-        publishers = self.count_publishers(name)
-        known = self._offers.get(name)
-        if publishers == (0 if known is None else known[0]):
+        publishers = self._following.news(name)
+        if publishers is None:
             return
-        if not publishers and known is not None:
-            self._offers[name] = 0, known[1]
+        if not publishers:
             self._server.forget(name)
             return
-        endpoints = self.get_publishers_info_by_topic(name)
-        if not endpoints:
-            return
-        qos, kind = offered(endpoints), endpoints[0].topic_type
-        self._offers[name] = publishers, qos
-        if known is not None:
-            if profile_of(known[1]) == profile_of(qos):
-                return
-            self.destroy_subscription(self._readers.pop(name))
-        elif not self._advertise(name, kind):
-            return
-        package, _, short = kind.split("/")
-        message = getattr(importlib.import_module(f"{package}.msg"), short)
-        take = partial(self._on_message, name)
-        self._readers[name] = self.create_subscription(message, name, take, profile_of(qos), raw=True)
+        kind = publishers[0].topic_type
+        if name in self._following or self._advertise(name, kind):
+            self._following.subscribe(name, kind, publishers, partial(self._on_message, name))
 
     def _advertise(self, name: str, kind: str) -> bool:
         """Advertise a topic to viewers, once; returns whether it can be shown."""
