@@ -16,13 +16,12 @@ from twinmatch.links.kit_link import require_package, require_port
 from twinmatch.nodes.sampler import sources_of, understood
 from twinmatch.nodes.step import PATIENCE
 from twinmatch.parameters.declared import ParameterError, Values, check, flattened, render
-from twinmatch.parameters.loop import closing_of
-from twinmatch.parameters.twin import at_period, read_settings, twin_table, values_of
+from twinmatch.parameters.twin import at_period, closing_of, read_settings, twin_table, values_of
 from twinmatch.plants import find_plant, written_name
 from twinmatch.sessions.column_map import ColumnMap
 from twinmatch.sessions.documents import DocumentError, read_yaml
 from twinmatch.sessions.mapped import by_signal
-from twinmatch.sessions.sampling import REFERENCE
+from twinmatch.sessions.sampler import REFERENCE
 
 SAMPLER = "sampler"
 

@@ -13,8 +13,7 @@ from twinmatch.comparing import Verdict
 from twinmatch.launching.processes import LaunchError
 from twinmatch.launching.watch import Supervised, Watch
 from twinmatch.offline.summary import SessionSummary, summarise
-from twinmatch.parameters.loop import UNKNOWN
-from twinmatch.parameters.twin import at_period, read_settings
+from twinmatch.parameters.twin import UNKNOWN, at_period, read_settings
 from twinmatch.plants import written_name
 from twinmatch.sessions import Session, samples_of, write_session
 from twinmatch.showing.lines import Lines

@@ -20,7 +20,7 @@ from twinmatch.nodes.messages import sample_message, time_message
 from twinmatch.nodes.node import READERS, Missed, Readers, TwinmatchNode
 from twinmatch.nodes.topics import LATCHED, RELIABLE
 from twinmatch.parameters.declared import ParameterError, Setting, Values, group
-from twinmatch.parameters.loop import loop_parameters, pid_gains
+from twinmatch.parameters.twin import loop_parameters, pid_gains
 from twinmatch.plants import Peltier, find_plant, written_name
 from twinmatch_msgs.msg import LoopSample, PlantApplied, PlantCommand, PlantReading, PwmApplied, PwmCommand
 

@@ -23,7 +23,7 @@ from twinmatch.nodes.health import Level, Report
 from twinmatch.nodes.messages import nanoseconds
 from twinmatch.nodes.topics import RELIABLE
 from twinmatch.parameters.declared import Setting, given_to, parameters_of
-from twinmatch.parameters.loop import unit_of
+from twinmatch.parameters.twin import unit_of
 from twinmatch.plants import Peltier
 from twinmatch.safety import FaultKind, GuardLimits
 from twinmatch_msgs.msg import PwmApplied, PwmCommand

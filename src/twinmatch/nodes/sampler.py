@@ -20,18 +20,9 @@ from twinmatch.nodes.topics import RELIABLE, ForeignTopics
 from twinmatch.parameters.declared import ParameterError, Setting
 from twinmatch.plants import Peltier, find_plant, written_name
 from twinmatch.plants.records import description_of
+from twinmatch.sessions.channels import SamplingError, SignalSource, follow
 from twinmatch.sessions.column_map import parse_source
-from twinmatch.sessions.sampling import (
-    INPUT,
-    OUTPUT,
-    REFERENCE,
-    TIMER,
-    Limits,
-    Sampler,
-    SamplingError,
-    SignalSource,
-    follow,
-)
+from twinmatch.sessions.sampler import INPUT, OUTPUT, REFERENCE, TIMER, Limits, Sampler
 from twinmatch_msgs.msg import LoopSample
 
 _PERIODS: Final = 3.0

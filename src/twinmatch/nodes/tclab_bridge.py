@@ -12,7 +12,7 @@ from twinmatch.nodes.gated import NAN, Decision, DriverThread, GatedNode, fault_
 from twinmatch.nodes.messages import nanoseconds
 from twinmatch.nodes.topics import RELIABLE
 from twinmatch.parameters.declared import Setting
-from twinmatch.parameters.loop import unit_of
+from twinmatch.parameters.twin import unit_of
 from twinmatch.plants import TCLab
 from twinmatch.safety import FaultKind, GuardLimits, RunawayLimits
 from twinmatch_msgs.msg import PlantApplied, PlantCommand, PlantReading

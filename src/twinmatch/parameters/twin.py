@@ -1,8 +1,8 @@
-"""The parameters of the twin's nodes, one table for all three, and the settings they define.
+"""The parameters of the running loop and of the twin's nodes, and the settings they define.
 
-Matcher, discriminator and twin simulator must agree on these, so they share the table, and an offline replay
-reads the same file. The start values, with their units and ranges, are those of the selected `plant` and
-`structure`.
+Controller and twin must agree on sampling period and PID; matcher, discriminator and twin simulator on all,
+so they share one table, and an offline replay reads the same file. The start values, with their units and
+ranges, are those of the selected `plant` and `structure`.
 """
 
 from __future__ import annotations
@@ -12,7 +12,18 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
-from twinmatch.dynamics import FROM_PLANT_FILE, FromPlantFile, LoopGains, Model, Plant, PlantError, Sensor
+from twinmatch.dynamics import (
+    FROM_PLANT_FILE,
+    Drive,
+    FromPlantFile,
+    LoopGains,
+    Model,
+    PidGains,
+    Plant,
+    PlantError,
+    Sensor,
+    gains_for,
+)
 from twinmatch.errors import TwinmatchError
 from twinmatch.fitting import Noise
 from twinmatch.fmu import adopt_fmus
@@ -25,11 +36,68 @@ from twinmatch.parameters.declared import (
     group,
     parameters_of,
 )
-from twinmatch.parameters.loop import UNKNOWN, closing_of, loop_parameters, pid_gains, unit_of
 from twinmatch.plants import Peltier, find_plant, plant_named, written_name
 from twinmatch.plants.records import structure_of
 from twinmatch.sessions.documents import DocumentError, read_yaml
 from twinmatch.twin import ForecastSettings, TrustLimits, TwinError, TwinSettings
+
+UNKNOWN: Final = "unknown"
+"""Value of `loop` for a twin that is driven by the recorded input."""
+
+_MOST = 1e4
+"""Largest gain; a larger one means a wrong unit."""
+
+
+def unit_of(drive: Drive) -> str:
+    """Unit of the control; its name where it has none."""
+    return drive.unit or drive.name
+
+
+def closing_of(values: Mapping[str, Any]) -> LoopGains:
+    """The loop that parameter `loop` selects; without it, that of the plant file."""
+    return None if values.get("loop", FromPlantFile.LOOP.value) == UNKNOWN else FROM_PLANT_FILE
+
+
+def loop_parameters(plant: type[Plant], closing: LoopGains = FROM_PLANT_FILE) -> tuple[Setting, ...]:
+    """The sampling period, and the gains of the plant's controller if it is known."""
+    usual = plant.loop.period if plant.loop else 1.0
+    has = gains_for(plant, usual, closing)
+    period = Setting("period", usual, "Sampling period of the loop.", "s", 0.01, 60.0)
+    if has is None:
+        return (period,)
+    u, y = unit_of(plant.drive), plant.output.unit
+    low, high = plant.drive.limits
+    gains = (
+        ("proportional", "Proportional gain of the running PID.", f"{u}/{y}"),
+        ("integral", "Integral gain.", f"{u}/({y}·s)"),
+        ("derivative", "Derivative gain.", f"{u}·s/{y}"),
+    )
+    return (
+        period,
+        *(
+            Setting(f"pid.{name}", getattr(has, name), text, unit, *_span(getattr(has, name)))
+            for name, text, unit in gains
+        ),
+        Setting("pid.back_calculation", has.back_calculation, "Anti-windup gain.", "1/s", 0.0, 1e3),
+        Setting("pid.low", has.low, "Lower output limit.", u, low, high),
+        Setting("pid.high", has.high, "Upper output limit.", u, low, high),
+        Setting(
+            "pid.on_measurement",
+            has.on_measurement,
+            "Derivative of the measurement instead of the error: no kick at set-point steps.",
+        ),
+    )
+
+
+def pid_gains(values: Mapping[str, Any]) -> PidGains:
+    """The controller from checked parameter values that include the gains."""
+    return PidGains(period=values["period"], **group(values, "pid."))
+
+
+def _span(default: float) -> tuple[float, float]:
+    """The range of a gain, without the wrong sign, which would drive the plant away from its set-point."""
+    return (0.0, _MOST) if default >= 0 else (-_MOST, 0.0)
+
 
 _RENAMED: Final[Mapping[str, tuple[str, ...]]] = {
     "noise.temperature": ("noise.output",),
@@ -123,7 +191,6 @@ def recorded_values(place: str, given: Mapping[str, Any]) -> Values:
 
 def settings_from(values: Mapping[str, Any]) -> TwinSettings:
     """Settings from checked parameter values."""
-
     plant, period = find_plant(values["plant"]), values["period"]
     usual = TwinSettings.of(plant, values["structure"], period, closing_of(values))
     sensor = group(values, "sensor.")
@@ -287,11 +354,6 @@ def _numbers(has: TwinSettings) -> tuple[Setting, ...]:
 
 
 def _refuse_renamed(place: str, given: Mapping[str, Any]) -> None:
-    """Refuse names that are no longer used.
-
-    Raises:
-        ParameterError: a given name is no longer used.
-    """
     for name, now in _RENAMED.items():
         if name in given:
             raise ParameterError(f"{place}: {name} is now called {' and '.join(now)}; rename it")

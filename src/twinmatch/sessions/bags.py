@@ -15,14 +15,7 @@ import numpy as np
 
 from twinmatch.dynamics import Plant
 from twinmatch.errors import TwinmatchError
-from twinmatch.sessions.column_map import Column, ColumnMap, Source, described
-from twinmatch.sessions.files import ProgressCallback, RecordingError, part_of
-from twinmatch.sessions.mapped import TIME, Mapped, by_signal, map_samples
-from twinmatch.sessions.resampling import Gaps, bridged_up_to
-from twinmatch.sessions.sampling import (
-    INPUT,
-    OUTPUT,
-    REFERENCE,
+from twinmatch.sessions.channels import (
     Channel,
     Field,
     SamplingError,
@@ -32,6 +25,11 @@ from twinmatch.sessions.sampling import (
     follow,
     usual_unit,
 )
+from twinmatch.sessions.column_map import Column, ColumnMap, Source, described
+from twinmatch.sessions.files import ProgressCallback, RecordingError, part_of
+from twinmatch.sessions.mapped import TIME, Mapped, by_signal, map_samples
+from twinmatch.sessions.resampling import Gaps, bridged_up_to
+from twinmatch.sessions.sampler import INPUT, OUTPUT, REFERENCE
 from twinmatch.sessions.tables import Table
 from twinmatch.signals import FloatArray
 

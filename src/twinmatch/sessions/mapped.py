@@ -15,7 +15,7 @@ from twinmatch.sessions.column_map import ColumnMap, Source
 from twinmatch.sessions.files import RecordingError
 from twinmatch.sessions.recording import EPOCH
 from twinmatch.sessions.resampling import Gaps, Kind, Resampled, repeated, resample
-from twinmatch.sessions.sampling import INPUT, OUTPUT, REFERENCE
+from twinmatch.sessions.sampler import INPUT, OUTPUT, REFERENCE
 from twinmatch.sessions.tables import Table, split_title
 from twinmatch.sessions.times import Times, read_times, row_times
 from twinmatch.signals import FloatArray, Sample

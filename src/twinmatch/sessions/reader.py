@@ -1,14 +1,22 @@
-"""Reads a session: all its samples, and its messages as a stream."""
+"""Reads a session: all its samples, and its messages as a stream.
+
+A recorder that was killed is replaced by another one, with another folder: the pieces of one run are `run`,
+`run_2`, `run_3` …, and a record in each of them but the first names the first. A new recorder fetches what
+was published before it started, so the last piece usually holds the whole run.
+"""
 
 from __future__ import annotations
 
 import math
+import os
 import re
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
-from itertools import chain, pairwise
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from itertools import chain, count, pairwise
 from pathlib import Path
+from typing import Final
 
 from twinmatch.sessions.files import ProgressCallback, SessionError, part_of
 from twinmatch.sessions.messages import (
@@ -20,8 +28,7 @@ from twinmatch.sessions.messages import (
     decode_sample,
     fields_of,
 )
-from twinmatch.sessions.metadata import METADATA, files_listed, has_reference, mcap_files, plant_of
-from twinmatch.sessions.pieces import first_of, joined, pieces_of
+from twinmatch.sessions.metadata import CONTINUES, METADATA, files_listed, has_reference, mcap_files, plant_of
 from twinmatch.sessions.resampling import rounded_period
 from twinmatch.sessions.scan import Scan
 from twinmatch.signals import Sample, Window
@@ -135,8 +142,96 @@ def read_session(
             left_out.append(f"{piece.name} is left out: {error}")
     if not found:
         raise errors[0]
-    whole: Session = joined(found, path, left_out)
-    return whole
+    return _joined(found, path, left_out)
+
+
+_NUMBERED: Final = re.compile(r"(?P<first>.+)_(?P<number>[2-9]|[1-9]\d+)")
+
+
+def pieces_of(path: Path) -> list[Path]:
+    """The folders of the run that begins with this one, itself included, in their order."""
+    found = [path]
+    if not path.is_dir():
+        return found
+    whole = Path(os.path.realpath(path))  # `resolve` fails for circular links
+    for number in count(2):
+        piece = whole.with_name(f"{whole.name}_{number}")
+        if not piece.is_dir() or not _continues(piece, whole.name):
+            return found
+        found.append(piece)
+    return found
+
+
+def first_of(path: Path) -> Path:
+    """The folder that begins the run of this one: itself, unless it continues another one that is there."""
+    whole = Path(os.path.realpath(path))
+    match = _NUMBERED.fullmatch(whole.name)
+    if match is None:
+        return path
+    first = whole.with_name(match["first"])
+    return first if first.is_dir() and whole in pieces_of(first) else path
+
+
+def _continues(piece: Path, first: str) -> bool:
+    """Whether a folder says so; one whose recorder was killed at once may not even say that."""
+    try:
+        scan = Scan(mcap_files(piece)[0])
+    except SessionError:
+        return False
+    with suppress(SessionError):
+        next(iter(scan), None)
+        if scan.records or scan.topics:
+            return scan.records.get(CONTINUES, {}).get("session") == first
+    return True
+
+
+def _joined(found: Sequence[Session], path: Path, notes: Sequence[str]) -> Session:
+    """Sessions of one run as one: the last that begins at its beginning, and later messages of others.
+
+    Args:
+        found: the sessions, at least one, in their order.
+        path: the folder of the run.
+        notes: remarks on pieces that were left out.
+    """
+    begin = min(session.samples[0].index for session in found)
+    base = max(k for k, session in enumerate(found) if session.samples[0].index == begin)
+    whole, later = found[base], found[base + 1 :]
+    notes = [*notes, f"{whole.path.name} holds the run from its beginning"] if len(found) > 1 else [*notes]
+    samples = list(whole.samples)
+    for session in later:
+        samples += [sample for sample in session.samples if sample.index > samples[-1].index]
+    source = _one_after_another([session.source for session in (whole, *later)]) if later else whole.source
+    counts = Counter(message.topic.name for message in source()) if later else whole.counts
+    topics = {topic.name: topic for session in (*later, whole) for topic in session.topics}
+    return replace(
+        whole,
+        name=Path(os.path.realpath(path)).name,
+        path=path,
+        samples=samples,
+        topics=list(topics.values()),
+        counts={name: counts[name] for name in topics},
+        end=max(session.end for session in (whole, *later)),
+        notes=[*notes, *whole.notes],
+        source=source,
+    )
+
+
+def _one_after_another(
+    sources: Sequence[Callable[[], Iterable[Message]]],
+) -> Callable[[], Iterator[Message]]:
+    """The messages of the first, then of each other one those that are later."""
+
+    def messages() -> Iterator[Message]:
+        end = -1
+        for source in sources:
+            newest = end
+            for message in source():
+                if message.log_time > end:
+                    newest = max(newest, message.log_time)
+                    yield message
+            end = newest
+
+    return messages
 
 
 def _read(path: Path, topic: str | None, progress: ProgressCallback | None) -> Session:
@@ -183,8 +278,8 @@ def _reported(scans: Sequence[Scan], progress: ProgressCallback | None) -> Itera
         yield from chain.from_iterable(scans)
         return
     total = sum(scan.path.stat().st_size for scan in scans if scan.path.is_file())
-    for count, message in enumerate(chain.from_iterable(scans), 1):
-        if count % MESSAGES_BETWEEN == 0:
+    for number, message in enumerate(chain.from_iterable(scans), 1):
+        if number % MESSAGES_BETWEEN == 0:
             progress(sum(scan.read for scan in scans), total)
         yield message
 

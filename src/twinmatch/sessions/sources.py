@@ -32,7 +32,7 @@ from twinmatch.sessions.messages import PLANT_TOPICS, SAMPLE, plant_messages
 from twinmatch.sessions.reader import Session, read_session
 from twinmatch.sessions.recording import samples_of
 from twinmatch.sessions.resampling import period_of_ticks
-from twinmatch.sessions.sampling import INPUT, OUTPUT, REFERENCE
+from twinmatch.sessions.sampler import INPUT, OUTPUT, REFERENCE
 from twinmatch.sessions.scan import MAGIC
 from twinmatch.sessions.tables import Table, read_table, split_title
 from twinmatch.signals import KELVIN, Sample, Window

@@ -17,7 +17,7 @@ import twinmatch
 from twinmatch.errors import TwinmatchError
 from twinmatch.sessions.documents import DocumentError, parse_json
 from twinmatch.sessions.files import read_bounded
-from twinmatch.sessions.pieces import first_of, pieces_of
+from twinmatch.sessions.reader import first_of, pieces_of
 
 
 class ArchiveError(TwinmatchError):

@@ -10,22 +10,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from twinmatch.sessions.resampling import resample
-from twinmatch.sessions.sampling import (
+from twinmatch.sessions.channels import (
     Channel,
     Field,
-    Grid,
-    Limits,
-    Rate,
-    Sampler,
     SamplingError,
     check_path,
     fields_below,
     follow,
     parse_channel,
+    steps,
 )
-from twinmatch.sessions.sampling.channels import steps
-from twinmatch.sessions.sampling.sampler import SignalBuffer
+from twinmatch.sessions.resampling import resample
+from twinmatch.sessions.sampler import Grid, Limits, Rate, Sampler, SignalBuffer
 from twinmatch.signals import Sample
 
 SECOND = 1_000_000_000
