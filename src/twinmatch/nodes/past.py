@@ -11,6 +11,7 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from heapq import heappop, heappush
 from typing import Any, NamedTuple
 
 from rclpy.serialization import deserialize_message, serialize_message
@@ -267,16 +268,15 @@ class Copies:
         """Take note of a fetched message of a topic."""
         self._fetched.setdefault(name, set()).add(values)
 
-    def expected(self, name: str) -> bool:
-        """Whether copies of fetched messages of this topic may still arrive."""
-        return name in self._fetched
-
-    def found(self, name: str, values: str) -> bool:
-        """Whether this message was fetched; if not, no later one of its topic was."""
-        if values in self._fetched.get(name, ()):
-            return True
-        self._fetched.pop(name, None)
-        return False
+    def found(self, name: str, values: Callable[[], str]) -> bool:
+        """Whether a message with these values was fetched; if not, no later one of its topic was."""
+        fetched = self._fetched.get(name)
+        if fetched is None:
+            return False
+        if values() not in fetched:
+            del self._fetched[name]
+            return False
+        return True
 
 
 class InOrder:
@@ -286,51 +286,36 @@ class InOrder:
     messages about it have arrived, so that a recorder killed in between leaves a session without a gap.
     """
 
-    def __init__(self, write: Callable[[str, Fetched], None], sample: str, kinds: Iterable[str]) -> None:
-        """Write with `write`; `sample` is the topic of the samples, `kinds` are those of the messages."""
-        self._write, self._topic = write, sample
-        self._samples: deque[Fetched] = deque()
-        self._about: dict[str, deque[Fetched]] = {name: deque() for name in kinds}
-        self._known = dict.fromkeys(self._about, -math.inf)  # all messages about earlier samples have arrived
-        self.counts = dict.fromkeys(self._about, 0)
+    def __init__(self, write: Callable[[str, Fetched], None], topics: Sequence[str]) -> None:
+        """Write with `write`; the first of the topics is that of the samples."""
+        self._write, self._ranks = write, {name: rank for rank, name in enumerate(topics)}
+        self._held: list[tuple[int, int, int, str, Fetched]] = []  # a heap, in the order of writing
+        self._known = dict.fromkeys(topics, -math.inf)  # all about earlier samples has arrived
+        self.counts = dict.fromkeys(topics, 0)
         """Messages fetched so far, by topic."""
 
     @property
     def waiting(self) -> int:
-        """Number of samples held back."""
-        return len(self._samples)
+        """Number of samples and messages held back."""
+        return len(self._held)
 
-    def add_samples(self, samples: Iterable[Fetched]) -> None:
-        """Take samples, in the order of their indices."""
-        self._samples.extend(samples)
-
-    def add_messages(self, name: str, messages: Iterable[Fetched], there_are: int) -> None:
+    def add(self, name: str, messages: Iterable[Fetched], there_are: float = math.inf) -> None:
         """Take messages of a topic, in the order of their samples; the keeper has `there_are` of them."""
+        rank = self._ranks[name]
         for message in messages:
-            self._about[name].append(message)
-            self._known[name] = message.sample  # another one about this sample may follow
             self.counts[name] += 1
+            heappush(self._held, (message.sample, rank, self.counts[name], name, message))
+            # Another message about this sample may follow, but no other sample of this index.
+            self._known[name] = message.sample + (rank == 0)
         if self.counts[name] >= there_are:
             self._known[name] = math.inf
 
-    def write(self) -> None:
-        """Write the samples whose messages have all arrived, and those messages."""
-        self._write_before(min(self._known.values(), default=math.inf))
-
-    def finish(self) -> None:
-        """Write everything that is left."""
-        self._write_before(math.inf)
-        for name, messages in self._about.items():
-            while messages:
-                self._write(name, messages.popleft())
-
-    def _write_before(self, end: float) -> None:
-        while self._samples and self._samples[0].sample < end:
-            sample = self._samples.popleft()
-            self._write(self._topic, sample)
-            for name, messages in self._about.items():
-                while messages and messages[0].sample <= sample.sample:
-                    self._write(name, messages.popleft())
+    def write(self, end: float | None = None) -> None:
+        """Write the samples before `end` and the messages about them; by default all that is complete."""
+        end = min(self._known.values()) if end is None else end
+        while self._held and self._held[0][0] < end:
+            *_, name, message = heappop(self._held)
+            self._write(name, message)
 
 
 Write = Callable[[str, bytes, int], None]
@@ -360,7 +345,7 @@ class RecorderPast:
         self._waiting: list[tuple[str, bytes, int]] | None = []  # messages held back until then
         self._until: int | None = None  # index of the first sample that came live
         self._next = 0
-        self._order = InOrder(lambda name, it: write(name, it.data, it.stamp), self._sample, self._kinds)
+        self._order = InOrder(lambda name, it: write(name, it.data, it.stamp), names)
         self._copies = Copies()
         self._since = 0.0
         self._timer = node.wall_timer(self.INTERVAL, self._request)
@@ -384,7 +369,7 @@ class RecorderPast:
         """Write what was held back, except what was fetched too, and hold nothing back from now on."""
         if self._waiting is None:
             return
-        self._order.finish()
+        self._order.write(math.inf)
         waiting, self._waiting = self._waiting, None
         self._timer.cancel()
         for name, data, now in waiting:
@@ -408,14 +393,14 @@ class RecorderPast:
         if self._waiting is None or self._until is None:
             return
         samples = list(samples_of_answer(answer))
-        self._order.add_samples(Fetched(s.index, encode_sample(s), s.stamp) for s in samples)
+        self._order.add(self._sample, [Fetched(s.index, encode_sample(s), s.stamp) for s in samples])
         if samples:
             self._next = samples[-1].index + 1
         heard = {self._match: answer.matches_heard, self._score: answer.scores_heard}
         for name, messages in ((self._match, answer.match), (self._score, answer.score)):
             for message in messages:
                 self._copies.add(name, repr(message))
-            self._order.add_messages(name, map(_fetched, messages), heard[name])
+            self._order.add(name, map(_fetched, messages), heard[name])
         self._order.write()
         progress = bool(samples or answer.match or answer.score)
         if progress:
@@ -428,10 +413,7 @@ class RecorderPast:
             self._request()
 
     def _is_copy(self, name: str, data: bytes) -> bool:
-        """Whether a message was fetched too."""
-        if not self._copies.expected(name):
-            return False
-        return self._copies.found(name, values_of(bytes(data), self._kinds[name]))
+        return self._copies.found(name, lambda: values_of(bytes(data), self._kinds[name]))
 
 
 def values_of(data: bytes, kind: type[Match | ModelScore]) -> str:
