@@ -53,7 +53,7 @@ class Graph:
         self._rate = node.create_client(SetParameters, "player/set_parameters")
 
     def _start(self, name: str, *words: str) -> subprocess.Popen[bytes]:
-        command = [sys.executable, "-m", f"twinmatch.nodes.{name}", *words]
+        command = [sys.executable, "-m", "twinmatch.nodes", name, *words]
         self._processes.append(subprocess.Popen(command, stdout=subprocess.DEVNULL))
         return self._processes[-1]
 

@@ -57,7 +57,7 @@ def start_process(processes: Processes) -> Start:
 
     def start_node(name: str, *ros_arguments: str) -> Process:
         words = ["--ros-args", *ros_arguments] if ros_arguments else []
-        return processes.python("-m", f"twinmatch.nodes.{name}", *words)
+        return processes.python("-m", "twinmatch.nodes", name, *words)
 
     return start_node
 

@@ -161,7 +161,7 @@ def node(tmp_path: Path) -> Iterator[Callable[..., Process]]:
 
     def start(name: str, *parameters: str) -> Process:
         words = [word for parameter in parameters for word in ("-p", parameter)]
-        return processes.python("-m", f"twinmatch.nodes.{name}", "--ros-args", *words)
+        return processes.python("-m", "twinmatch.nodes", name, "--ros-args", *words)
 
     yield start
     processes.end()
