@@ -21,6 +21,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from twinmatch.errors import TwinmatchError
+from twinmatch.links import Background
 
 _LONGEST = 32
 _PATIENCE = 30.0
@@ -171,32 +172,18 @@ class ClockServer:
         self._clients.clear()
 
 
-class ClockClient:
+class ClockClient(Background):
     """A reader's side: a thread that calls `tell` with the newest time, and reconnects when necessary."""
 
     def __init__(self, address: tuple[str, int], tell: Callable[[int], None]) -> None:
+        super().__init__("plant clock", self._keep_following, 3.0)
         self.address = address
         self.error: str = "not connected yet"
         """Why there is no connection; empty while there is one."""
-        self.failure: Exception | None = None
-        """The error that ended the thread, if any."""
         self._tell = tell
         self._connection: socket.socket | None = None
         self._said: dict[str, int] = {}
         self._lock = threading.Lock()
-        self._stopping = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="plant clock", daemon=True)
-
-    def start(self) -> None:
-        """Start the thread; returns at once."""
-        self._thread.start()
-
-    def close(self) -> bool:
-        """End the thread; returns whether it ended."""
-        self._stopping.set()
-        if self._thread.ident is not None:
-            self._thread.join(3.0)
-        return not self._thread.is_alive()
 
     def say(self, kind: str, stamp: int) -> None:
         """Tell the rig one of the words above, and a plant time, ns; repeated after a reconnection."""
@@ -209,15 +196,9 @@ class ClockClient:
             with contextlib.suppress(OSError):
                 self._connection.sendall(b"%s %d\n" % (kind.encode(), self._said[kind]))
 
-    def _run(self) -> None:
-        try:
-            self._keep_following()
-        except Exception as error:  # checked by the owner
-            self.failure = error
-
     def _keep_following(self) -> None:
         pause = _FIRST_PAUSE
-        while not self._stopping.is_set():
+        while not self.ending.is_set():
             try:
                 with socket.create_connection(self.address, timeout=1.0) as connection:
                     # Or a word would wait 40 ms for the acknowledgement of the one before.
@@ -232,13 +213,13 @@ class ClockClient:
             except (OSError, ClockError) as error:
                 self.error = str(error)
             self._connection = None
-            self._stopping.wait(pause)
+            self.ending.wait(pause)
             pause = min(2 * pause, _LONGEST_PAUSE)
 
     def _follow(self, connection: socket.socket) -> None:
         connection.settimeout(0.2)
         rest = b""
-        while not self._stopping.is_set():
+        while not self.ending.is_set():
             try:
                 piece = connection.recv(4096)
             except TimeoutError:

@@ -12,6 +12,7 @@ from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import Image, Temperature
 from std_msgs.msg import Float64, Header
 
+from twinmatch.links import Background
 from twinmatch.links.thermal_client import (
     ClientSettings,
     LinkState,
@@ -25,7 +26,7 @@ from twinmatch.links.thermal_client import (
 from twinmatch.links.thermal_frame import DEFAULT_PORT, Exposure, ThermalFrame
 from twinmatch.nodes.health import Level, Report
 from twinmatch.nodes.messages import time_message
-from twinmatch.nodes.node import Background, TwinmatchNode
+from twinmatch.nodes.node import TwinmatchNode
 from twinmatch.parameters.declared import Setting, given_to, parameters_of
 from twinmatch.signals import KELVIN
 

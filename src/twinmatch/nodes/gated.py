@@ -19,10 +19,11 @@ from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 from std_srvs.srv import Trigger
 
 from twinmatch.errors import TwinmatchError
+from twinmatch.links import Background
 from twinmatch.links.kit_link import KitLink
 from twinmatch.links.pwm_link import PwmLink
 from twinmatch.nodes.health import Level, NodeHealth, Report
-from twinmatch.nodes.node import Background, TwinmatchNode
+from twinmatch.nodes.node import TwinmatchNode
 from twinmatch.nodes.senders import Senders
 from twinmatch.nodes.step import FOREVER, InStep
 from twinmatch.nodes.topics import RELIABLE

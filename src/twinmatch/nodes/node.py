@@ -7,7 +7,6 @@ its callbacks never wait.
 from __future__ import annotations
 
 import math
-import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from queue import Empty, SimpleQueue
@@ -21,6 +20,7 @@ from rclpy.node import Node
 from rclpy.timer import Timer
 
 from twinmatch.errors import TwinmatchError
+from twinmatch.links import Background
 from twinmatch.nodes.entrance import Entrance
 from twinmatch.nodes.health import Level, NodeHealth, Report, status_message
 from twinmatch.nodes.step import InStep
@@ -28,36 +28,6 @@ from twinmatch.parameters.declared import ParameterError, Setting, Values, check
 
 PERIOD = 1.0
 """Reporting period (REP 107), s, by a clock that runs even while simulated time is stopped."""
-
-
-class Background:
-    """A thread of a node; an error in it is handed to the main thread, which ends the process with it."""
-
-    failure: Exception | None = None
-    """The error that ended the thread, if any."""
-
-    def __init__(self, name: str, run: Callable[[], None], patience: float = 2.0) -> None:
-        """`run` returns soon after `ending` is set; `close` waits for it `patience` s by default."""
-        self.ending = threading.Event()
-        self._run, self._patience = run, patience
-        self._thread = threading.Thread(target=self._guarded, name=name, daemon=True)
-
-    def start(self) -> None:
-        """Start the thread."""
-        self._thread.start()
-
-    def close(self, timeout: float | None = None) -> bool:
-        """End the thread; returns whether it ended within the timeout (s)."""
-        self.ending.set()
-        if self._thread.ident is not None:
-            self._thread.join(self._patience if timeout is None else timeout)
-        return not self._thread.is_alive()
-
-    def _guarded(self) -> None:
-        try:
-            self._run()
-        except Exception as error:
-            self.failure = error
 
 
 Item = TypeVar("Item")

@@ -10,8 +10,9 @@ from typing import Any
 
 from rclpy.publisher import Publisher
 
+from twinmatch.links import Background
 from twinmatch.nodes.health import Level, NodeHealth, Report
-from twinmatch.nodes.node import Background, TwinmatchNode, Worker
+from twinmatch.nodes.node import TwinmatchNode, Worker
 from twinmatch.nodes.past import CatchingUp, Stream
 from twinmatch.nodes.topics import EVERYTHING
 from twinmatch.parameters.declared import Setting
