@@ -236,7 +236,6 @@ class VirtualPlantTime(ABC):
         return True
 
     def _attend(self, watch: Callable[[], object]) -> None:
-        """Obey commands, and call `watch`."""
         now = time.monotonic()
         if now - self._attended >= _ATTEND_EVERY:
             self._attended = now

@@ -150,7 +150,6 @@ class VirtualCamera:
         raise VirtualCameraError(f"virtual camera: its program was not ready after {_PATIENCE:g} s")
 
     def _show(self) -> None:
-        """Send the newest image to the program."""
         self._shown_at = time.monotonic()
         if self._process is not None and self._line:
             with contextlib.suppress(BlockingIOError, BrokenPipeError):  # it is slow, or its end is noticed
@@ -158,7 +157,6 @@ class VirtualCamera:
             self._listen()
 
     def _listen(self) -> None:
-        """Read the program's output, and detect its end."""
         process = self._process
         if process is None:
             return
@@ -170,7 +168,6 @@ class VirtualCamera:
             raise VirtualCameraError(f"virtual camera: its program has ended unexpectedly: {last}")
 
     def _end_program(self) -> None:
-        """Kill the program, as a pulled plug would."""
         process, self._process = self._process, None
         if process is None:
             return

@@ -134,8 +134,6 @@ class _Errors:
 
 
 class _LiveRun(Supervised):
-    """Starts the processes, and restarts one or ends the run when one ends."""
-
     NAME = "live_watch"
     STOP_ORDER = ("rig", "sampler", "twin", "recorder", "plant_clock", "virtual_rig")
     """Heat off first; the recorder outlives what it records."""
@@ -242,7 +240,6 @@ class _LiveRun(Supervised):
         self.processes.start_module(name, "twinmatch.nodes", program, *self._arguments(name))
 
     def _arguments(self, name: str) -> list[str]:
-        """ROS arguments of a process."""
         plan = self._plan
         if name == "plant_clock":
             return plan.clock_arguments(self._addresses)

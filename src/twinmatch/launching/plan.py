@@ -257,7 +257,6 @@ def attach_plan(
 
 
 def _sampler_values(config: Path | None, said: ColumnMap) -> Values:
-    """The sampler's parameters, checked."""
     given = _section(config) if config is not None else {}
     if said.plant:
         given["plant"] = said.plant
@@ -273,7 +272,6 @@ def _sampler_values(config: Path | None, said: ColumnMap) -> Values:
 
 
 def _section(path: Path) -> dict[str, Any]:
-    """The sampler's section of a parameter file."""
     try:
         content = read_yaml(path)
     except DocumentError as error:

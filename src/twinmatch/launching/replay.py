@@ -73,15 +73,12 @@ def play(replay: Replay) -> int:
 
 
 def _playable(session: Session, folder: Path) -> Path:
-    """The session's own folder, or a session written from the recording."""
     if session.path.is_dir() or session.path.suffix == ".mcap":
         return session.path
     return write_session(folder / session.name, samples_of(session.window()))
 
 
 class _ReplayRun(Supervised):
-    """Starts twin and player, and ends after the last verdict."""
-
     NAME = "replay_watch"
     STOP_ORDER = ("player", "twin")
 

@@ -171,7 +171,6 @@ class KitLink:
         return self._answer(_ANSWER if self.plant_time is None else _IN_STEP[0])
 
     def _answer(self, patience: float) -> tuple[str, str]:
-        """The first word of an answer, and the rest."""
         assert self._process is not None and self._process.stdout is not None  # noqa: S101, PT018 — just checked
         pipe, deadline = self._process.stdout.fileno(), time.monotonic() + patience
         while b"\n" not in self._heard:

@@ -429,7 +429,6 @@ class PwmLink:
             raise PwmResetError(msg)
 
     def _drop(self) -> None:
-        """Release the port, whatever its state."""
         if self._wire is not None:
             with contextlib.suppress(*WIRE_ERRORS):
                 self._wire.close()

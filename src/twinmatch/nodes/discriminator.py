@@ -181,7 +181,6 @@ class DiscriminatorNode(SampleNode):
         self._answers += map(record_of, said.match)
 
     def _answer(self, request: twin.MatchRequest) -> MatchReport | None:
-        """The known answer to a request, if there is one."""
         while self._answers:
             report = self._answers.popleft()
             if report.answers(request):
@@ -206,7 +205,6 @@ class DiscriminatorNode(SampleNode):
         self.health.set("waiting for a match of", f"{request.first} to {last}")
 
     def _repeat(self) -> None:
-        """Repeat a request that was not answered."""
         pending = self._pending
         if pending is None or time.monotonic() - self._requested_at < PATIENCE:
             return

@@ -81,7 +81,6 @@ class Keeper(TwinmatchNode):
         self._samples.push(sample)
 
     def _start_session(self, disturbances: int = 0) -> None:
-        """Start with nothing."""
         self._samples = SampleSpool(disturbances)
         self._messages = {name: MessageSpool() for name in self.KEPT}
         self._counts = dict.fromkeys(self.COUNTED, 0)

@@ -338,7 +338,6 @@ def declare(
 
 
 def _descriptor(parameter: Setting) -> ParameterDescriptor:
-    """The description that `ros2 param describe` shows."""
     limits = parameter.limits
     text = f"{parameter.description} ({limits})" if limits else parameter.description
     constraint = "" if parameter.changeable else "read once, when the node starts"

@@ -327,7 +327,6 @@ class RecorderNode(TwinmatchNode):
             self.worker.put(job)
 
     def _report_topics(self) -> Report:
-        """Rate of each topic, and the topics that went silent."""
         now = time.monotonic()
         arrivals = dict(self._arrivals)
         silent = [name for name, found in arrivals.items() if found.silent(now)]

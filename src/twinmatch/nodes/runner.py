@@ -173,7 +173,6 @@ def _on_signals(handler: Any) -> None:
 
 
 def _extra(arguments: list[str]) -> list[str]:
-    """The arguments that ROS does not take."""
     with _clear_errors(arguments):
         return list(remove_ros_args(arguments)[1:])
 

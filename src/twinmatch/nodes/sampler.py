@@ -240,7 +240,6 @@ class SamplerNode(TwinmatchNode):
             self.failed = SamplingError(msg)
 
     def _on_message(self, topic: str, message: Any) -> None:
-        """Take the values of a message, for each signal mapped to it."""
         now = self._now()
         header = getattr(message, "header", None)
         stamp = nanoseconds(header.stamp) if header is not None else 0
@@ -285,7 +284,6 @@ class SamplerNode(TwinmatchNode):
         return ""
 
     def _explained(self, name: str, source: SignalSource, trouble: str) -> str:
-        """A problem and what to do about it."""
         text = source.channels[0].text
         if "outside" in trouble:
             unit = signals_of(self._plant)[name].unit

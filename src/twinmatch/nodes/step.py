@@ -34,8 +34,6 @@ NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
 class _Task:
-    """Something done at regular plant times."""
-
     def __init__(self, period: int, call: Callable[[], None]) -> None:
         self.due = 0
         self._period, self._call = period, call

@@ -300,7 +300,6 @@ def at_period(settings: TwinSettings, period: float, config: Path | None) -> Twi
 
 
 def _plant(model: Model) -> tuple[Setting, ...]:
-    """The plant, its structure, its free parameters and their start values."""
     plant, structure = model.plant, model.structure
     starts = tuple(
         Setting(
@@ -385,7 +384,6 @@ def _without_absent(place: str, given: Mapping[str, Any], model: Model) -> dict[
 
 
 def _translated(given: Mapping[str, Any]) -> dict[str, Any]:
-    """Recorded values under their current names."""
     kept = {name: value for name, value in given.items() if name not in {*_RENAMED, *_GONE}}
     for old, names in _RENAMED.items():
         if old in given:

@@ -153,7 +153,6 @@ class Bag:
         return series
 
     def _checked(self, channel: Channel) -> tuple[Channel, str]:
-        """The channel with its path, and the type of its messages."""
         topics = self._reader.topics
         name = channel.topic if channel.topic in topics else f"/{channel.topic.lstrip('/')}"
         if name not in topics:

@@ -122,7 +122,6 @@ def map_samples(
 
 
 def _names(plant: type[Plant]) -> dict[str, tuple[str, ...]]:
-    """The signals of a plant, each with its accepted names."""
     return {
         TIME: (TIME,),
         OUTPUT: (OUTPUT, plant.output.name),
@@ -182,7 +181,6 @@ def require_columns(table: Table, given: ColumnMap) -> None:
 
 
 def _wanted(table: Table, plant: type[Plant], given: ColumnMap) -> tuple[dict[str, PlantSignal], list[str]]:
-    """The signals to read from the table, and notes on those it does not have."""
     require_columns(table, given)
     sources = given.sources
     y, u = plant.output, plant.drive
@@ -270,7 +268,6 @@ def check_range(
 
 
 def _hint(signal: str, known: PlantSignal, values: FloatArray) -> str:
-    """A suggestion for values outside the plant's range."""
     for unit in ("K", "degF", "mV", "mA", "mW", "kW", "ms", "min", ""):
         try:
             change = conversion(unit, known.unit)

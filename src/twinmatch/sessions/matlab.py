@@ -48,8 +48,6 @@ class _DamagedError(Exception):
 
 
 class _Variable(NamedTuple):
-    """A variable, from its header in the file."""
-
     name: str
     shape: tuple[int, ...]
     real: bool
@@ -116,7 +114,6 @@ def _longest(path: Path, present: list[_Variable]) -> list[_Variable]:
 
 
 def _variables(file: BinaryIO, order: str) -> Iterator[_Variable]:
-    """The variables of the file, from their headers."""
     at = _HEADER
     for _ in range(_MOST_VARIABLES):
         file.seek(at)
@@ -160,7 +157,6 @@ def _part(head: bytes, at: int, order: str) -> tuple[bytes, int]:
 
 
 def _unpacked(file: BinaryIO, wanted: _Variable, order: str) -> bytes:
-    """The variable as in an uncompressed file, including its tag."""
     most = math.prod(wanted.shape) * 8 + _SLACK
     file.seek(wanted.at + 8)
     content = file.read(min(wanted.size, most))

@@ -54,7 +54,6 @@ class MessageType(NamedTuple):
 
 
 def _joined(text: str, parts: Iterable[tuple[str, str]]) -> str:
-    """A schema: the text of a type, then the names and texts of its nested types."""
     blocks = [text]
     for name, nested in parts:
         package, _, short = name.split("/")
@@ -192,7 +191,6 @@ def _text(kind: str, environment: Mapping[str, str]) -> str:
 
 
 def _parts(owner: str, text: str) -> Iterator[str]:
-    """Full names of the types of the nested fields."""
     for line in text.splitlines():
         field = line.split("#", 1)[0].strip()
         if not field or re.match(r"\S+\s+\w+\s*=", field):  # empty, or a constant

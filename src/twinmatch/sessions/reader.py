@@ -235,7 +235,6 @@ def _one_after_another(
 
 
 def _read(path: Path, topic: str | None, progress: ProgressCallback | None) -> Session:
-    """Read one piece."""
     files, notes = _files(path)
     scans = [Scan(file) for file in files]
     counts: Counter[str] = Counter()
@@ -285,7 +284,6 @@ def _reported(scans: Sequence[Scan], progress: ProgressCallback | None) -> Itera
 
 
 def _files(path: Path) -> tuple[list[Path], list[str]]:
-    """The MCAP files of a session, and notes on them."""
     if not path.exists():
         raise SessionError(f"session {path}: does not exist")
     if not path.is_dir():
@@ -329,7 +327,6 @@ def _extent(fault: str, samples: list[Sample]) -> str:
 
 
 def _gaps(samples: list[Sample]) -> list[str]:
-    """A note on missing samples."""
     gaps = gaps_of(samples)
     if not gaps:
         return []

@@ -250,7 +250,6 @@ def _check_target(target: Path, overwrite: bool) -> None:
 
 
 def _is_session(folder: Path) -> bool:
-    """Whether a folder contains only metadata and MCAP files."""
     if folder.is_symlink() or not folder.is_dir():
         return False
     names = [path.name for path in folder.iterdir()]
@@ -318,7 +317,6 @@ def _files(folder: Path) -> list[Path]:
 
 
 def _examine(folder: Path, files: list[Path]) -> Repair:
-    """Read all messages; collect faults and counts."""
     faults: list[str] = []
     count, start, end = 0, 2**64, 0
     for file in files:
@@ -358,7 +356,6 @@ def _rebuild(folder: Path, broken: Path, files: list[Path], found: Repair) -> Re
 
 
 def _rewrite(copy: Path, files: list[Path], ros_distro: str) -> None:
-    """Write the same messages and records, in as many files."""
     with SessionWriter(copy, ros_distro=ros_distro) as writer:
         for number, file in enumerate(files):
             if number:

@@ -255,7 +255,6 @@ def _checked(
     place: str,
     row: Callable[[int], str],
 ) -> tuple[FloatArray, dict[str, FloatArray]]:
-    """Time and columns as arrays of equal length, with finite values."""
     stamps = np.asarray(time, dtype=np.float64)
     values = {name: np.asarray(column, dtype=np.float64) for name, column in columns.items()}
     if stamps.ndim != 1 or stamps.size < 2:

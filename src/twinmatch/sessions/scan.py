@@ -126,7 +126,6 @@ class Scan:
                 yield from self._chunk(chunk.data)
 
     def _check_end(self, records: Iterator[tuple[int, bytes]], file: BinaryIO) -> None:
-        """Compare the number of messages read with the statistics after them."""
         try:
             for opcode, body in records:
                 if opcode == Opcode.STATISTICS:

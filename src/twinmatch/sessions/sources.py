@@ -83,7 +83,6 @@ def read_recording(path: Path | str, progress: ProgressCallback | None = None) -
 
 
 def _titles(table: Table) -> dict[str, str]:
-    """The titles of the four signals' columns."""
     found: dict[str, str] = {}
     for title in table.columns:
         name, unit = split_title(re.sub(r" #\d+$", "", title.lower()))  # of two alike

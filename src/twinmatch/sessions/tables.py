@@ -277,7 +277,6 @@ def _with_units(titles: list[str], cells: list[list[str]]) -> tuple[list[str], i
 
 
 def _decimal(rows: Sequence[Sequence[str]]) -> str:
-    """The decimal separator, where commas do not separate columns."""
     return "," if any(re.fullmatch(r"\s*-?\d+,\d+\s*", cell) for row in rows for cell in row) else "."
 
 
