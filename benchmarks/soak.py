@@ -190,7 +190,8 @@ def _name(command: bytes) -> str:
     """A program by its module, a subcommand by its name."""
     words = command.decode().split("\0")  # of one that has ended, but was not waited for yet: none
     module = words[words.index("-m") + 1] if "-m" in words else Path(words[0]).name
-    return words[words.index("-m") + 2] if module == "twinmatch.cli" else module.rpartition(".")[2]
+    named = module in ("twinmatch.cli", "twinmatch.nodes")
+    return words[words.index("-m") + 2] if named else module.rpartition(".")[2]
 
 
 def _resident(process: int) -> tuple[float, float] | None:
