@@ -222,6 +222,8 @@ class GuardLimits:
     )
     highest: float = setting(110.0, "Over-temperature limit.", "{y}", -50.0, 150.0)
     lowest: float = setting(-10.0, "Under-temperature limit.", "{y}", -50.0, 150.0)
+    jump: float = setting(10.0, "Jump of the temperature that is not believed.", "{y}", 1.0, 150.0)
+    jump_rate: float = setting(5.0, "Fastest change of the temperature that is.", "{y}/s", 0.1, 150.0)
     commands: tuple[float, float] = (-255.0, 255.0)
     """Lowest and highest valid command."""
     thing: str = "plate"
@@ -287,8 +289,12 @@ class OutputGuard:
         self._command.take(value, now - max(0.0, age))
 
     def temperature(self, celsius: float, now: float, age: float = 0.0) -> None:
-        """Take a temperature measured `age` seconds ago; not one that a frozen sensor repeats."""
-        limits = self.limits
+        """Take a temperature measured `age` seconds ago; not one that a frozen sensor repeats.
+
+        One that the plant cannot have reached since the one before is not taken: a sensor that failed, or a
+        forged reading, which is dangerous if it is cold. If the readings do not come back, that is a fault.
+        """
+        limits, before = self.limits, self._temperature
         if self.fault is not None:
             return
         found = f"the {limits.thing} is at {celsius:.1f} {limits.unit}"
@@ -301,8 +307,11 @@ class OutputGuard:
         elif celsius < limits.lowest:
             message = f"{found}, below {limits.lowest:g} {limits.unit}; check sensor and polarity"
             self.trip(FaultKind.UNDER_TEMPERATURE, message, now)
+        elif abs(celsius - before.value) > limits.jump + limits.jump_rate * before.age(now):
+            self._doubted = f"{found}, {before.age(now):.1f} s after {before.value:.1f} {limits.unit}"
         else:
-            self._temperature.take(celsius, now - max(0.0, age))
+            self._doubted = ""
+            before.take(celsius, now - max(0.0, age))
 
     def loop(self, reference: float, temperature: float, drive: float, now: float) -> None:
         """Take one tick of the control loop, for the runaway watch."""
@@ -334,8 +343,12 @@ class OutputGuard:
             message = f"no command for {silence:.1f} s; is the controller running?"
             self.trip(FaultKind.COMMAND_SILENT, message, now)
         elif self._armed and stale:
+            kind = FaultKind.TEMPERATURE_INVALID if self._doubted else FaultKind.TEMPERATURE_STALE
             message = f"the newest temperature is {age:.1f} s old; is the {self.limits.sensor} working?"
-            self.trip(FaultKind.TEMPERATURE_STALE, message, now)
+            if self._doubted:
+                message = f"{self._doubted}: faster than it can; check the {self.limits.sensor}, and who else"
+                message += " publishes temperatures"
+            self.trip(kind, message, now)
         else:  # before arming, stale inputs are not a fault
             self._armed = not (silent or stale or self._held)
         return self._command.value if self._armed else 0.0
@@ -346,6 +359,7 @@ class OutputGuard:
         self._runaway.reset()
         self._command = _Input()
         self._temperature = _Input()
+        self._doubted = ""  # the newest temperature, if it was not taken
         self._armed = False
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable
 
 import pytest
@@ -162,6 +163,40 @@ def test_a_stamp_from_the_future_makes_nothing_fresher_than_now() -> None:
 def test_limits_that_protect_nothing_are_refused(make: object, message: str) -> None:
     with pytest.raises(SafetyError, match=message):
         make()  # type: ignore[operator]
+
+
+def test_a_temperature_that_the_plant_cannot_have_is_not_believed_and_latches_if_it_stays() -> None:
+    """The dangerous one is cold: the controller heats. A single wrong reading is passed over."""
+    guard = OutputGuard()
+    for tick in range(120):
+        now = tick / 10
+        lies = 20 <= tick < 45 or tick >= 70
+        guard.temperature(20.0 if lies else 80.0, now)
+        guard.command(255.0, now)
+        guard.output(now)
+        assert guard.armed or tick > 95
+    assert guard.fault is not None
+    assert guard.fault.kind is FaultKind.TEMPERATURE_INVALID
+    assert 9.9 < guard.fault.since < 10.2
+    assert re.fullmatch(
+        "the plate is at 20.0 °C, 3.[01] s after 80.0 °C: faster than it can; check the camera, and who else "
+        "publishes temperatures",
+        guard.fault.message,
+    )
+    guard.clear()
+    guard.temperature(20.0, 12.0)
+    guard.command(100.0, 12.0)
+    assert guard.output(12.0) == 100.0, "the operator knows better"
+
+
+@pytest.mark.parametrize("number", [1, 2, 5, 9, 14, 20, 27])
+def test_every_reading_of_a_real_hour_is_believed(
+    number: int, recorded_hour: Callable[[int], Window]
+) -> None:
+    guard = OutputGuard()
+    for k, temperature in enumerate(recorded_hour(number).output):
+        guard.temperature(float(temperature), float(k))
+        assert not guard._doubted
 
 
 events = st.one_of(
