@@ -334,7 +334,7 @@ def test_a_full_disk_ends_it_with_one_line(start_script: Start, rig: Rig, tmp_pa
     """A limit on the size of files stands for the disk; the session is readable up to there."""
     process = start_script(f"""
 import resource, sys
-from twinmatch.nodes.recorder import main
+from twinmatch.nodes.__main__ import main
 resource.setrlimit(resource.RLIMIT_FSIZE, (300_000, 300_000))
 sys.argv = ["recorder", "--ros-args", "-p", "folder:={tmp_path}", "-p", "name:=run", "-p", "min_free_mb:=1.0"]
 main()

@@ -18,6 +18,7 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Image, Temperature
 from std_msgs.msg import Float64
 
+from twinmatch.comparing import ADMITTED, REFUSED
 from twinmatch.nodes import messages as converted
 from twinmatch.nodes.fields import GREATEST_INDEX, Expected, MessageError, check_fields
 from twinmatch.nodes.messages import LOOP, nanoseconds, one_of, sample_from
@@ -175,6 +176,7 @@ def _check_verdict(message: Any) -> None:
     _finite(message, "nu_gap_points")
     _rising(message, "horizons")
     _among([message.nominal], names, "nominal")
+    _among([message.match], (ADMITTED, REFUSED), "match")
     _among([message.leader], [score.name for score in message.forecasts], "leader")
     for candidate in message.candidates:
         _check_candidate(candidate)
