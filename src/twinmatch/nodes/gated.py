@@ -103,35 +103,24 @@ class OutputGate:
     def command(self, value: float, index: int, stamp: int) -> None:
         """Take a command sent at `stamp` (ns), computed at sample `index`."""
         with self._news:
-            now, times = self._now()
-            self._guard.command(value, now, (times.stamps - stamp) / 1e9)
+            self._take(self._guard.command, value, stamp=stamp)
             self._index, self.commanded = index, stamp
-            self._news.notify_all()
 
     def temperature(self, celsius: float, stamp: int) -> None:
         """Take a temperature measured at `stamp` (ns)."""
-        with self._news:
-            now, times = self._now()
-            self._guard.temperature(celsius, now, (times.stamps - stamp) / 1e9)
-            self._news.notify_all()
+        self._take(self._guard.temperature, celsius, stamp=stamp)
 
     def sample(self, reference: float, temperature: float, drive: float) -> None:
         """Take one tick of the control loop."""
-        with self._news:
-            self._guard.loop(reference, temperature, drive, self._now()[0])
-            self._news.notify_all()
+        self._take(self._guard.loop, reference, temperature, drive)
 
     def hold(self, why: str) -> None:
         """Pass nothing for this reason; empty: none."""
-        with self._news:
-            self._guard.hold(why, self._now()[0])
-            self._news.notify_all()
+        self._take(self._guard.hold, why)
 
     def trip(self, kind: FaultKind, message: str) -> None:
         """Latch a fault."""
-        with self._news:
-            self._guard.trip(kind, message, self._now()[0])
-            self._news.notify_all()
+        self._take(self._guard.trip, kind, message)
 
     def clear(self) -> GuardFault | None:
         """Clear the fault and return it; the output waits for new inputs."""
@@ -157,6 +146,13 @@ class OutputGate:
         """Sleep until there is a new input, `timeout` seconds of the wall clock at most."""
         with self._news:
             self._news.wait(timeout)
+
+    def _take(self, take: Callable[..., None], *values: object, stamp: int | None = None) -> None:
+        """Hand values to the guard with the time now, and with their age if they have a stamp (ns)."""
+        with self._news:
+            now, times = self._now()
+            take(*values, now, *(() if stamp is None else ((times.stamps - stamp) / 1e9,)))
+            self._news.notify_all()
 
     def _now(self) -> tuple[float, ClockTimes]:
         times = self._read_clocks()
