@@ -166,7 +166,7 @@ def test_limits_that_protect_nothing_are_refused(make: object, message: str) -> 
 
 
 def test_a_temperature_that_the_plant_cannot_have_is_not_believed_and_latches_if_it_stays() -> None:
-    """The dangerous one is cold: the controller heats. A single wrong reading is passed over."""
+    """The dangerous one is cold: the controller heats. A few wrong readings are skipped."""
     guard = OutputGuard()
     for tick in range(120):
         now = tick / 10
