@@ -148,14 +148,14 @@ def test_a_busy_machine_and_suspended_processes_cost_nothing_but_time(
     control = Path(run.control)
     found = {name: run.child(name) for name in CHILDREN}
     camera = Process.children_of(found["virtual_rig"] or 0)
+    before = run.state()["time"]
     with busy(2):
-        for victim in (*found.values(), *camera, run.process.id):
-            assert victim is not None, found
-            os.kill(victim, signal.SIGSTOP)
-            time.sleep(
-                11.0 if victim == found["rig"] else 2.0
-            )  # the longest promised, where most depends on it
-            os.kill(victim, signal.SIGCONT)
+        run.wait_until(lambda: run.state()["time"] >= before + 10, "ten seconds of plant time")
+    for victim in (*found.values(), *camera, run.process.id):
+        assert victim is not None, found
+        os.kill(victim, signal.SIGSTOP)
+        time.sleep(11.0 if victim == found["rig"] else 2.0)  # the longest promised, where most depends on it
+        os.kill(victim, signal.SIGCONT)
     assert run.process.wait(4 * PATIENCE) == 0, run.text
     assert "ended: the profile has ended" in run.text
     for word in ("ERROR", "stood still", "output is zero", "drive-lost"):

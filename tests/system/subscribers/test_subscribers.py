@@ -70,24 +70,36 @@ class Replayed:
     scores: dict[str, list[Any]]
     last_words: dict[str, str]
     elsewhere: dict[str, list[str]]
-    temperatures: list[Any]
+    cyclone: list[Any]
 
 
 @pytest.fixture(scope="module")
 def replayed(lasting_programs: Any, session: Path, project: Path) -> Replayed:
-    """One run of launch_scripts/replay.py, with a reader without settings, one kept in, and Cyclone's."""
+    """One run of launch_scripts/replay.py, with a reader without settings, one kept in, and Cyclone's.
+
+    Two more hold nobody up: one hangs from the first verdict on, one dies there.
+    """
     start = lasting_programs
     readers = {
         "no settings": start.start_reader("twinmatch_msgs/ModelScore", "twin/model_score"),
         "kept in": start.start_reader("twinmatch_msgs/ModelScore", "twin/model_score", **KEPT_IN),
     }
+    hanging, dying = (
+        start.start_reader("twinmatch_msgs/ModelScore", "twin/model_score", "everything") for _ in range(2)
+    )
     cyclone = None
     if importlib.util.find_spec("cyclonedds") is not None:
         cyclone = start.start(HERE / "cyclone_reader.py")
         cyclone.said("^ready$")
     elsewhere = {name: network.sockets_elsewhere(reader.id) for name, reader in readers.items()}
     replay = start.start(project / "launch_scripts" / "replay.py", session, "--rate", RATE)
+    readers["no settings"].said("{")
+    hanging.freeze()
+    dying.kill()
     assert replay.wait() == 0, replay.text
+    last = read_session(session).samples[-1].stamp
+    if cyclone is not None:
+        cyclone.said(rf'\["sample", {last},')
     time.sleep(0.5)  # for what is still on its way
     for reader in readers.values():
         assert reader.end() == 0, reader.text
@@ -97,7 +109,7 @@ def replayed(lasting_programs: Any, session: Path, project: Path) -> Replayed:
         scores={name: reader.json for name, reader in readers.items()},
         last_words={name: reader.text.splitlines()[-1] for name, reader in readers.items()},
         elsewhere=elsewhere,
-        temperatures=[line for line in cyclone.json if line[0] == "temperature"] if cyclone else [],
+        cyclone=cyclone.json if cyclone else [],
     )
 
 
@@ -143,41 +155,28 @@ def test_shell_lines_refuse_what_the_nodes_refuse(stranger: dict[str, str]) -> N
     assert done.stdout == ""
 
 
+def of_topic(replayed: Replayed, name: str) -> list[list[Any]]:
+    """What Cyclone's reader has heard of a topic."""
+    return [values for topic, *values in replayed.cyclone if topic == name]
+
+
 @needs_cyclone
 def test_cyclone_reads_the_temperatures(replayed: Replayed, session: Path) -> None:
     """Best effort: some may be missing, none may be changed or come twice or late."""
     samples = read_session(session).samples
     measured = {sample.stamp: sample.output for sample in samples}
-    heard = [(stamp, temperature) for _, stamp, temperature in replayed.temperatures]
+    heard = [(stamp, temperature) for stamp, temperature in of_topic(replayed, "temperature")]
     assert all(measured[stamp] == temperature for stamp, temperature in heard)
     assert [stamp for stamp, _ in heard] == sorted({stamp for stamp, _ in heard})
     assert len(heard) > (len(samples) - SETTLED) / 2
 
 
 @needs_cyclone
-def test_cyclone_reads_every_sample(programs: Any, session: Path) -> None:
+def test_cyclone_reads_every_sample(replayed: Replayed, session: Path) -> None:
     """Reliable: from when it has found the player on, all of them, to the last bit."""
-    cyclone = programs.start(HERE / "cyclone_reader.py")
-    cyclone.said("^ready$")
-    player = programs.start(
-        *(
-            "-m",
-            "twinmatch.nodes",
-            "player",
-            "--ros-args",
-            "-p",
-            f"session:={session}",
-            "-p",
-            f"rate:={RATE}.0",
-        )
-    )
-    assert player.wait() == 0, player.text
     samples = read_session(session).samples
-    cyclone.said(rf'\["sample", {samples[-1].stamp},')
-    heard = [line for line in cyclone.json if line[0] == "sample"]
-    assert heard == [
-        ["sample", s.stamp, s.index, s.reference, s.output, s.input] for s in samples[-len(heard) :]
-    ]
+    heard = of_topic(replayed, "sample")
+    assert heard == [[s.stamp, s.index, s.reference, s.output, s.input] for s in samples[-len(heard) :]]
     assert len(heard) >= len(samples) - SETTLED
 
 
@@ -249,17 +248,3 @@ def test_rigs_do_not_mix(programs: Any, session: Path, tmp_path: Path) -> None:
         wait_for(lambda reader=reader, length=length: len(reader.json) >= length, f"{length} of {topic}")
         assert [message["index"] for message in readers[topic].json] == list(range(length))
     assert outside.json == []
-
-
-def test_readers_that_hang_or_die_hold_nobody_up(
-    programs: Any, session: Path, project: Path, said: list[Any]
-) -> None:
-    hanging = programs.start_reader("twinmatch_msgs/ModelScore", "twin/model_score", "everything")
-    dying = programs.start_reader("twinmatch_msgs/ModelScore", "twin/model_score", "everything")
-    healthy = programs.start_reader("twinmatch_msgs/ModelScore", "twin/model_score", "everything")
-    replay = programs.start(project / "launch_scripts" / "replay.py", session, "--rate", RATE)
-    healthy.said("{")
-    hanging.freeze()
-    dying.kill()
-    assert replay.wait() == 0, replay.text
-    assert_heard_from_then_on(healthy.json, said)
