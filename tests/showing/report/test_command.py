@@ -12,27 +12,31 @@ from pypdf import PdfReader
 from tests.support.processes import run_twinmatch
 from tests.support.steps import quarter_of_an_hour
 from twinmatch.sessions import write_session
-from twinmatch.showing.report.report import SessionReport
 
 
-def test_report_and_figures_are_written_and_named(tmp_path: Path) -> None:
-    session = write_session(tmp_path / "quarter", quarter_of_an_hour()[:480])
-    done = run_twinmatch(
-        "report", session, "--figures", tmp_path / "figures", "--format", "pdf", folder=tmp_path
-    )
+@pytest.fixture(scope="module")
+def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Written with its figures beside it."""
+    folder = tmp_path_factory.mktemp("report")
+    session = write_session(folder / "quarter", quarter_of_an_hour()[:480])
+    done = run_twinmatch("report", session, "--figures", "figures", "--format", "pdf", folder=folder)
     assert done.returncode == 0, done.stderr
     assert "ominal: " in done.stdout
     assert "report: quarter.html" in done.stdout
-    text = (tmp_path / "quarter.html").read_text(encoding="utf-8")
-    assert "twinmatch report" in text
-    assert {p.name for p in (tmp_path / "figures").iterdir()} >= {"session.pdf", "nu_gap.pdf"}
+    return folder / "quarter.html"
 
 
-def test_it_prints_on_numbered_a4_pages(shipped: SessionReport, tmp_path: Path) -> None:
+def test_report_and_figures_are_written_and_named(report: Path) -> None:
+    assert "twinmatch report" in report.read_text(encoding="utf-8")
+    figures = {path.name: PdfReader(path) for path in (report.parent / "figures").iterdir()}
+    assert figures.keys() >= {"session.pdf", "nu_gap.pdf"}
+    assert all(len(figure.pages) == 1 for figure in figures.values())
+
+
+def test_it_prints_on_numbered_a4_pages(report: Path, tmp_path: Path) -> None:
     chromium = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
     if chromium is None:
         pytest.skip("chromium is not installed: apt-get install chromium")
-    shipped.write(tmp_path / "report.html")
     command = [
         chromium,
         "--headless=new",
@@ -46,7 +50,7 @@ def test_it_prints_on_numbered_a4_pages(shipped: SessionReport, tmp_path: Path) 
         "--no-pdf-header-footer",
         f"--user-data-dir={tmp_path / 'profile'}",
         f"--print-to-pdf={tmp_path / 'report.pdf'}",
-        (tmp_path / "report.html").as_uri(),
+        report.as_uri(),
     ]
     subprocess.run(command, check=True, capture_output=True, timeout=360)
     pages = PdfReader(tmp_path / "report.pdf").pages
