@@ -9,9 +9,12 @@ import pytest
 from tests.golden import SOURCES, MissingSourceError, compare, entry_of
 
 
-@pytest.mark.parametrize("name", SOURCES)
+@pytest.mark.parametrize("name", [name for name in SOURCES if not name.startswith("rig_")])
 def test_results_are_the_golden_ones(name: str, tmp_path: Path) -> None:
-    """`python -m tests.golden` says the same faster; with `--make` it writes them again."""
+    """`python -m tests.golden` says the same faster; with `--make` it writes them again.
+
+    Those of the rig's hours are compared in `system/test_recorded_hours.py`, which judges them too.
+    """
     try:
         found = entry_of(name, tmp_path)
     except MissingSourceError as error:

@@ -29,7 +29,17 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 from tests.golden.sources import SOURCES, MissingSourceError, documents_of
 
-__all__ = ["FOLDER", "SOURCES", "MissingSourceError", "compare", "entry_of", "fingerprint", "make", "work"]
+__all__ = [
+    "FOLDER",
+    "SOURCES",
+    "MissingSourceError",
+    "compare",
+    "digest",
+    "entry_of",
+    "fingerprint",
+    "make",
+    "work",
+]
 
 FOLDER = Path(__file__).parent
 PROSE: Final = frozenset({"reason", "certainty", "suggestion", "determined", "sentence", "notes", "absent"})
@@ -60,7 +70,11 @@ def entry_of(name: str, folder: Path) -> Entry:
         MissingSourceError: the recording is not on this machine.
     """
     with threadpool_limits(1, user_api="blas"):
-        documents = documents_of(name, folder)
+        return digest(documents_of(name, folder))
+
+
+def digest(documents: dict[str, Any]) -> Entry:
+    """Digests and figures of what commands wrote, by their names."""
     whole, parts = hashlib.sha256(), {}
     for path, value in _leaves(documents):
         line = f"{'.'.join(path)} {value}\n".encode()
@@ -175,7 +189,12 @@ def _leaves(value: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str,
 def _group(path: tuple[str, ...]) -> str:
     if path[0] != "replay":
         return ".".join(path[:2])
-    return next((group for group, names in GROUPS if any(names.search(key) for key in path)), "session")
+    return _named(tuple(key for key in path if not key.isdigit()))
+
+
+@cache
+def _named(keys: tuple[str, ...]) -> str:
+    return next((group for group, names in GROUPS if any(names.search(key) for key in keys)), "session")
 
 
 def _figures(documents: dict[str, Any]) -> dict[str, Any]:

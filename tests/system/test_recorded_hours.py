@@ -8,6 +8,7 @@ candidates goes with how differently they behave.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cache
@@ -17,6 +18,7 @@ import numpy as np
 import pytest
 from scipy.stats import spearmanr
 
+from tests.golden import compare, digest
 from twinmatch.comparing import TrustLevel
 from twinmatch.dynamics import Parameters, begin, simulate_closed_loop
 from twinmatch.forecasting import Outlook
@@ -25,6 +27,7 @@ from twinmatch.offline.backtest.scoring import LEADER, TWINS
 from twinmatch.offline.judging import Judgement, judge, judge_samples, terms_from_files
 from twinmatch.plants import Peltier
 from twinmatch.sessions import open_any, samples_of
+from twinmatch.showing.summary import document
 from twinmatch.signals import FloatArray, Sample, Window
 from twinmatch.twin import Outcome, Twin, TwinSettings, choose_structure
 
@@ -136,6 +139,15 @@ def test_a_healthy_hour_has_a_nominal_twin_that_follows_it(number: int, hour: Ca
     assert judgement.summary.fit_y >= 0.97
     assert judgement.summary.fit_u >= 0.75
     assert not any(v.level is TrustLevel.FAULT for v in judgement.verdicts)
+
+
+@pytest.mark.parametrize("number", [*HEALTHY, LOST_DRIVE])
+def test_results_are_the_golden_ones(number: int, hour: Callable[[int], Hour]) -> None:
+    """What `twinmatch replay --json` writes; forecasts that are asked for beside it move no bit."""
+    found = hour(number).judgement
+    told = json.loads(json.dumps(document(found.name, found.verdicts, found.summary, found.matches)))
+    different, compared = compare(f"rig_{number}", digest({"replay": told}))
+    assert not different, f"compared: {compared}"
 
 
 def test_the_frozen_sensor_at_the_start_of_an_hour_gives_no_candidate(
