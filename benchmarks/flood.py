@@ -149,7 +149,8 @@ def main() -> int:
         finally:
             soak.stop()
     failed += [f"{name} was started more than once" for name in soak.restarted]
-    print("\n".join(line for line in soak.lines if "ended" in line or "published by" in line))
+    named = [line for line in soak.lines if "end all but one" in line and "refused" not in line]
+    print("\n".join([*dict.fromkeys(named), *(line for line in soak.lines if "ended" in line)]))
     print("\n".join(f"flood: {why}" for why in failed))
     return 1 if failed else 0
 
