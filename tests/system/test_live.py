@@ -205,7 +205,10 @@ def test_processes_are_restarted_and_without_the_rig_the_output_is_off(
     assert "rig was lost" in run.text
     assert "the output is off" in run.text
     repair_session(run.session)
-    assert len(read_session(run.session).samples) > 3
+    indices = [sample.index for sample in read_session(run.session).samples]
+    assert indices == list(range(len(indices))), "the pieces of the run are one session, and it is whole"
+    assert len(indices) > 3
+    assert verify_session(run.session).identical
 
 
 @pytest.mark.slow
