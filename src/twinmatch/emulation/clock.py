@@ -17,13 +17,15 @@ import select
 import socket
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from twinmatch.errors import TwinmatchError
 from twinmatch.links import Background
 
 _LONGEST = 32
+_MOST_HEARD = 256
+"""Longest line, bytes; who sends a longer one is dropped."""
 _PATIENCE = 30.0
 """Wall time for which a plant waits for one reader, s; then it continues without it until it speaks again."""
 _FIRST_PAUSE, _LONGEST_PAUSE = 0.1, 2.0
@@ -54,7 +56,6 @@ class _ClockReader:
     until: int | None = None
     """Time up to which the plant may go, ns; None: it does not keep step."""
     image: int | None = None
-    rest: bytes = b""
     awaited: float | None = None
     """Wall time since which the plant waits for it, s."""
     given_up: bool = False
@@ -77,13 +78,69 @@ class _ClockReader:
         return not self.given_up
 
 
-class ClockServer:
-    """The rig's side. It has no thread: the rig's loop calls `accept` and `send`."""
+class LineServer:
+    """A listening socket, without a thread, whose clients send lines: its owner's loop calls it."""
+
+    def __init__(self, listener: socket.socket) -> None:
+        self._listener = listener
+        self._listener.setblocking(False)
+        self._clients: dict[socket.socket, bytes] = {}  # with the beginning of a line
+
+    def accept(self) -> None:
+        """Accept waiting clients."""
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                client, _ = self._listener.accept()
+                client.setblocking(False)
+                self._clients[client] = b""
+
+    def hear(self, seconds: float = 0.0) -> Iterator[tuple[socket.socket, bytes]]:
+        """The lines that clients have sent; waits for one at most this long."""
+        ready = select.select([self._listener, *self._clients], [], [], seconds)[0]
+        self.accept()
+        for client in ready:
+            if client is self._listener:
+                continue
+            try:
+                said = client.recv(4096)
+            except OSError:
+                said = b""
+            *lines, rest = (self._clients[client] + said).split(b"\n")
+            if not said or max(map(len, (*lines, rest))) > _MOST_HEARD:
+                self._drop(client)
+                continue
+            self._clients[client] = rest
+            for line in lines:
+                yield client, line
+
+    def put(self, client: socket.socket, data: bytes) -> None:
+        """Send without waiting: a client that has not read what was sent before misses it."""
+        try:
+            whole = client.send(data) == len(data)
+        except BlockingIOError:
+            return
+        except OSError:
+            whole = False
+        if not whole:
+            self._drop(client)
+
+    def close(self) -> None:
+        """Close everything."""
+        for ours in (*self._clients, self._listener):
+            ours.close()
+        self._clients.clear()
+
+    def _drop(self, client: socket.socket) -> None:
+        self._clients.pop(client, None)
+        client.close()
+
+
+class ClockServer(LineServer):
+    """The rig's side."""
 
     def __init__(self, host: str = "127.0.0.1", port: int = 0) -> None:
-        self._listener = socket.create_server((host, port), backlog=8)
-        self._listener.setblocking(False)
-        self._clients: dict[socket.socket, _ClockReader] = {}
+        super().__init__(socket.create_server((host, port), backlog=8))
+        self._readers: dict[socket.socket, _ClockReader] = {}
 
     @property
     def address(self) -> tuple[str, int]:
@@ -92,43 +149,43 @@ class ClockServer:
         return str(host), int(port)
 
     def accept(self) -> None:
-        """Accept waiting clients."""
-        with contextlib.suppress(BlockingIOError):
-            while True:
-                client, _ = self._listener.accept()
-                client.setblocking(False)
-                client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-                client.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
-                self._clients[client] = _ClockReader()
+        """Accept waiting clients, to whom everything is sent at once."""
+        super().accept()
+        for client in self._clients.keys() - self._readers.keys():
+            client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            client.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
+            self._readers[client] = _ClockReader()
 
     def send(self, stamp: int) -> None:
         """Send plant time, ns, to all clients."""
         self.accept()
-        line = b"%d\n" % stamp
         for client in list(self._clients):
-            try:
-                whole = client.send(line) == len(line)
-            except BlockingIOError:
-                continue  # it has not read earlier updates: it may miss this one
-            except OSError:
-                whole = False
-            if not whole:
-                self._drop(client)
+            self.put(client, b"%d\n" % stamp)
+
+    def listen(self, seconds: float = 0.0) -> None:
+        """Take what the readers say; wait for it at most this long."""
+        for client, line in self.hear(seconds):
+            if client in self._readers:
+                self._readers[client].take(line)
+
+    def _drop(self, client: socket.socket) -> None:
+        super()._drop(client)
+        self._readers.pop(client, None)
 
     @property
     def driven(self) -> bool:
         """Whether a process that commands the plant keeps step."""
-        return any(reader.drives and not reader.given_up for reader in self._clients.values())
+        return any(reader.drives and not reader.given_up for reader in self._readers.values())
 
     @property
     def breathing(self) -> bool:
         """Whether the process that commands the plant waits for its board, and not for the time."""
-        return any(reader.breathes for reader in self._clients.values())
+        return any(reader.breathes for reader in self._readers.values())
 
     def limit(self, stamp: int) -> float:
         """The time, ns, up to which all readers that keep step let the plant go, which is at `stamp` now."""
         now, lowest = time.monotonic(), math.inf
-        for reader in self._clients.values():
+        for reader in self._readers.values():
             if reader.until is None or (reader.until <= stamp and not reader.awaits(now)):
                 continue
             lowest = min(lowest, reader.until)
@@ -139,37 +196,8 @@ class ClockServer:
         now = time.monotonic()
         return any(
             reader.image is not None and reader.image < image and reader.awaits(now)
-            for reader in self._clients.values()
+            for reader in self._readers.values()
         )
-
-    def listen(self, seconds: float = 0.0) -> None:
-        """Take what the readers say; wait for it at most this long."""
-        ready = select.select([self._listener, *self._clients], [], [], seconds)[0]
-        for client in ready:
-            if client is self._listener:
-                self.accept()
-                continue
-            try:
-                said = client.recv(4096)
-            except OSError:
-                said = b""
-            if not said:
-                self._drop(client)
-                continue
-            reader = self._clients[client]
-            *lines, reader.rest = (reader.rest + said).split(b"\n")
-            for line in lines:
-                reader.take(line)
-
-    def _drop(self, client: socket.socket) -> None:
-        del self._clients[client]
-        client.close()
-
-    def close(self) -> None:
-        """Close everything."""
-        for client in (*self._clients, self._listener):
-            client.close()
-        self._clients.clear()
 
 
 class ClockClient(Background):

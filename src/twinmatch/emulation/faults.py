@@ -10,7 +10,6 @@ answer each:
 
 from __future__ import annotations
 
-import contextlib
 import difflib
 import heapq
 import math
@@ -19,6 +18,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Final, NamedTuple
 
+from twinmatch.emulation.clock import LineServer
 from twinmatch.errors import TwinmatchError
 
 KINDS: Final = {
@@ -34,8 +34,6 @@ KINDS: Final = {
     "ambient-step": "the surroundings become 10 °C warmer",
 }
 """Every fault and its effect."""
-_LONGEST = 256
-"""Longest command, bytes."""
 _PATIENCE = 5.0
 """Longest wait for the answer to a command, s."""
 
@@ -171,49 +169,29 @@ class RigControlError(TwinmatchError):
     """A virtual rig cannot be reached, or refused a command."""
 
 
-class ControlServer:
-    """The rig's side, without a thread: the rig's loop calls `attend`."""
+class ControlServer(LineServer):
+    """The rig's side: the rig's loop calls `attend`."""
 
     def __init__(self, path: Path, obey: Callable[[str], str]) -> None:
         self.path = path
         self._obey = obey
-        self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        self._listener.bind(str(path))
-        self._listener.listen(8)
-        self._listener.setblocking(False)
-        self._clients: dict[socket.socket, bytes] = {}
+        listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        listener.bind(str(path))
+        listener.listen(8)
+        super().__init__(listener)
 
     def attend(self) -> None:
         """Answer pending commands."""
-        with contextlib.suppress(BlockingIOError):
-            client, _ = self._listener.accept()
-            client.setblocking(False)
-            self._clients[client] = b""
-        for client in list(self._clients):
-            try:
-                piece = client.recv(_LONGEST)
-                if not piece or len(self._clients[client]) > _LONGEST:
-                    raise ConnectionError
-                self._answer(client, self._clients[client] + piece)
-            except BlockingIOError:
-                continue
-            except OSError:
-                del self._clients[client]
-                client.close()
-
-    def _answer(self, client: socket.socket, said: bytes) -> None:
-        *lines, self._clients[client] = said.split(b"\n")
-        for line in lines:
+        for client, line in self.hear():
             try:
                 answer = f"ok {self._obey(line.decode(errors='replace').strip())}"
             except TwinmatchError as error:
                 answer = f"error {error}"
-            client.send(answer.strip().encode() + b"\n")
+            self.put(client, answer.strip().encode() + b"\n")
 
     def close(self) -> None:
         """Close everything and remove the socket."""
-        for ours in (*self._clients, self._listener):
-            ours.close()
+        super().close()
         self.path.unlink(missing_ok=True)
 
 

@@ -16,6 +16,7 @@ from enum import Enum
 
 import numpy as np
 
+from twinmatch.emulation.clock import LineServer
 from twinmatch.errors import TwinmatchError
 from twinmatch.shipped import NotShippedError, shipped
 
@@ -178,32 +179,17 @@ class VirtualCamera:
                 _pipe(pipe).close()
 
 
-class _Garbage:
+class _Garbage(LineServer):
     """Another program at the camera's address that sends noise."""
 
     def __init__(self, address: tuple[str, int], seed: int) -> None:
-        self._listener = socket.create_server(address)
-        self._listener.setblocking(False)
-        self._clients: list[socket.socket] = []
+        super().__init__(socket.create_server(address))
         self._random = np.random.default_rng(seed)
 
     def send(self) -> None:
-        with contextlib.suppress(BlockingIOError):
-            while True:
-                self._clients.append(self._listener.accept()[0])
-                self._clients[-1].setblocking(False)
+        self.accept()
         for client in list(self._clients):
-            try:
-                client.send(self._random.bytes(_GARBAGE))
-            except BlockingIOError:
-                continue
-            except OSError:
-                self._clients.remove(client)
-                client.close()
-
-    def close(self) -> None:
-        for ours in (*self._clients, self._listener):
-            ours.close()
+            self.put(client, self._random.bytes(_GARBAGE))
 
 
 def _environment() -> dict[str, str]:
