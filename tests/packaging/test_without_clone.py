@@ -72,6 +72,7 @@ def test_the_wheel_carries_share_and_profile(wheel: Path) -> None:
         "share/ament_index/resource_index/packages/twinmatch",
         "twinmatch/nodes/fastdds2_loopback.xml",
         "twinmatch/nodes/fastdds3_loopback.xml",
+        "twinmatch/sessions/definitions/LoopSample.msg",
     }
 
 
