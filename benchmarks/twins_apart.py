@@ -28,8 +28,9 @@ from scipy.stats import spearmanr
 from twinmatch.comparing import CandidateScore
 from twinmatch.dynamics import Parameters, Response, simulate_window
 from twinmatch.errors import TwinmatchError
-from twinmatch.offline.judging import judge_session
+from twinmatch.offline.judging import judge, terms_from_files
 from twinmatch.plants import Peltier
+from twinmatch.sessions import open_any
 from twinmatch.signals import FloatArray, Window
 
 AHEAD = 300
@@ -47,7 +48,7 @@ def size(y: FloatArray, u: FloatArray) -> float:
 
 def judged(path: Path) -> tuple[dict[object, Row], list[list[Row]]]:
     """Every pair once, and the candidates of every verdict."""
-    judgement = judge_session(path)
+    judgement = judge(session := open_any(path), terms_from_files(session))
     hour = Window.from_samples(judgement.samples, judgement.settings.period)
     runs: dict[Parameters, Response] = {}
     pairs: dict[object, Row] = {}

@@ -18,9 +18,9 @@ from twinmatch.comparing import Verdict
 from twinmatch.health import Monitor
 from twinmatch.launching.live import Live
 from twinmatch.launching.plan import LivePlan
-from twinmatch.offline.judging import judge_session
+from twinmatch.offline.judging import judge, terms_from_files
 from twinmatch.offline.summary import Tally, conclude, summarise
-from twinmatch.sessions import Recording, read_session
+from twinmatch.sessions import Recording, open_any, read_session
 from twinmatch.sessions.messages import SAMPLE, encode_sample
 from twinmatch.showing.terminal import MOST_EVENTS, Screen
 from twinmatch.showing.verdicts import events
@@ -45,7 +45,7 @@ def growth(step: Callable[[int], object], warm: int, count: int) -> int:
 
 @pytest.fixture(scope="module")
 def judged() -> tuple[list[Sample], list[Verdict]]:
-    found = judge_session(SESSION)
+    found = judge(session := open_any(SESSION), terms_from_files(session))
     return list(found.samples), list(found.verdicts)
 
 

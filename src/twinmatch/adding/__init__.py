@@ -5,8 +5,8 @@ test and its configuration; `check_plant` reports what is wrong with a plant fil
 """
 
 from twinmatch.adding.check import check_plant
-from twinmatch.adding.findings import CheckedPlant, Finding
 from twinmatch.adding.proposal import Proposal, Signal, example, propose
+from twinmatch.adding.trial import CheckedPlant, Finding
 from twinmatch.adding.written_files import AddingError, files_of
 
 __all__ = [

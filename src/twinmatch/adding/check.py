@@ -11,8 +11,15 @@ from typing import Any, Final
 import numpy as np
 
 from twinmatch.adding.dimensions import Dimensions
-from twinmatch.adding.findings import CheckedPlant, Finding
-from twinmatch.adding.trial import inseparable, modes, run_trial, time_constants, trial_for
+from twinmatch.adding.trial import (
+    CheckedPlant,
+    Finding,
+    inseparable,
+    modes,
+    run_trial,
+    time_constants,
+    trial_for,
+)
 from twinmatch.dynamics import Equations, Model, Parameters, Plant, PlantError, advance, begin
 from twinmatch.dynamics.equations import written_equations
 

@@ -13,9 +13,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from twinmatch.adding.findings import CheckedPlant, Finding
 from twinmatch.adding.proposal import noise_of
-from twinmatch.adding.trial import time_constants
+from twinmatch.adding.trial import CheckedPlant, Finding, time_constants
 from twinmatch.dynamics import Output, Pid, PidGains, Plant, PlantError, controller_state
 from twinmatch.fitting import FittingError
 from twinmatch.fitting.gate import Status

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from fractions import Fraction
 from typing import Any, NamedTuple
 
-from twinmatch.adding.findings import Finding
+from twinmatch.adding.trial import Finding
 from twinmatch.dynamics import Plant
 from twinmatch.dynamics.equations import written_equations
 from twinmatch.units import Measure, measure

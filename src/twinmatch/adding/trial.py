@@ -1,4 +1,4 @@
-"""A simulated experiment on a plant file, and which parameters it can tell apart.
+"""Findings of a plant check; a simulated experiment on a plant file, and which parameters it can tell apart.
 
 The input steps over the drive's whole range. The exact tangents of the experiment are the sensitivities of
 the output to each parameter. If a combination of parameters has no effect on the output at any of several
@@ -10,15 +10,40 @@ proves the opposite (local structural identifiability; Walter & Pronzato, Identi
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from twinmatch.adding.findings import Finding
 from twinmatch.dynamics import Experiment, Model, Parameters, PlantError, Response, begin, simulate_driven
 from twinmatch.dynamics.declarations import Parameter
 from twinmatch.signals import FloatArray, Window
+
+
+class Finding(NamedTuple):
+    """A fault, and what to do about it."""
+
+    what: str
+    todo: str
+
+
+@dataclass(frozen=True)
+class CheckedPlant:
+    """Result of a check."""
+
+    title: str
+    findings: tuple[Finding, ...] = ()
+    notes: tuple[str, ...] = ()
+    """Remarks that are not faults."""
+    unusable: str = ""
+    """Why the plant cannot be simulated at all; empty: it can."""
+
+    @property
+    def exit_code(self) -> int:
+        """0: no findings; 1: findings; 2: the plant cannot be used."""
+        return 2 if self.unusable else 1 if self.findings else 0
+
 
 SAMPLES: Final = 400
 _PER_LAG: Final = 20.0

@@ -1,89 +1,76 @@
-"""The command line of `twinmatch`: one module per command.
+"""The command line of `twinmatch`: one module per command, imported when its command is called.
 
-Each module declares its options with `add_arguments` and does its work in `run`. Slow imports belong in
-`run`: the parser calls `add_arguments` of every command, whichever command is called.
+Each module declares its options with `add_arguments` and does its work in `run`. What needs ROS, matplotlib
+or a terminal is imported in functions: the rest must do without.
 """
 
 from __future__ import annotations
 
 import argparse
+import gc
 import sys
 from collections.abc import Callable, Sequence
-from typing import Final, Protocol
+from importlib import import_module
+from typing import Any, Final
 
 from twinmatch import __version__
-from twinmatch.cli import (
-    attach,
-    backtest,
-    check_plant,
-    dashboard,
-    demo,
-    fmu,
-    forecast,
-    foxglove,
-    import_,
-    live,
-    new_plant,
-    play,
-    prepare,
-    repair,
-    replay,
-    report,
-    verify,
-    virtual_rig,
-)
 from twinmatch.errors import EXIT_USER_ERROR, TwinmatchError
 
 __all__ = ["main"]
 
 EXIT_INTERRUPTED = 130
+_GARBAGE: Final = 50_000
+"""Objects between two collections: imports and fits make many objects and hardly any garbage."""
+
+_COMMANDS: Final[dict[str, str]] = {
+    "demo": "see twinmatch work, on a virtual rig or a recorded session",
+    "live": "run the twin beside a plant: bridges, controller, twin and recorder",
+    "attach": "run the twin beside a rig that is already running; nothing is commanded",
+    "play": "play a recorded session through the ROS graph",
+    "import": "turn a recording (.csv, .mat or a ROS bag) into an MCAP session",
+    "replay": "judge recorded sessions offline, as fast as possible",
+    "forecast": "forecast from chosen samples of a session, with a prediction band",
+    "verify": "judge a recorded session again and compare the verdicts, bit for bit",
+    "backtest": "score the twin's forecasts of recorded sessions against the measurements and against other "
+    "methods",
+    "repair": "repair a session whose recorder was killed",
+    "report": "write a report on a session: one HTML file with figures and tables",
+    "dashboard": "show the running graph on a live page in the browser",
+    "foxglove": "serve the graph to Foxglove and Lichtblick",
+    "virtual-rig": "emulate a rig: the Peltier rig's board, camera and plate, or the kit",
+    "fmu": "list an FMU's variables and draft the map that makes it a structure of a plant",
+    "new-plant": "write a first file for your own plant, with its test and configuration",
+    "check-plant": "report what is wrong with a plant's file, and what to change",
+    "prepare": "derive and compile the plants' equations now, so that the first run need not",
+}
+"""Help text of each command."""
 
 
-class _Command(Protocol):
-    """Interface of a command's module."""
+class _Parser(argparse.ArgumentParser):
+    """The parser of the program, or that of a command, which gets its options when the command is called."""
 
-    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        """Declare the options."""
+    command = ""
 
-    def run(self, options: argparse.Namespace) -> int:
-        """Do the work; returns the exit code."""
-
-
-_COMMANDS: Final[tuple[tuple[str, _Command, str], ...]] = (
-    ("demo", demo, "see twinmatch work, on a virtual rig or a recorded session"),
-    ("live", live, "run the twin beside a plant: bridges, controller, twin and recorder"),
-    ("attach", attach, "run the twin beside a rig that is already running; nothing is commanded"),
-    ("play", play, "play a recorded session through the ROS graph"),
-    ("import", import_, "turn a recording (.csv, .mat or a ROS bag) into an MCAP session"),
-    ("replay", replay, "judge recorded sessions offline, as fast as possible"),
-    ("forecast", forecast, "forecast from chosen samples of a session, with a prediction band"),
-    ("verify", verify, "judge a recorded session again and compare the verdicts, bit for bit"),
-    (
-        "backtest",
-        backtest,
-        "score the twin's forecasts of recorded sessions against the measurements and against other methods",
-    ),
-    ("repair", repair, "repair a session whose recorder was killed"),
-    ("report", report, "write a report on a session: one HTML file with figures and tables"),
-    ("dashboard", dashboard, "show the running graph on a live page in the browser"),
-    ("foxglove", foxglove, "serve the graph to Foxglove and Lichtblick"),
-    ("virtual-rig", virtual_rig, "emulate a rig: the Peltier rig's board, camera and plate, or the kit"),
-    ("fmu", fmu, "list an FMU's variables and draft the map that makes it a structure of a plant"),
-    ("new-plant", new_plant, "write a first file for your own plant, with its test and configuration"),
-    ("check-plant", check_plant, "report what is wrong with a plant's file, and what to change"),
-    ("prepare", prepare, "derive and compile the plants' equations now, so that the first run need not"),
-)
-"""Name, module and help text of each command."""
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Parse, with the options of the command's module."""
+        if self.command:
+            # `import` is a keyword, so its module has a trailing underscore.
+            name = {"import": "import_"}.get(self.command, self.command.replace("-", "_"))
+            module, self.command = import_module(f"twinmatch.cli.{name}"), ""
+            module.add_arguments(self)
+            self.set_defaults(command=module.run, parser=self)
+        return super().parse_known_args(args, namespace)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code: 0 done, 2 an error the user can correct, 130 interrupted."""
+    gc.set_threshold(_GARBAGE)
     parser = _parser()
     options = parser.parse_args(arguments)
     command: Callable[[argparse.Namespace], int] = options.command
     try:
         if getattr(options, "allow_fmu", None) is not None:
-            from twinmatch.fmu import adopt_fmus  # noqa: PLC0415 — keeps --help fast
+            from twinmatch.fmu import adopt_fmus  # noqa: PLC0415 — few commands need it
 
             adopt_fmus(options.allow_fmu)
         return command(options)
@@ -105,13 +92,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         prog="twinmatch", description="Which digital twin to trust, and how far, while the plant runs."
     )
     parser.add_argument("--version", action="version", version=f"twinmatch {__version__}")
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
-    for name, command, words in _COMMANDS:
-        one = commands.add_parser(name, help=words)
-        command.add_arguments(one)
-        one.set_defaults(command=command.run, parser=one)
+    for name, words in _COMMANDS.items():
+        commands.add_parser(name, help=words).command = name
     return parser

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from twinmatch.cli.shared import (
     EXIT_PARTLY,
@@ -18,9 +17,10 @@ from twinmatch.cli.shared import (
     write_json,
 )
 from twinmatch.errors import EXIT_USER_ERROR, TwinmatchError
-
-if TYPE_CHECKING:
-    from twinmatch.offline.backtest.scoring import Backtest
+from twinmatch.offline.archive import find_sessions
+from twinmatch.offline.backtest import Choices, backtest_session
+from twinmatch.offline.backtest.scoring import Backtest, document, over_all
+from twinmatch.showing.forecasts import backtest_tables, backtest_words
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -51,8 +51,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Test the twin; returns the exit code: 0 all sessions tested, 3 some skipped, 2 none tested."""
-    from twinmatch.offline.archive import find_sessions  # noqa: PLC0415 — keeps --help fast
-    from twinmatch.offline.backtest.scoring import document, over_all  # noqa: PLC0415
 
     check_writable(options.json, options.figure)
     sessions = find_sessions(options.sessions)
@@ -82,7 +80,6 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _one(path: Path, options: argparse.Namespace) -> Backtest:
-    from twinmatch.offline.backtest import Choices, backtest_session  # noqa: PLC0415 — as above
 
     horizons = None if options.horizon is None else tuple(options.horizon)
     with Progress() as progress:
@@ -100,7 +97,6 @@ def _one(path: Path, options: argparse.Namespace) -> Backtest:
 
 
 def _print(tested: Backtest) -> None:
-    from twinmatch.showing.forecasts import backtest_tables, backtest_words  # noqa: PLC0415 — as above
 
     console = console_for(140)
     for table in backtest_tables(tested):

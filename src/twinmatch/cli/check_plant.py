@@ -5,12 +5,11 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from twinmatch.adding import CheckedPlant, check_plant
+from twinmatch.adding.data import check_data, data_for
 from twinmatch.cli.shared import add_options
-
-if TYPE_CHECKING:
-    from twinmatch.adding import CheckedPlant
+from twinmatch.plants import find_plant
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -28,20 +27,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Check and print; returns the exit code."""
-    from twinmatch.adding import check_plant  # noqa: PLC0415 — keeps --help fast
-    from twinmatch.plants import find_plant  # noqa: PLC0415
 
     plant = find_plant(options.plant)
     samples = None
     if options.data is not None:
-        from twinmatch.adding.data import data_for  # noqa: PLC0415
-
         samples = data_for(options.data, plant, options.map_file)
     checked = check_plant(plant, options.period or (samples.period if samples else None))
     _print(checked)
     if samples is None or checked.unusable:
         return checked.exit_code
-    from twinmatch.adding.data import check_data  # noqa: PLC0415
 
     checked_data = check_data(samples, plant)
     _print(checked_data)

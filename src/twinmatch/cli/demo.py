@@ -36,7 +36,7 @@ def _live(speed: float) -> int:
     """Run the virtual rig through its set-points; returns the exit code."""
     from twinmatch.launching.live import Live, run_live  # noqa: PLC0415 — needs ROS
     from twinmatch.launching.plan import LivePlan, VirtualPlan  # noqa: PLC0415
-    from twinmatch.offline.judging import rehearse  # noqa: PLC0415 — keeps --help fast
+    from twinmatch.offline.judging import rehearse  # noqa: PLC0415 — slow to import
     from twinmatch.plants import Peltier  # noqa: PLC0415
     from twinmatch.twin import TwinSettings  # noqa: PLC0415
 

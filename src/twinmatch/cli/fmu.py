@@ -5,6 +5,11 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from twinmatch.fmu.mapping import draft, overview
+from twinmatch.fmu.process import FmuProcess
+from twinmatch.fmu.runner import described_by
+from twinmatch.plants import find_plant
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
@@ -16,10 +21,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Print the map as YAML, with the variables as comments; returns the exit code."""
-    from twinmatch.fmu.mapping import draft, overview  # noqa: PLC0415
-    from twinmatch.fmu.process import FmuProcess  # noqa: PLC0415
-    from twinmatch.fmu.runner import described_by  # noqa: PLC0415 — keeps --help fast
-    from twinmatch.plants import find_plant  # noqa: PLC0415
 
     plant, process = find_plant(options.plant), FmuProcess()
     try:

@@ -4,16 +4,26 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 from twinmatch.cli.shared import TERMS, Progress, add_options, check_writable, write_json
 from twinmatch.errors import TwinmatchError
+from twinmatch.offline.judging import terms_from_files
+from twinmatch.offline.outlooks import (
+    RECORDED,
+    Prospect,
+    ahead_of,
+    forecast_of,
+    planned_rows,
+    prospects,
+    samples_ahead,
+    samples_at,
+)
 from twinmatch.offline.processes import held_interrupts
-
-if TYPE_CHECKING:
-    from twinmatch.offline.outlooks import Prospect
-    from twinmatch.showing.series import Fan
-    from twinmatch.twin import TwinSettings
+from twinmatch.sessions import open_any
+from twinmatch.showing.forecasts import comparison_words, forecast_document, forecast_words
+from twinmatch.showing.series import Fan, fan
+from twinmatch.twin import TwinSettings
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -61,7 +71,6 @@ def run(options: argparse.Namespace) -> int:
     check_writable(options.json, options.figure)
     with held_interrupts():
         settings, found = _forecasts(options)
-    from twinmatch.showing.forecasts import forecast_document  # noqa: PLC0415 — keeps --help fast
 
     for one in found:
         _print(one, settings)
@@ -104,18 +113,6 @@ class _Requested(NamedTuple):
 
 def _forecasts(options: argparse.Namespace) -> tuple[TwinSettings, list[_Requested]]:
     """The settings, and the requested forecasts in the order of `--at`."""
-    from twinmatch.offline.judging import terms_from_files  # noqa: PLC0415 — as above
-    from twinmatch.offline.outlooks import (  # noqa: PLC0415
-        RECORDED,
-        ahead_of,
-        forecast_of,
-        planned_rows,
-        prospects,
-        samples_ahead,
-        samples_at,
-    )
-    from twinmatch.sessions import open_any  # noqa: PLC0415
-    from twinmatch.showing.series import fan  # noqa: PLC0415
 
     named = options.reference not in {None, RECORDED}
     rows = planned_rows(Path(options.reference)) if named else None
@@ -139,7 +136,6 @@ def _forecasts(options: argparse.Namespace) -> tuple[TwinSettings, list[_Request
 
 
 def _print(one: _Requested, settings: TwinSettings) -> None:
-    from twinmatch.showing.forecasts import comparison_words, forecast_words  # noqa: PLC0415 — as above
 
     forecast, prospect = one.fan.forecast, one.prospect
     seconds = f"{forecast.sample * settings.period:g} s"

@@ -6,14 +6,18 @@ import argparse
 import shlex
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from twinmatch.cli.shared import Progress, add_options, console_for
 from twinmatch.errors import TwinmatchError
-
-if TYPE_CHECKING:
-    from twinmatch.sessions.column_map import ColumnMap
-    from twinmatch.signals import Sample
+from twinmatch.plants import find_plant
+from twinmatch.sessions import plant_topics, read_recording, samples_of, write_session
+from twinmatch.sessions.bags import is_bag, map_bag, open_bag
+from twinmatch.sessions.column_map import ColumnMap, columns_of, parse_map, proposed, read_map
+from twinmatch.sessions.mapped import map_samples, with_plant_names
+from twinmatch.sessions.metadata import NO_REFERENCE, PLANT
+from twinmatch.sessions.tables import read_table
+from twinmatch.signals import Sample
 
 
 class ImportOptionError(TwinmatchError):
@@ -67,12 +71,10 @@ def run(options: argparse.Namespace) -> int:
         raise ImportOptionError(
             "import: name the session to write with -o SESSION (or show the columns with --list)"
         )
-    from twinmatch.sessions.bags import is_bag  # noqa: PLC0415 — keeps --help fast
 
     mapped = (options.map, options.map_file, options.plant, options.period, options.bridge)
     if any(mapped) or options.gaps != "refuse" or is_bag(options.recording):
         return _import_mapped(options)
-    from twinmatch.sessions import read_recording, samples_of  # noqa: PLC0415
 
     with Progress("reading") as progress:
         window = read_recording(options.recording, progress.advance)
@@ -85,7 +87,6 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _write(options: argparse.Namespace, samples: Sequence[Sample], **settings: Any) -> None:
-    from twinmatch.sessions import write_session  # noqa: PLC0415 — as above
 
     with Progress("writing") as progress:
         write_session(
@@ -94,12 +95,6 @@ def _write(options: argparse.Namespace, samples: Sequence[Sample], **settings: A
 
 
 def _import_mapped(options: argparse.Namespace) -> int:
-    from twinmatch.plants import find_plant  # noqa: PLC0415 — as above
-    from twinmatch.sessions import plant_topics  # noqa: PLC0415
-    from twinmatch.sessions.bags import is_bag, map_bag  # noqa: PLC0415
-    from twinmatch.sessions.mapped import map_samples, with_plant_names  # noqa: PLC0415
-    from twinmatch.sessions.metadata import NO_REFERENCE, PLANT  # noqa: PLC0415
-    from twinmatch.sessions.tables import read_table  # noqa: PLC0415
 
     given, limits = _given(options), {"longest": options.bridge, "gaps": options.gaps}
     if not given.plant:
@@ -137,7 +132,6 @@ def _import_mapped(options: argparse.Namespace) -> int:
 
 
 def _given(options: argparse.Namespace) -> ColumnMap:
-    from twinmatch.sessions.column_map import ColumnMap, parse_map, read_map  # noqa: PLC0415 — as above
 
     if options.period is not None and not options.period > 0:
         raise ImportOptionError(f"import: --period is {options.period:g}; give a positive number of seconds")
@@ -148,11 +142,7 @@ def _given(options: argparse.Namespace) -> ColumnMap:
 
 def _list(path: Path) -> int:
     """Print what a table or a bag holds, and a first map."""
-    from rich.table import Table  # noqa: PLC0415 — as above
-
-    from twinmatch.sessions.bags import is_bag, open_bag  # noqa: PLC0415
-    from twinmatch.sessions.column_map import columns_of, proposed  # noqa: PLC0415
-    from twinmatch.sessions.tables import read_table  # noqa: PLC0415
+    from rich.table import Table  # noqa: PLC0415 — needed only to print
 
     if is_bag(path):
         with open_bag(path) as bag:

@@ -6,13 +6,12 @@ import argparse
 import shlex
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from twinmatch.adding import Proposal, example, files_of, propose
 from twinmatch.cli.shared import add_options
 from twinmatch.errors import TwinmatchError
-
-if TYPE_CHECKING:
-    from twinmatch.adding import Proposal
+from twinmatch.sessions.column_map import ColumnMap, columns_of, parse_map, proposed
+from twinmatch.sessions.tables import read_table
 
 
 class NewPlantError(TwinmatchError):
@@ -51,7 +50,6 @@ def run(options: argparse.Namespace) -> int:
     Raises:
         TwinmatchError: the table cannot be used, or a file already exists.
     """
-    from twinmatch.adding import files_of  # noqa: PLC0415 — keeps --help fast
 
     files = files_of(options.name, _proposal(options))
     folder: Path = options.output
@@ -70,9 +68,6 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _proposal(options: argparse.Namespace) -> Proposal:
-    from twinmatch.adding import example, propose  # noqa: PLC0415 — as above
-    from twinmatch.sessions.column_map import ColumnMap, columns_of, parse_map, proposed  # noqa: PLC0415
-    from twinmatch.sessions.tables import read_table  # noqa: PLC0415
 
     if options.period is not None and not options.period > 0:
         raise NewPlantError(f"new-plant: --period is {options.period:g}; give a positive number of seconds")

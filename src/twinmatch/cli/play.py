@@ -23,7 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Play and show the verdicts as they come; returns the exit code: 130 if interrupted."""
     from twinmatch.launching.replay import Replay, play  # noqa: PLC0415 — needs ROS
-    from twinmatch.sessions import open_any  # noqa: PLC0415 — as above
+    from twinmatch.sessions import open_any  # noqa: PLC0415 — slow to import
 
     if not 0.0 <= options.rate <= 1000.0:
         options.parser.error(f"--rate is {options.rate:g}; it must be within 0 and 1000")

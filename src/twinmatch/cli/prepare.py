@@ -3,6 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import multiprocessing
+
+from twinmatch.dynamics.prepare import prepare
+from twinmatch.dynamics.store import cache_folder
+from twinmatch.plants import PLANTS, find_plant
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -18,11 +23,6 @@ def run(options: argparse.Namespace) -> int:
     Raises:
         TwinmatchError: there is no such plant, or its equations cannot be used.
     """
-    import multiprocessing  # noqa: PLC0415 — keeps --help fast
-
-    from twinmatch.dynamics.prepare import prepare  # noqa: PLC0415
-    from twinmatch.dynamics.store import cache_folder  # noqa: PLC0415
-    from twinmatch.plants import PLANTS, find_plant  # noqa: PLC0415
 
     # Beside the plants: a compiler uses one core.
     other = multiprocessing.get_context("spawn").Process(target=_identify_and_compare, daemon=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 
 from twinmatch.cli.shared import add_options
+from twinmatch.sessions.recording import repair_session
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -14,7 +15,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Repair; returns the exit code."""
-    from twinmatch.sessions.recording import repair_session  # noqa: PLC0415 — keeps --help fast
 
     found = repair_session(options.session)
     held = f"{found.messages} messages over {found.duration:.1f} s"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import gc
 import math
 import sys
 from collections.abc import Callable
@@ -21,16 +20,20 @@ from twinmatch.cli.shared import (
     write_json,
 )
 from twinmatch.errors import EXIT_USER_ERROR, TwinmatchError
+from twinmatch.offline.archive import Archive, ArchiveError, is_single, judge_archive
+from twinmatch.offline.judging import judge, terms_from_files
 from twinmatch.offline.processes import held_interrupts
+from twinmatch.plants import plant_named
+from twinmatch.sessions import Session, open_any
+from twinmatch.showing.lines import Lines, redraws
+from twinmatch.showing.quantities import parameter_format
+from twinmatch.showing.summary import closing_lines, document
+from twinmatch.twin import Outcome
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from twinmatch.offline.archive import Archive
-    from twinmatch.sessions import Session
-    from twinmatch.showing.lines import Lines
     from twinmatch.showing.terminal import Screen
-    from twinmatch.twin import Outcome
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -53,13 +56,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Judge and show; returns the exit code."""
-    from twinmatch.offline.archive import is_single  # noqa: PLC0415 — keeps --help fast
 
     check_writable(options.json, options.figure)
     asked = (options.jobs, options.out, options.scheduler)
     if not is_single(options.sessions) or any(option is not None for option in asked):
         return _replay_many(options)
-    gc.set_threshold(50_000)  # start-up creates many objects and hardly any garbage
     with held_interrupts():
         _replay_one(options.sessions[0], options)
     return 0
@@ -68,9 +69,6 @@ def run(options: argparse.Namespace) -> int:
 def _replay_one(path: Path, options: argparse.Namespace) -> None:
     """Judge a session and show every match and verdict when it comes: a view that is redrawn on a terminal,
     plain lines elsewhere."""
-    from twinmatch.offline.judging import judge, terms_from_files  # noqa: PLC0415 — keeps --help fast
-    from twinmatch.sessions import open_any  # noqa: PLC0415
-    from twinmatch.showing.summary import closing_lines, document  # noqa: PLC0415
 
     with Progress("reading") as progress:
         session = open_any(path, plant=options.plant, progress=progress.advance)
@@ -91,7 +89,6 @@ class _Display:
     """A screen on a terminal; elsewhere lines, with a progress bar on standard error."""
 
     def __init__(self, session: Session) -> None:
-        from twinmatch.showing.lines import Lines, redraws  # noqa: PLC0415 — as above
 
         self._total = len(session.samples)
         self._screen = redraws(sys.stdout)
@@ -129,8 +126,6 @@ class _Display:
 
 def _replay_many(options: argparse.Namespace) -> int:
     """Judge many sessions, print the table of all candidates and write the JSON; returns the exit code."""
-    from twinmatch.offline.archive import ArchiveError, judge_archive  # noqa: PLC0415 — as above
-    from twinmatch.showing.summary import document  # noqa: PLC0415
 
     if options.allow_fmu is not None:
         msg = "--allow-fmu works with one session; for several, set allow_fmu in the file of --config"
@@ -174,9 +169,6 @@ def _table(archive: Archive) -> Table:
     The columns include the free parameters of the first candidate's structure.
     """
     from rich.table import Table  # noqa: PLC0415 — needed only to print
-
-    from twinmatch.plants import plant_named  # noqa: PLC0415
-    from twinmatch.showing.quantities import parameter_format  # noqa: PLC0415
 
     first = archive.candidates[0]
     plant = plant_named(first["plant"])

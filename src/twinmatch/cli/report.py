@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import argparse
-import gc
 import os
 import shlex
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from twinmatch.cli.shared import TERMS, Progress, add_options, check_writable
 from twinmatch.offline.processes import held_interrupts
-
-if TYPE_CHECKING:
-    from twinmatch.showing.report.report import SessionReport
+from twinmatch.showing.report.pictures import write_pictures
+from twinmatch.showing.report.report import SessionReport, make_report
 
 FORMATS = ("png", "pdf")
 
@@ -39,22 +36,18 @@ def run(options: argparse.Namespace) -> int:
     session = Path(os.path.realpath(options.session))  # does not raise on a loop of links
     output: Path = options.output or Path(f"{session.name if session.is_dir() else session.stem}.html")
     check_writable(output, example="report.html")
-    gc.set_threshold(50_000)  # as in replay
     with held_interrupts():
         report = _make(options)
     report.write(output)
     print(report.sentence)
     print(f"report: {output} ({output.stat().st_size / 1e6:.1f} MB, opens in any browser, offline)")
     if options.figures is not None:
-        from twinmatch.showing.report.pictures import write_pictures  # noqa: PLC0415 — keeps --help fast
-
         written = write_pictures(report.pictures, options.figures, options.format)
         print(f"figures: {len(written)} {options.format.upper()} files in {options.figures}")
     return 0
 
 
 def _make(options: argparse.Namespace) -> SessionReport:
-    from twinmatch.showing.report.report import make_report  # noqa: PLC0415 — keeps --help fast
 
     with Progress() as progress:
         return make_report(

@@ -203,7 +203,7 @@ def serving_words(command: str, options: argparse.Namespace, library: str, **par
         ServingError: an option has an invalid value, or ROS or `library` (of the extra named `command`) is
             not installed.
     """
-    from twinmatch.showing.serving import ServingError  # noqa: PLC0415 — keeps --help fast
+    from twinmatch.showing.serving import ServingError  # noqa: PLC0415 — slow, and only servers need it
 
     if not 0 <= options.port <= 65535:
         raise ServingError(f"{command}: --port is {options.port}; give a port from 0 to 65535")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 
 from twinmatch.cli.shared import Progress, add_options
+from twinmatch.offline.verification import verify_session
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -20,7 +21,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Judge again and compare; returns the exit code: 0 identical, 1 different."""
-    from twinmatch.offline.verification import verify_session  # noqa: PLC0415 — keeps --help fast
 
     with Progress() as progress:
         found = verify_session(

@@ -59,7 +59,7 @@ def run(options: argparse.Namespace) -> int:
     if options.tell is not None:
         print(tell(*options.tell))
         return 0
-    from twinmatch.emulation.kit import VirtualKit  # noqa: PLC0415 — keeps --help fast
+    from twinmatch.emulation.kit import VirtualKit  # noqa: PLC0415 — what sends a command needs no rig
     from twinmatch.emulation.plant_time import RigSettings  # noqa: PLC0415
     from twinmatch.emulation.virtual_rig import VirtualRig  # noqa: PLC0415
 

@@ -31,10 +31,9 @@ from twinmatch.comparing.criteria import (
     score,
     score_orders,
 )
-from twinmatch.comparing.family import Candidate, Family
 from twinmatch.comparing.graph_symbol import GraphSymbol, graph_symbol
 from twinmatch.comparing.margin import Scales, loop_controller, loop_plant, stability_margin
-from twinmatch.comparing.models import SimoModel, identify, twin_response
+from twinmatch.comparing.models import Candidate, Family, SimoModel, identify, twin_response
 from twinmatch.comparing.nu_gap import nu_gap, nu_gap_matrix, nu_gap_of
 from twinmatch.comparing.plant_gap import LoopConditions, PlantGaps, plant_gap, plant_gaps, spans_of
 from twinmatch.comparing.polynomials import DiscriminationError

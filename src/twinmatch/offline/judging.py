@@ -17,7 +17,7 @@ from twinmatch.errors import TwinmatchError
 from twinmatch.offline.processes import held_interrupts
 from twinmatch.offline.summary import SessionSummary, summarise
 from twinmatch.parameters.twin import at_period, read_settings, recorded_values, settings_from
-from twinmatch.sessions import Session, open_any, samples_of
+from twinmatch.sessions import Session, samples_of
 from twinmatch.sessions.candidates import parse_candidates, read_candidates
 from twinmatch.sessions.metadata import CANDIDATES, parameters_of
 from twinmatch.signals import Sample, Window
@@ -111,27 +111,6 @@ class Judgement:
     matches: tuple[MatchReport, ...]
     verdicts: tuple[Verdict, ...]
     summary: SessionSummary
-
-
-def judge_session(
-    path: Path,
-    *,
-    candidates: Path | None = None,
-    config: Path | None = None,
-    plant: str | None = None,
-    watch: Watch | None = None,
-) -> Judgement:
-    """Judge a session, an .mcap file or a recording.
-
-    Args:
-        path: the session or recording.
-        candidates: file of initial candidates.
-        config: parameter file; without it the defaults.
-        plant: name or file of the plant, if the session does not name it or it is in a file.
-        watch: called with the progress.
-    """
-    session = open_any(path, plant=plant)
-    return judge(session, terms_from_files(session, config, candidates), watch=watch)
 
 
 def judge(

@@ -17,7 +17,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from twinmatch.comparing.family import Candidate
+from twinmatch.comparing.models import Candidate
 from twinmatch.dynamics import Output, Plant
 from twinmatch.errors import TwinmatchError
 from twinmatch.plants import Peltier, find_plant, plant_named

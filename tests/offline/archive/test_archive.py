@@ -18,7 +18,8 @@ import pytest
 from twinmatch.offline import archive as archives
 from twinmatch.offline.archive.files import content_of
 from twinmatch.offline.archive.job import ArchiveTerms, Job, judge_in_processes, judge_job
-from twinmatch.offline.judging import judge_session
+from twinmatch.offline.judging import judge, terms_from_files
+from twinmatch.sessions import open_any
 from twinmatch.showing.summary import document
 from twinmatch.twin import TwinSettings
 
@@ -47,7 +48,7 @@ def test_an_archive_is_judged_as_its_sessions_are_one_by_one_and_a_second_run_co
     paths = {"second": archive_folder / "deeper" / "second", "first": archive_folder / "first"}
     assert [s["session"] for s in found["sessions"]] == list(paths) == sorted(kept, reverse=True)
     for name, path in paths.items():
-        alone = judge_session(path)
+        alone = judge(session := open_any(path), terms_from_files(session))
         expected = json.loads(json.dumps(document(name, alone.verdicts, alone.summary, alone.matches)))
         assert {key: kept[name]["result"][key] for key in expected} == expected
         rows = [row for row in found["candidates"] if row["session"] == name]

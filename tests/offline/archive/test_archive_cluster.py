@@ -54,7 +54,7 @@ def test_a_cluster_without_workers_is_named(
     idle: tuple[ExitStack, Path, str], archive_folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     _, _, address = idle
-    monkeypatch.setattr("twinmatch.offline.archive.cluster.PATIENCE", 3.0)
+    monkeypatch.setattr("twinmatch.offline.archive.job.PATIENCE", 3.0)
     with pytest.raises(ClusterError, match="no workers") as caught:
         judge_archive([archive_folder], scheduler=address)
     assert address in str(caught.value)
@@ -111,7 +111,7 @@ def test_real_hours_are_judged_alike_on_the_cluster(
 def test_an_address_that_leads_nowhere_is_one_line(
     bad: str, archive_folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("twinmatch.offline.archive.cluster.PATIENCE", 1.0)
+    monkeypatch.setattr("twinmatch.offline.archive.job.PATIENCE", 1.0)
     with pytest.raises(ClusterError, match="cannot be reached") as caught:
         judge_archive([archive_folder / "first"], scheduler=bad)
     assert bad in str(caught.value)

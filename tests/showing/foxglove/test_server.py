@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from twinmatch.showing.foxglove.server import BACKLOG, GraphServer, StreamTime
+from twinmatch.showing.foxglove.node import BACKLOG, GraphServer, StreamTime
 from twinmatch.showing.serving import ServingError, is_loopback
 
 TEXT = "float64 data\n"

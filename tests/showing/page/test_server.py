@@ -16,7 +16,7 @@ from bokeh.models import Div
 from tornado.httpclient import HTTPClientError, HTTPRequest
 from tornado.websocket import websocket_connect
 
-from twinmatch.showing.page.server import PageServer
+from twinmatch.showing.page.tab import PageServer
 from twinmatch.showing.serving import ServingError, is_loopback
 
 

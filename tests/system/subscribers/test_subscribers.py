@@ -17,8 +17,8 @@ import pytest
 
 from tests.support.waiting import wait_for
 from twinmatch.nodes import network
-from twinmatch.offline.judging import judge_session
-from twinmatch.sessions import read_session
+from twinmatch.offline.judging import judge, terms_from_files
+from twinmatch.sessions import open_any, read_session
 
 pytestmark = pytest.mark.ros
 
@@ -47,7 +47,8 @@ def said(session: Path) -> list[dict[str, Any]]:
     from twinmatch.nodes.messages import message_of
 
     stamps = {sample.index: sample.stamp for sample in read_session(session).samples}
-    verdicts = judge_session(session).verdicts
+    read = open_any(session)
+    verdicts = judge(read, terms_from_files(read)).verdicts
     shown = [reader.plain(message_of(verdict, stamps[verdict.sample])) for verdict in verdicts]
     return [json.loads(json.dumps(score)) for score in shown]
 

@@ -10,7 +10,14 @@ from pathlib import Path
 from typing import Any
 
 from twinmatch.offline.archive.files import Store, content_of, find_sessions, key_of
-from twinmatch.offline.archive.job import ArchiveTerms, Failure, Job, JobResult, judge_in_processes
+from twinmatch.offline.archive.job import (
+    ArchiveTerms,
+    Failure,
+    Job,
+    JobResult,
+    judge_in_processes,
+    judge_on_cluster,
+)
 from twinmatch.offline.processes import cores
 
 
@@ -93,10 +100,8 @@ def _outcomes(todo: list[Job], jobs: int | None, scheduler: str | None) -> Gener
         return
     if scheduler is None:
         yield from judge_in_processes(todo, jobs or cores())
-        return
-    from twinmatch.offline.archive.cluster import judge_on_cluster  # noqa: PLC0415
-
-    yield from judge_on_cluster(todo, scheduler)
+    else:
+        yield from judge_on_cluster(todo, scheduler)
 
 
 class _Run:

@@ -24,9 +24,8 @@ from twinmatch.parameters.twin import read_settings
 from twinmatch.plants import plant_named
 from twinmatch.plants.records import description_of
 from twinmatch.showing.page.requests import Requests
-from twinmatch.showing.page.server import PageServer
 from twinmatch.showing.page.state import DashboardState, DriveReport, TwinRow, update_sentence
-from twinmatch.showing.page.tab import Tab
+from twinmatch.showing.page.tab import PageServer, Tab
 from twinmatch.showing.serving import place_settings, warn_if_open
 from twinmatch.twin import TwinSettings
 from twinmatch_msgs.msg import (
