@@ -15,12 +15,11 @@ from typing import Any, Final
 
 from twinmatch import __version__
 from twinmatch.errors import EXIT_USER_ERROR, TwinmatchError
+from twinmatch.offline.processes import GARBAGE
 
 __all__ = ["main"]
 
 EXIT_INTERRUPTED = 130
-_GARBAGE: Final = 50_000
-"""Objects between two collections: imports and fits make many objects and hardly any garbage."""
 
 _COMMANDS: Final[dict[str, str]] = {
     "demo": "see twinmatch work, on a virtual rig or a recorded session",
@@ -64,7 +63,7 @@ class _Parser(argparse.ArgumentParser):
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code: 0 done, 2 an error the user can correct, 130 interrupted."""
-    gc.set_threshold(_GARBAGE)
+    gc.set_threshold(GARBAGE)
     parser = _parser()
     options = parser.parse_args(arguments)
     command: Callable[[argparse.Namespace], int] = options.command

@@ -161,15 +161,30 @@ class Scales(NamedTuple):
         return cls(limit / abs(gains.proportional), limit)
 
 
+@lru_cache(maxsize=16)
 def loop_controller(gains: PidGains, *, scales: Scales | None = None) -> GraphSymbol:
     """The PID from deviation to input, P + I·Ts/(z − 1) + D·(z − 1)/(Ts·z), scaled.
 
     Raises:
         DiscriminationError: as `Scales.of`.
     """
-    return _controller(gains, scales or Scales.of(gains))
+    scales = scales or Scales.of(gains)
+    parts = [(np.array([gains.proportional]), np.array([1.0]))]
+    if gains.integral != 0:
+        parts.append((np.array([gains.integral * gains.period]), np.array([1.0, -1.0])))
+    if gains.derivative != 0:
+        parts.append((gains.derivative / gains.period * np.array([1.0, -1.0]), np.array([1.0, 0.0])))
+    numerator: FloatArray = np.zeros(1)
+    denominator: FloatArray = np.ones(1)
+    for n, d in parts:
+        total = np.polyadd(np.convolve(numerator, d), np.convolve(n, denominator))
+        numerator = np.asarray(total, dtype=np.float64)
+        denominator = np.convolve(denominator, d)
+    scaled = numerator * (scales.output / scales.input)
+    return GraphSymbol.of_polynomials(denominator, [scaled], gains.period)
 
 
+@lru_cache(maxsize=64)  # a candidate stays in the family for many verdicts
 def loop_plant(
     parameters: Parameters,
     operating_point: float,
@@ -191,28 +206,7 @@ def loop_plant(
         PlantError: no input holds it there, or the plant cannot be computed with this period.
     """
     gains = gains or gains_of(parameters.model.plant, 1.0)
-    return _plant(parameters, operating_point, gains, scales or Scales.of(gains))
-
-
-@lru_cache(maxsize=16)
-def _controller(gains: PidGains, scales: Scales) -> GraphSymbol:
-    ratio = scales.output / scales.input
-    parts = [(np.array([gains.proportional]), np.array([1.0]))]
-    if gains.integral != 0:
-        parts.append((np.array([gains.integral * gains.period]), np.array([1.0, -1.0])))
-    if gains.derivative != 0:
-        parts.append((gains.derivative / gains.period * np.array([1.0, -1.0]), np.array([1.0, 0.0])))
-    numerator: FloatArray = np.zeros(1)
-    denominator: FloatArray = np.ones(1)
-    for n, d in parts:
-        total = np.polyadd(np.convolve(numerator, d), np.convolve(n, denominator))
-        numerator = np.asarray(total, dtype=np.float64)
-        denominator = np.convolve(denominator, d)
-    return GraphSymbol.of_polynomials(denominator, [numerator * ratio], gains.period)
-
-
-@lru_cache(maxsize=64)  # a candidate stays in the family for many verdicts
-def _plant(parameters: Parameters, operating_point: float, gains: PidGains, scales: Scales) -> GraphSymbol:
+    scales = scales or Scales.of(gains)
     linear = linearised(parameters, operating_point, gains.period)
     if gains.saturates(linear.rest.input):
         plant = parameters.model.plant

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import multiprocessing
 import os
 import signal
@@ -17,6 +18,8 @@ from typing import Final, ParamSpec, TypeVar
 P = ParamSpec("P")
 R = TypeVar("R")
 
+GARBAGE: Final = 50_000
+"""Objects between two collections: imports, fits and figures make many objects and hardly any garbage."""
 LONG: Final = 1800
 """Samples from which a session is worth a second process, which takes two seconds to start."""
 
@@ -76,9 +79,10 @@ def pool(processes: int) -> Iterator[ProcessPoolExecutor]:
 
 
 def _begin() -> None:
-    """Set up a process: one thread of linear algebra, before numpy is imported; it exits with its parent."""
+    """Set up a process: one thread of linear algebra, before numpy is imported; it ends with its parent."""
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ[variable] = "1"
+    gc.set_threshold(GARBAGE)
     parent = multiprocessing.parent_process()
     if parent is not None:
         threading.Thread(target=_end_with, args=(parent.sentinel,), daemon=True).start()
