@@ -157,7 +157,7 @@ def test_shell_lines_refuse_what_the_nodes_refuse(stranger: dict[str, str]) -> N
 
 
 def of_topic(replayed: Replayed, name: str) -> list[list[Any]]:
-    """What Cyclone's reader has heard of a topic."""
+    """What Cyclone's reader has received of a topic."""
     return [values for topic, *values in replayed.cyclone if topic == name]
 
 
