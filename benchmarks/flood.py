@@ -1,4 +1,4 @@
-"""A flood: samples, requests and scores at some kHz from beside a live graph, and what becomes of it.
+"""A flood: messages at some kHz from beside a live graph, and what becomes of it.
 
     python -m benchmarks.flood [--rate 2000] [--seconds 20] [--speed 4]
 
@@ -25,6 +25,7 @@ import rclpy
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
+from sensor_msgs.msg import Temperature
 
 from benchmarks.soak import Soak, _family, _resident
 from twinmatch.emulation.faults import tell
@@ -33,7 +34,7 @@ from twinmatch.nodes.messages import request_message, sample_message
 from twinmatch.plants import Peltier
 from twinmatch.signals import Sample, Window
 from twinmatch.twin import MatchRequest
-from twinmatch_msgs.msg import LoopSample, ModelScore
+from twinmatch_msgs.msg import LoopSample, ModelScore, PwmCommand
 from twinmatch_msgs.msg import MatchRequest as RequestMessage
 
 ALLOWED = 150.0
@@ -47,7 +48,10 @@ TOPICS = {
     "samples": ("plant/sample", LoopSample),
     "requests": ("twin/match_request", RequestMessage),
     "scores": ("twin/model_score", ModelScore),
+    "temperatures": ("plant/temperature", Temperature),
+    "commands": ("plant/pwm_command", PwmCommand),
 }
+"""The last two decide about heat: the output must go to zero, and latch."""
 
 
 def forged(kind: str, begun: int) -> Iterator[Any]:
@@ -62,6 +66,10 @@ def forged(kind: str, begun: int) -> Iterator[Any]:
         elif kind == "requests":
             request.sample = 299 + k
             yield request
+        elif kind == "temperatures":
+            yield Temperature(temperature=20.0)
+        elif kind == "commands":
+            yield PwmCommand(pwm=255.0, index=k)
         else:
             score.sample = score.last = 10_000 + k
             yield score
