@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import contextlib
 import math
 import os
 import pty
@@ -146,9 +147,13 @@ def test_a_pulled_cable_is_noticed_and_the_port_reopened(board: Board, link: pwm
 def test_a_restarted_board_is_noticed(board: Board, link: pwm_link.PwmLink) -> None:
     link.command(100)
     board.hang()
-    wait_for(lambda: not Path(board.port).exists(), "the port's end")
+
+    def query() -> None:
+        with contextlib.suppress(PwmTimeoutError):  # the board hangs
+            link.query()
+
     with pytest.raises(PwmPortLostError, match="was lost"):
-        link.command(100)
+        wait_for(query, "the port's end, which is short")
     banner = link.reopen(patience=20)
     assert link.banner == banner
     assert (banner.restarts, link.restarts) == (1, 1)

@@ -40,13 +40,9 @@ class PlantClock(TwinmatchNode):
 
     def report(self) -> Report:
         """Whether time passes."""
-        still = self._stillness.seconds()
-        if still:
-            why = f" ({self._client.error})" if self._client.error else ""
-            message = f"plant time has stood still for {still:.0f} s{why}"
-            self.health.flag("still", Level.ERROR, message)
-        else:
-            self.health.withdraw("still")
+        still, why = self._stillness.seconds(), f" ({self._client.error})" if self._client.error else ""
+        text = f"plant time has stood still for {still:.0f} s{why}"
+        self.health.flag_if(still > 0, "still", Level.ERROR, text)
         self.health.set("set back", self._stillness.set_backs)
         return super().report()
 
