@@ -196,7 +196,11 @@ def names_told(kind: str, seed: int) -> tuple[str, int | None]:
     """
     start = int(np.random.default_rng(seed).integers(500, 900))
     samples, _ = run(profile(seed + 1000, 1900), Break(kind, start), rig=some_rig(seed), seed=seed)
-    monitor, healths = watch(samples)
+    monitor, healths = Monitor(), list[Health]()
+    for sample in samples:
+        healths.append(monitor.push(sample))
+        if any(alarm.fault is not Fault.DRIFT for alarm in monitor.alarms):
+            break
     if not monitor.alarms:
         doubted = any(h.state is HealthState.SUSPECT and h.index > start for h in healths)
         return ("suspected" if doubted else "nothing"), None

@@ -99,8 +99,8 @@ def test_a_constant_band_has_the_means_of_the_nominal(shipped: Backtest) -> None
 
 def test_a_session_cut_short_gives_the_same_forecasts() -> None:
     """Nobody looks ahead: what comes after sample 1100 does not change what is said up to 1000."""
-    whole = open_any(SHIPPED)
-    cut = replace(whole, samples=whole.samples[:1101])
+    session = open_any(SHIPPED)
+    whole, cut = (replace(session, samples=session.samples[:size]) for size in (1400, 1101))
     choices = Choices(every=100.0, horizons=(10.0, 100.0))
     one, other = (backtest(s, terms_from_files(s), choices) for s in (whole, cut))
     known = {(*m.place, m.who): m for m in other.marked if m.sample <= 1000}
