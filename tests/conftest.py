@@ -116,8 +116,8 @@ def no_adopted_structures() -> Iterator[None]:
         for name in [name for name in plant.structures if is_fmu(name)]:
             source = plant.structures[name].external
             plant.disown(name)
-            if hasattr(source, "runner"):
-                source.runner.close()
+            if hasattr(source, "close"):
+                source.close()
 
 
 @pytest.fixture(scope="session")

@@ -51,6 +51,6 @@ def adopted(tmp_path: Path) -> Iterator[Callable[..., Model]]:
     yield adopt
     for name in [name for name in Peltier.structures if is_fmu(name)]:
         source = Peltier.structures[name].external
-        if hasattr(source, "runner"):
-            source.runner.close()
+        if hasattr(source, "close"):
+            source.close()
         Peltier.disown(name)

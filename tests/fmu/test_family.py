@@ -117,7 +117,7 @@ def test_one_that_is_lost_while_it_leads_leaves(adopted: Callable[..., Model], e
         twin.push(sample)
     forecaster = twin.discriminator.forecaster
     assert model.structure_name in forecaster.names
-    model.structure.external.runner.lose("a test took it away")  # type: ignore[union-attr]
+    model.structure.external.lose("a test took it away")  # type: ignore[union-attr]
     for sample in samples[560:]:
         twin.push(sample)
     assert model.structure_name not in forecaster.names
@@ -138,7 +138,7 @@ def test_a_configuration_lets_fmus_run_and_a_recording_does_not(exchange_fmu: Pa
         assert Peltier.structures[name].watched
     finally:
         for name in [name for name in Peltier.structures if is_fmu(name)]:
-            Peltier.structures[name].external.runner.close()  # type: ignore[union-attr]
+            Peltier.structures[name].external.close()  # type: ignore[union-attr]
             Peltier.disown(name)
     config.write_text(yaml.safe_dump({"/**": {"ros__parameters": {"allow_fmu": "nowhere.yaml"}}}))
     with pytest.raises(ParameterError, match=r"nowhere\.yaml"):
@@ -155,7 +155,7 @@ def test_a_report_is_written_with_an_fmu(exchange_fmu: Path, tmp_path: Path) -> 
         (name,) = [name for name in Peltier.structures if is_fmu(name)]
     finally:
         for name in [name for name in Peltier.structures if is_fmu(name)]:
-            Peltier.structures[name].external.runner.close()  # type: ignore[union-attr]
+            Peltier.structures[name].external.close()  # type: ignore[union-attr]
             Peltier.disown(name)
     assert name in page.read_text(encoding="utf-8")
 

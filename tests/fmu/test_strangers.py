@@ -101,8 +101,8 @@ def test_its_process_ends_with_the_structure(run_of) -> None:
     run_of("")()
     process = _process()
     source = next(s.external for s in Peltier.structures.values() if s.external is not None)
-    folder = source.runner._process.folder  # type: ignore[attr-defined]
-    source.runner.close()  # type: ignore[attr-defined]
+    folder = source._process.folder  # type: ignore[attr-defined]
+    source.close()  # type: ignore[attr-defined]
     assert not Path(f"/proc/{process}").exists()
     assert not folder.exists()
 
@@ -121,7 +121,7 @@ def test_what_it_started_ends_with_it_in_whatever_session(run_of) -> None:
     run_of("leaves a program")()
     assert _sleeping()
     source = next(s.external for s in Peltier.structures.values() if s.external is not None)
-    source.runner.close()  # type: ignore[attr-defined]
+    source.close()  # type: ignore[attr-defined]
     assert not _sleeping()
 
 
@@ -149,7 +149,7 @@ def test_its_process_and_folder_go_when_its_parent_is_killed() -> None:
 
 def _process() -> int:
     source = next(s.external for s in Peltier.structures.values() if s.external is not None)
-    return int(source.runner._process._process.pid)  # type: ignore[attr-defined]
+    return int(source._process._process.pid)  # type: ignore[attr-defined]
 
 
 def test_one_for_another_machine_is_refused(exchange_fmu: Path, tmp_path: Path) -> None:
@@ -296,11 +296,11 @@ def test_a_file_that_changed_is_not_run(exchange_fmu: Path, tmp_path: Path, adop
     fmu = _changed(exchange_fmu, tmp_path)
     model = adopted(fmu)
     source = model.structure.external
-    source.runner.close()
+    source.close()
     with zipfile.ZipFile(fmu, "a") as opened:
         opened.writestr("resources/more", b"x")
     with pytest.raises(PlantError, match="has changed since it was added to the plant"):
-        begin(model.parameters(), 30.0) is not None and source.runner.start()
+        begin(model.parameters(), 30.0) is not None and source.start()
 
 
 def _changed(fmu: Path, folder: Path, rename=lambda name: name, more: dict[str, bytes] | None = None) -> Path:

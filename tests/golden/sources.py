@@ -44,7 +44,7 @@ def documents_of(name: str, folder: Path) -> Documents:
             for adopted in set(PLANTS[plant].structures) - names:
                 source = PLANTS[plant].structures[adopted].external
                 PLANTS[plant].disown(adopted)
-                source.runner.close()  # type: ignore[union-attr]
+                source.close()  # type: ignore[union-attr]
 
 
 def _run(command: str, *options: object, out: Path | None = None) -> Any:

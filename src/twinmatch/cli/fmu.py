@@ -7,7 +7,7 @@ from pathlib import Path
 
 from twinmatch.fmu.mapping import draft, overview
 from twinmatch.fmu.process import FmuProcess
-from twinmatch.fmu.runner import described_by
+from twinmatch.fmu.structure import described_by
 from twinmatch.plants import find_plant
 
 

@@ -8,7 +8,7 @@ imported only then.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol, TypeVar, overload
 
@@ -244,9 +244,8 @@ class ExternalEquations(Protocol):
     def states(self) -> Mapping[str, State]:
         """States that only this structure has, by name."""
 
-    @property
-    def kernels(self) -> Any:
-        """The functions and names of a module of compiled kernels, except those that track changes.
+    def kernels_by(self, unknown: Iterable[str]) -> Any:
+        """As `twinmatch.dynamics.store.Kernels`, with tangents for these parameters.
 
         They raise `StructureLostError` once the external equations are gone.
         """

@@ -108,23 +108,11 @@ def forecast_loop(
         vector, which, at, joint, process_noise, u, closed, constants, signal, rows,
         float(memory.integral), float(memory.previous), period, steps,
     )  # fmt: skip
-    if not model.is_external:
-        return LoopForecast._make(_foresee(kernels.code, *whole, noise * noise, banded))
-    output, commanded, *slopes = kernels.foresee(*whole, banded)
-    if not banded:
-        return LoopForecast(output, commanded, np.zeros(0), np.zeros(0))
-    by, by_state, by_drive, free, seen = slopes
-    return LoopForecast(
-        output,
-        commanded,
-        *_variances(
-            joint, by, by_state, by_drive, free, seen, constants, closed, noise * noise, process_noise
-        ),
-    )
+    return LoopForecast._make(kernels.call(foresee, *whole, noise * noise, banded))
 
 
 @compiled
-def _foresee(
+def foresee(
     code: Code, vector: FloatArray, which: NDArray[np.int64], x: FloatArray, joint: FloatArray,
     process_noise: FloatArray, u: float, closed: bool, gains: Gains, signal: FloatArray,
     disturbances: FloatArray, integral: float, previous: float, period: float, steps: int, noise: float,

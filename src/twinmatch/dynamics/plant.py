@@ -114,7 +114,7 @@ class Model:
     def kernels(self) -> Any:
         """Its functions; compiled ones have tangents for all parameters free in structures with its parts."""
         if self.structure.external is not None:
-            return self.structure.external.kernels
+            return self.structure.external.kernels_by(())
         parts = self.structure.parts
         every = self.plant.structures.values()
         free = (s.free for s in every if s.parts == parts and s.external is None)
@@ -122,7 +122,9 @@ class Model:
 
     def kernels_by(self, names: Iterable[str]) -> Any:
         """Functions with tangents for these parameters."""
-        if self.structure.external is not None or set(names) <= set(self.kernels.UNKNOWN):
+        if self.structure.external is not None:
+            return self.structure.external.kernels_by(names)
+        if set(names) <= set(self.kernels.UNKNOWN):
             return self.kernels
         return kernels_of(self.plant, self.structure.parts, frozenset(self.names))
 

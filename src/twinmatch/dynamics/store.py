@@ -42,7 +42,7 @@ _COMPILER = (
 _PROGRAMS = ("llvmlite", "sympy")
 
 
-_KERNELS: Final = (
+KERNELS: Final = (
     kernels.advance, kernels.begin, kernels.outputs_at, kernels.parts, kernels.slopes_at, kernels.step_count,
     runs.normal_at, runs.run, runs.run_with_tangents, runs.search, runs.start_at,
     filters.correct, filters.predict, filters.track,
@@ -64,8 +64,12 @@ class Kernels:
         )
         known = {**addresses, **sizes, **{f"n_{of}": len(found) for of, found in names.items()}}
         self.code = np.array([known[name] for name in (*FUNCTIONS, *kernels.SIZES)], dtype=np.int64)
-        for kernel in _KERNELS:
+        for kernel in KERNELS:
             setattr(self, kernel.__name__, functools.partial(kernel, self.code))
+
+    def call(self, kernel: Any, *arguments: Any) -> Any:
+        """The results of another kernel for this plant."""
+        return kernel(self.code, *arguments)
 
     if TYPE_CHECKING:
 

@@ -1,367 +1,371 @@
-"""A running FMU: initialise, advance, read. Used only in the FMU's own process.
+"""A running FMU for compiled code: brought to parameters and states, advanced, read; only in its process.
 
-Values are in the FMU's units. As used here, FMI 2 and FMI 3 differ only in names. Functions that are called
-at every sample are bound once. Whole runs without events, which cover most samples, are compiled code that
-calls the FMU's functions by address: pointers, sizes and booleans are all passed as integers; additional
-arguments of FMI 3 come last, where functions of FMI 2 ignore them.
+Its functions are called by address: pointers, sizes and booleans are all passed as integers; additional
+arguments of FMI 3 come last, where functions of FMI 2 ignore them. An error is kept in the machine, which
+then does nothing more until `error_of` has told it.
 """
 
-# ruff: noqa: ARG001, PLR0917 (kernels take arrays in a row, and intrinsics the compiler's context)
+
 # mypy: disable-error-code="untyped-decorator, no-any-return"
 
 from __future__ import annotations
 
-import ctypes
-from collections.abc import Callable, Sequence
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
+import numba
 import numpy as np
 from llvmlite import ir
 from numba import types
+from numba.core import cgutils
 from numba.extending import intrinsic
+from numpy.typing import NDArray
 
 from twinmatch.compiled import compiled
-from twinmatch.dynamics.loop import Gains, pid_step, reading
 from twinmatch.signals import FloatArray
 
-_WARNING: Final = 1
+FUNCTIONS: Final = (
+    "Reset", "SetupExperiment", "EnterInitializationMode", "ExitInitializationMode", "GetReal", "SetReal",
+    "DoStep", "SetTime", "GetContinuousStates", "SetContinuousStates", "GetDerivatives", "GetEventIndicators",
+    "CompletedIntegratorStep", "EnterEventMode", "NewDiscreteStates", "EnterContinuousTimeMode",
+)  # fmt: skip
+"""Functions of FMI 2 whose addresses a machine begins with; zero where it has none or needs none."""
+NAMES_3: Final = {
+    "SetupExperiment": "",
+    "GetReal": "GetFloat64",
+    "SetReal": "SetFloat64",
+    "GetDerivatives": "GetContinuousStateDerivatives",
+    "NewDiscreteStates": "UpdateDiscreteStates",
+}
+"""Those with other names in FMI 3."""
+(
+    RESET, SETUP, INITIALISE, BEGIN, GET, SET, STEP, SET_TIME, GET_STATES, SET_STATES, RATES, INDICATORS,
+    COMPLETED, EVENT_MODE, UPDATE, CONTINUE,
+) = range(16)  # fmt: skip
+INSTANCE, RENEW, FMI_3, EXCHANGE, N_PARAMETERS, N_STATES, N_INPUTS, N_INDICATORS, N_UNKNOWN = range(16, 25)
+"""The instance, a function that replaces it, whether it is of FMI 3 and for model exchange, and numbers."""
+FIXED, INPUTS, STATES, OUTPUT = range(25, 29)
+"""Addresses of the value references of what is set before a run, of drive and disturbances, of states, of the
+output."""
+STATUS, WHERE, BEGUN = range(29, 32)
+"""The first error and the function that it came from, and whether a run has begun."""
+PLACES, GIVEN, UNKNOWN, SHOWN = range(32, 36)
+"""Where these begin among the integers: index of each state among the FMU's own, indices of the disturbances
+that it takes, indices of the parameters with tangents, and which of these the output depends on by itself."""
+FACTORS, OFFSETS, HELD, SIZES, LEAST, MOST, HEAD = range(36, 43)
+"""Where these begin among the floats, each in the order parameters, states, inputs, output. Plant value =
+factor · FMU value + offset; the values at which it is, in the plant's units; scales of parameters, and spans
+of states and drive; least and most possible values. And the end of the integers that are not lists."""
+RUN_TIME, REST, SAMPLE, VALUES = range(4)
+"""Time of the run, rest value of the drive, sample time of a rate in co-simulation; and the end of these."""
+ENDED: Final = 101
+UNSETTLED: Final = 102
+_WARNING = 1
 """Highest status that is not an error."""
-_POINTER, _SIZE, _REAL = ctypes.c_void_p, ctypes.c_size_t, ctypes.c_double
-DONE, EVENT, ENDED = 0, -1, 3
-"""Results of a run; after an error, its status is returned instead."""
+MOST_ROUNDS = 100
+"""Most event iterations at one time."""
+BISECTIONS = 48
+MOST_EVENTS = 24
+"""Most events located in one step; later ones are not located."""
 
 
-class Calls:
-    """Functions by name without `fmi2` or `fmi3`; an error status is raised as an exception."""
-
-    def __init__(self, fmu: Any, major: int) -> None:
-        """Bind an instance made by FMPy; `major` is the version of FMI."""
-        self.fmu, self.major = fmu, major
-
-    def bound(self, name: str, *types: Any) -> Callable[..., None]:
-        """A function of the library, bound to the instance as its first argument."""
-        function = self.fmu.dll[f"fmi{self.major}{name}"]
-        function.restype, function.argtypes = ctypes.c_int, (_POINTER, *types)
-        fmu = self.fmu
-
-        def call(*arguments: Any) -> None:
-            status = function(fmu.component, *arguments)
-            if status > _WARNING:
-                raise RuntimeError(f"its function {name} returned status {status}")
-
-        return call
-
-    def address(self, name: str) -> int:
-        """Address of a function; 0 if it is missing."""
-        return int(ctypes.cast(self.fmu.dll[f"fmi{self.major}{name}"], _POINTER).value or 0)
-
-    def group(self, references: Sequence[int]) -> Group:
-        """Variables that are set or read together."""
-        return Group(self, references)
+Integers = NDArray[np.int64]
+"""Addresses and numbers of a machine, in the order above, then lists."""
 
 
-class Group:
-    """Some variables of an FMU, with a buffer for their values."""
-
-    def __init__(self, calls: Calls, references: Sequence[int]) -> None:
-        n = len(references)
-        self.values = (_REAL * n)()
-        self._references = (ctypes.c_uint32 * n)(*references)
-        self.address = ctypes.addressof(self._references)
-        """Address of the references."""
-        self._arguments: tuple[int, ...] = (
-            ctypes.addressof(self._references), n, ctypes.addressof(self.values), n,
-        )[: 3 if calls.major == 2 else 4]  # fmt: skip
-        types = (_POINTER, _SIZE, _POINTER, _SIZE)[: len(self._arguments)]
-        kind = "Real" if calls.major == 2 else "Float64"
-        self._get, self._set = (calls.bound(f"{verb}{kind}", *types) for verb in ("Get", "Set"))
-
-    def write(self, values: Sequence[float]) -> None:
-        """Set the variables."""
-        if values:
-            self.values[:] = list(values)
-            self._set(*self._arguments)
-
-    def read(self) -> list[float]:
-        """Read the variables."""
-        if len(self.values):
-            self._get(*self._arguments)
-        return self.values[:]
-
-
-class Addresses(NamedTuple):
-    """Addresses of the instance, its functions and value references; zero if absent."""
-
-    component: int
-    get: int
-    set: int
-    inputs: int
-    """References of drive and disturbances."""
-    states: int
-    output: int
-    set_time: int
-    set_x: int
-    get_x: int
-    get_dx: int
-    after_step: int
-    do_step: int
-
-
-class Buffers(NamedTuple):
-    """Buffers of the functions."""
-
-    inputs: FloatArray
-    states: FloatArray
-    output: FloatArray
-    x: FloatArray
-    dx: FloatArray
-    flags: Any
-    """Integer flags, shape (8,)."""
-
-
-def _status(*given: Any) -> Any:
-    """Signature and code of a call by address that returns an FMI status."""
-
-    def code(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-        kinds = [context.get_value_type(kind) for kind in signature.args[1:]]
-        function = builder.inttoptr(values[0], ir.FunctionType(ir.IntType(32), kinds).as_pointer())
-        return builder.call(function, values[1:])
-
-    return types.int32(*given), code
-
-
-@intrinsic
-def _call_2(context: Any, address: Any, component: Any, a: Any, b: Any) -> Any:
-    return _status(address, component, a, b)
-
-
-@intrinsic
-def _call_4(context: Any, address: Any, component: Any, a: Any, b: Any, c: Any, d: Any) -> Any:
-    return _status(address, component, a, b, c, d)
-
-
-@intrinsic
-def _call_time(context: Any, address: Any, component: Any, time: Any) -> Any:
-    return _status(address, component, time)
-
-
-@intrinsic
-def _call_step(
-    context: Any, address: Any, component: Any, time: Any, size: Any, kept: Any,
-    a: Any, b: Any, c: Any, d: Any,
-) -> Any:  # fmt: skip
-    return _status(address, component, time, size, kept, a, b, c, d)
+def memory_for(parameters: int, states: int, inputs: int) -> tuple[Integers, FloatArray]:
+    """The integers and the floats of a machine, zero but for what follows from its sizes."""
+    whole = parameters + states + inputs + 1
+    at = np.zeros(HEAD + states + inputs + 2 * parameters, dtype=np.int64)
+    at[[N_PARAMETERS, N_STATES, N_INPUTS]] = parameters, states, inputs
+    at[PLACES : SHOWN + 1] = np.cumsum([HEAD, states, inputs, parameters])
+    at[FACTORS:HEAD] = VALUES + whole * np.arange(6)
+    return at, np.zeros(VALUES + 6 * whole)
 
 
 @compiled(inside=True)
-def _rates(at: Addresses, buffers: Buffers, x: FloatArray, time: float, k: FloatArray) -> int:
-    n = x.size
-    status = _call_time(at.set_time, at.component, time)
-    for i in range(n):
-        buffers.x[i] = x[i]
-    status = max(status, _call_2(at.set_x, at.component, buffers.x.ctypes.data, n))
-    status = max(status, _call_2(at.get_dx, at.component, buffers.dx.ctypes.data, n))
-    for i in range(n):
-        k[i] = buffers.dx[i]
-    return status
+def integers_at(pointer: Any) -> Integers:
+    """The integers of a machine that begin at a pointer."""
+    at = numba.carray(pointer, HEAD)
+    return numba.carray(pointer, HEAD + at[N_STATES] + at[N_INPUTS] + 2 * at[N_PARAMETERS])
 
 
 @compiled(inside=True)
-def _moved(at: Addresses, buffers: Buffers, time: float, period: float, steps: int) -> int:
-    """Advance a model-exchange FMU by one period."""
-    n = buffers.x.size
-    h, x = period / steps, np.empty(n)
-    k1, k2, k3, k4 = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
-    data = buffers.flags.ctypes.data
-    status = _call_2(at.get_x, at.component, buffers.x.ctypes.data, n)
-    for i in range(n):
-        x[i] = buffers.x[i]
-    for step in range(steps):
-        t = time + step * h
-        status = max(status, _rates(at, buffers, x, t, k1))
-        status = max(status, _rates(at, buffers, x + 0.5 * h * k1, t + 0.5 * h, k2))
-        status = max(status, _rates(at, buffers, x + 0.5 * h * k2, t + 0.5 * h, k3))
-        status = max(status, _rates(at, buffers, x + h * k3, t + h, k4))
-        for i in range(n):
-            x[i] += h / 6.0 * (k1[i] + 2.0 * k2[i] + 2.0 * k3[i] + k4[i])
-            buffers.x[i] = x[i]
-        status = max(status, _call_time(at.set_time, at.component, t + h))
-        status = max(status, _call_2(at.set_x, at.component, buffers.x.ctypes.data, n))
-        if at.after_step != 0:
-            buffers.flags[0] = 0
-            status = max(status, _call_4(at.after_step, at.component, 1, data, data + 4, 0))
-            if buffers.flags[0] != 0:
-                return EVENT
-    return status
+def floats_at(integers: Any, floats: Any) -> FloatArray:
+    """The floats of a machine that begin at a pointer, as do its integers."""
+    at = numba.carray(integers, HEAD)
+    return numba.carray(floats, VALUES + 6 * (at[N_PARAMETERS] + at[N_STATES] + at[N_INPUTS] + 1))
 
 
-@compiled
-def compiled_run(
-    at: Addresses, buffers: Buffers, closed: bool, gains: Gains, given: FloatArray, others: FloatArray,
-    noise: FloatArray, frozen: FloatArray, numbers: FloatArray, steps: int,
-    y: FloatArray, u: FloatArray, states: FloatArray,
-) -> int:  # fmt: skip
-    """Fill outputs and inputs, shape (N,), and states, shape (N + 1, nx), from the FMU's current state.
+@intrinsic
+def _fmi(context: Any, address: Any, instance: Any, given: Any) -> Any:  # noqa: ARG001 (numba's interface)
+    """Call a function of the FMU by its address; returns its status."""
 
-    `numbers` holds resolution, integral, previous, period, and factor and offset of output and drive.
-    Returns `DONE`, `EVENT`, `ENDED` or an error status.
+    def code(context: Any, builder: Any, signature: Any, values: Any) -> Any:  # noqa: ARG001
+        passed = [values[1], *cgutils.unpack_tuple(builder, values[2])]
+        kinds = ir.FunctionType(ir.IntType(32), [value.type for value in passed])
+        return builder.call(builder.inttoptr(values[0], kinds.as_pointer()), passed)
+
+    return types.int32(address, instance, given), code
+
+
+@compiled(inside=True)
+def _note(at: Integers, where: int, status: int) -> None:
+    if status > _WARNING and at[STATUS] == 0:
+        at[STATUS], at[WHERE] = status, where
+
+
+@compiled(inside=True)
+def _call(at: Integers, function: int, given: Any) -> None:
+    """Call a function with arguments, a tuple, after the instance."""
+    _note(at, function, _fmi(at[function], at[INSTANCE], given))
+
+
+@compiled(inside=True)
+def _pass(at: Integers, function: int, values: FloatArray) -> None:
+    """Call a function that reads or writes an array."""
+    if values.size > 0:
+        _call(at, function, (values.ctypes.data, values.size))
+
+
+@compiled(inside=True)
+def _transfer(at: Integers, function: int, references: int, values: FloatArray) -> None:
+    """Read or set some variables, in the FMU's units."""
+    if values.size > 0:
+        data = values.ctypes.data
+        _call(at, function, (at[references], values.size, data, values.size))
+
+
+@compiled(inside=True)
+def _set(at: Integers, f: FloatArray, references: int, first: int, count: int) -> None:
+    """Set some variables to their values in `held`."""
+    own = np.empty(count)
+    for i in range(count):
+        own[i] = (f[at[HELD] + first + i] - f[at[OFFSETS] + first + i]) / f[at[FACTORS] + first + i]
+    _transfer(at, SET, references, own)
+
+
+@compiled(inside=True)
+def _initialise(at: Integers, f: FloatArray) -> None:
+    """Initialise with the parameters and inputs that are held, for co-simulation also with the states."""
+    m, n = at[N_PARAMETERS], at[N_STATES]
+    if at[BEGUN] != 0 and _fmi(at[RESET], at[INSTANCE], ()) > _WARNING:
+        _note(at, RESET, _fmi(at[RENEW], at[INSTANCE], ()))
+    at[BEGUN] = 1
+    if at[SETUP] != 0:
+        _call(at, SETUP, (0, 0.0, 0.0, 0, 0.0))
+    _set(at, f, FIXED, 0, m if at[EXCHANGE] else m + n)
+    _call(at, INITIALISE, (0, 0.0, 0.0, 0, 0.0))
+    _set(at, f, INPUTS, m + n, at[N_INPUTS])
+    _call(at, BEGIN, ())
+    if at[EXCHANGE]:
+        _settle(at)
+
+
+@compiled(inside=True)
+def bring(at: Integers, f: FloatArray, z: FloatArray, d: FloatArray) -> None:
+    """Bring it to parameters, states and drive, and to disturbances; a drive of NaN: as it is.
+
+    A run goes on where nothing but the inputs has changed; otherwise another one begins.
     """
-    resolution, integral, previous, period = numbers[0], numbers[1], numbers[2], numbers[3]
-    last, nx, size = 0.0, buffers.states.size, given.size
-    worst = 0
-    for k in range(size + 1):
-        if nx > 0:
-            status = _call_4(at.get, at.component, at.states, nx, buffers.states.ctypes.data, nx)
-            worst = max(worst, status)
-        for i in range(nx):
-            states[k, i] = buffers.states[i]
-        if k == size:
+    m, n, held = at[N_PARAMETERS], at[N_STATES], at[HELD]
+    same, there = at[BEGUN] != 0, True
+    for i in range(m + n):
+        if f[held + i] != z[i]:
+            there = False
+            same = same and i >= m
+        f[held + i] = z[i]
+    there = there and same
+    if not there:
+        f[RUN_TIME] = 0.0
+    changed = not there
+    for i in range(m + n, m + n + at[N_INPUTS]):
+        value = z[m + n] if i == m + n else d[at[at[GIVEN] + i - m - n - 1]]
+        if np.isnan(value):
+            value = f[held + i] if there else f[REST]
+        changed = changed or f[held + i] != value
+        f[held + i] = value
+    if not (same if at[EXCHANGE] else there):
+        _initialise(at, f)
+    elif changed and not at[EXCHANGE]:
+        _set(at, f, INPUTS, m + n, at[N_INPUTS])
+    if changed and at[EXCHANGE]:
+        if not there:
+            _call(at, SET_TIME, (0.0,))
+        _set(at, f, INPUTS, m + n, at[N_INPUTS])
+        if not there and n > 0:
+            own = np.empty(n)
+            for i in range(n):
+                own[at[at[PLACES] + i]] = (z[m + i] - f[at[OFFSETS] + m + i]) / f[at[FACTORS] + m + i]
+            _pass(at, SET_STATES, own)
+        if at[N_INDICATORS] > 0:
+            _call(at, EVENT_MODE, ())
+            _settle(at)
+
+
+@compiled(inside=True)
+def output(at: Integers, f: FloatArray) -> float:
+    """The output, in the plant's unit."""
+    found = np.empty(1)
+    _transfer(at, GET, OUTPUT, found)
+    return f[at[OFFSETS] - 1] * found[0] + f[at[HELD] - 1]
+
+
+@compiled(inside=True)
+def advance(at: Integers, f: FloatArray, h: float) -> None:
+    """Advance it by a step, whose end is held."""
+    m, n = at[N_PARAMETERS], at[N_STATES]
+    own = np.empty(n)
+    if at[EXCHANGE]:
+        _integrate(at, f, own, h)
+    else:
+        _step(at, f, h)
+        _transfer(at, GET, STATES, own)
+    for i in range(n):
+        value = own[at[at[PLACES] + i]]
+        f[at[HELD] + m + i] = f[at[FACTORS] + m + i] * value + f[at[OFFSETS] + m + i]
+
+
+@compiled(inside=True)
+def rates(at: Integers, f: FloatArray, found: FloatArray) -> None:
+    """The derivatives of the states of a model-exchange FMU, in the plant's units."""
+    m, n = at[N_PARAMETERS], at[N_STATES]
+    x, own = np.empty(n), np.empty(n)
+    _pass(at, GET_STATES, x)
+    _rates(at, x, f[RUN_TIME], own)
+    for i in range(n):
+        found[i] = own[at[at[PLACES] + i]] * f[at[FACTORS] + m + i]
+
+
+@compiled(inside=True)
+def _step(at: Integers, f: FloatArray, h: float) -> None:
+    """One step of the FMU's own solver."""
+    flags = np.zeros(8, dtype=np.int32)
+    data, time = flags.ctypes.data, f[RUN_TIME]
+    _call(at, STEP, (time, h, 1, data, data + 8, data + 16, data + 24))
+    if at[FMI_3] and (flags[2] != 0 or flags[4] != 0):  # it terminated, or returned early
+        _note(at, STEP, ENDED)
+    f[RUN_TIME] = time + h
+
+
+@compiled(inside=True)
+def _integrate(at: Integers, f: FloatArray, x: FloatArray, h: float) -> None:
+    """One Runge–Kutta step of order 4, to the FMU's own states x.
+
+    If an event indicator changes sign within it, its time is found by bisection and the step ends just
+    after it, as for kinks of the native equations.
+    """
+    n, indicated = x.size, at[N_INDICATORS]
+    after, signs = np.empty(n), np.empty(indicated)
+    _pass(at, GET_STATES, x)
+    left = h
+    for event in range(MOST_EVENTS):
+        time, taken = f[RUN_TIME], left
+        _indicators(at, x, time, signs)
+        _stepped(at, x, time, left, after)
+        if indicated > 0 and event < MOST_EVENTS - 1 and _crossed(at, after, time + left, signs):
+            low, taken = 0.0, left
+            for _ in range(BISECTIONS):
+                middle = 0.5 * (low + taken)
+                _stepped(at, x, time, middle, after)
+                if _crossed(at, after, time + middle, signs):
+                    taken = middle
+                else:
+                    low = middle
+            _stepped(at, x, time, taken, after)
+        f[RUN_TIME] = time + taken
+        for i in range(n):
+            x[i] = after[i]
+        _complete(at, f, x)
+        left -= taken
+        if not left > 0.0 or at[STATUS] != 0:
             break
-        worst = max(worst, _call_4(at.get, at.component, at.output, 1, buffers.output.ctypes.data, 1))
-        seen = numbers[4] * buffers.output[0] + numbers[5]
-        last = reading(seen, noise[k], frozen[k] != 0.0 and k > 0, resolution, last)
-        y[k], u[k] = last, given[k]
-        if closed:
-            u[k], integral, previous = pid_step(gains, integral, previous, given[k], last)
-        buffers.inputs[0] = numbers[6] * u[k] + numbers[7]
-        for i in range(others.shape[1]):
-            buffers.inputs[1 + i] = others[k, i]
-        m = buffers.inputs.size
-        worst = max(worst, _call_4(at.set, at.component, at.inputs, m, buffers.inputs.ctypes.data, m))
-        if at.do_step != 0:
-            data = buffers.flags.ctypes.data
-            status = _call_step(
-                at.do_step, at.component, k * period, period, 1, data, data + 8, data + 16, data + 24
-            )
-            if buffers.flags[2] != 0 or buffers.flags[4] != 0:  # FMI 3: it terminated, or returned early
-                return ENDED
-        else:
-            status = _moved(at, buffers, k * period, period, steps)
-        if status == EVENT:
-            return EVENT
-        worst = max(worst, status)
-        if worst > 1:
-            return worst
-    return DONE
 
 
-def compile_runs() -> None:
-    """Compile `compiled_run` with empty arguments, before any request with a time limit."""
-    none, whole = np.zeros(0), np.zeros(8, dtype=np.int32)
-    buffers = Buffers(none, none, none, none, none, whole)
-    gains = Gains(0.0, 0.0, 0.0, 0.0, 1.0, -1.0, 1.0, on_measurement=False)
-    nothing = Addresses(*(0 for _ in Addresses._fields))
-    rows = np.zeros((0, 0))
-    compiled_run(
-        nothing, buffers, False, gains, none, rows, none, none, np.zeros(8), 1, none, none, np.zeros((1, 0))
-    )
+@compiled(inside=True)
+def _place(at: Integers, x: FloatArray, time: float) -> None:
+    _call(at, SET_TIME, (time,))
+    _pass(at, SET_STATES, x)
 
 
-class FmuRunError(Exception):
-    """The FMU cannot be run, or violates FMI."""
+@compiled(inside=True)
+def _rates(at: Integers, x: FloatArray, time: float, found: FloatArray) -> None:
+    _place(at, x, time)
+    _pass(at, RATES, found)
 
 
-class References(NamedTuple):
-    """Value references of the variables that are set and read."""
+@compiled(inside=True)
+def _stepped(at: Integers, x: FloatArray, t: float, h: float, after: FloatArray) -> None:
+    k, there = np.empty((4, x.size)), x.copy()
+    for stage in range(4):
+        reach = h if stage == 3 else 0.5 * h
+        if stage > 0:
+            for i in range(x.size):
+                there[i] = x[i] + reach * k[stage - 1, i]
+        _rates(at, there, t + reach if stage > 0 else t, k[stage])
+    for i in range(x.size):
+        after[i] = x[i] + h / 6.0 * (k[0, i] + 2.0 * k[1, i] + 2.0 * k[2, i] + k[3, i])
 
-    fixed: list[int]
-    """Set before a run: parameters, and initial states."""
-    inputs: list[int]
-    """Drive, then disturbances."""
-    states: list[int]
-    """States to read."""
-    output: list[int]
+
+@compiled(inside=True)
+def _indicators(at: Integers, x: FloatArray, time: float, found: FloatArray) -> None:
+    if found.size > 0:
+        _place(at, x, time)
+        _pass(at, INDICATORS, found)
 
 
-class CoSimulation:
-    """A co-simulation FMU, which has its own solver."""
+@compiled(inside=True)
+def _crossed(at: Integers, x: FloatArray, time: float, signs: FloatArray) -> bool:
+    """Whether an event indicator has another sign here."""
+    found = np.empty(signs.size)
+    _indicators(at, x, time, found)
+    crossed = False
+    for i in range(signs.size):
+        crossed = crossed or (found[i] > 0.0) != (signs[i] > 0.0)
+    return crossed
 
-    def __init__(self, fmu: Any, major: int, references: References) -> None:
-        self.fmu, self.major, self.references = fmu, major, references
-        self._begun, self._resets = False, True
-        self._calls = calls = Calls(fmu, major)
-        self._fixed, self._inputs, self._states, self._output = (calls.group(own) for own in references)
-        self.time = 0.0
-        self._at: dict[str, int] = {}
 
-    def put(self, fixed: Sequence[float], inputs: Sequence[float]) -> None:
-        """Initialise with these values."""
-        fmu = self.fmu
-        if self._begun:
-            self._reset()
-        self._begun, self.time = True, 0.0
-        if self.major == 2:
-            fmu.setupExperiment(startTime=0.0)
-        self._fixed.write(fixed)
-        if self.major == 2:
-            fmu.enterInitializationMode()
-        else:
-            fmu.enterInitializationMode(startTime=0.0)
-        self._inputs.write(inputs)
-        fmu.exitInitializationMode()
+@compiled(inside=True)
+def _complete(at: Integers, f: FloatArray, x: FloatArray) -> None:
+    """Set the states at the end of a step, handle its events, and read the states after them."""
+    flags = np.zeros(4, dtype=np.int32)
+    _place(at, x, f[RUN_TIME])
+    if at[COMPLETED] != 0:
+        data = flags.ctypes.data
+        _call(at, COMPLETED, (1, data, data + 4))
+        if flags[1] != 0:
+            _note(at, COMPLETED, ENDED)
+    if flags[0] != 0 or at[N_INDICATORS] > 0:
+        _call(at, EVENT_MODE, ())
+        _settle(at)
+        _pass(at, GET_STATES, x)
 
-    def run_arguments(self) -> tuple[Addresses, Buffers] | None:
-        """The arguments of a compiled run from the current state; None if it may have events."""
-        if not self._at:
-            real = "Real" if self.major == 2 else "Float64"
-            names = (f"Get{real}", f"Set{real}")
-            self._at = {
-                **dict(zip(("get", "set"), map(self._calls.address, names), strict=True)),
-                **dict(zip(("inputs", "states", "output"), self._references(), strict=True)),
-                **{name: self._calls.address(of) if of else 0 for name, of in self._functions().items()},
-            }
-            sizes = (len(self.references.inputs), len(self.references.states), 1, self._size, self._size)
-            inputs, states, output, x, dx = map(np.zeros, sizes)
-            self._buffers = Buffers(inputs, states, output, x, dx, np.zeros(8, dtype=np.int32))
-        return Addresses(component=self.fmu.component, **self._at), self._buffers
 
-    _size = 0
-    """Number of continuous states that are integrated here."""
+@compiled(inside=True)
+def _settle(at: Integers) -> None:
+    """Iterate over events until the discrete states stay, and continue."""
+    for _ in range(MOST_ROUNDS):
+        if at[STATUS] != 0:
+            return
+        flags = np.zeros(16, dtype=np.int32)
+        data = flags.ctypes.data
+        _call(at, UPDATE, (data, data + 8, data + 16, data + 24, data + 32, data + 40))
+        if flags[2 if at[FMI_3] else 1] != 0:
+            _note(at, UPDATE, ENDED)
+        if flags[0] == 0:
+            _call(at, CONTINUE, ())
+            return
+    _note(at, UPDATE, UNSETTLED)
 
-    def _functions(self) -> dict[str, str]:
-        """Names of the functions that advance it, by the fields of `Addresses`; empty ones are not called."""
-        none = dict.fromkeys(("set_time", "set_x", "get_x", "get_dx", "after_step"), "")
-        return {**none, "do_step": "DoStep"}
 
-    def _references(self) -> list[int]:
-        return [group.address for group in (self._inputs, self._states, self._output)]
-
-    def forget(self) -> None:
-        """Do nothing after an error: `put` always initialises again."""
-
-    def feed(self, inputs: Sequence[float]) -> None:
-        """Set drive and disturbances."""
-        self._inputs.write(inputs)
-
-    def move(self, period: float, steps: int) -> None:  # noqa: ARG002 (it chooses its own steps)
-        """Advance by one period."""
-        result = self.fmu.doStep(self.time, period)
-        if self.major == 3 and (result[1] or result[2]):
-            raise FmuRunError("it terminated the simulation, or returned early")
-        self.time += period
-
-    def states(self) -> list[float]:
-        """The current states."""
-        return self._states.read()
-
-    def output(self) -> float:
-        """The current output."""
-        return self._output.read()[0]
-
-    def _reset(self) -> None:
-        """Reset the instance, or replace it if the FMU cannot be reset."""
-        from fmpy.fmi1 import FMICallException  # noqa: PLC0415 (an extra)
-
-        fmu = self.fmu
-        if self._resets:
-            try:
-                fmu.reset()
-            except FMICallException:
-                self._resets = False
-            else:
-                return
-        if self.major == 2:
-            fmu.fmi2FreeInstance(fmu.component)
-        else:
-            fmu.fmi3FreeInstance(fmu.component)
-        fmu.instantiate()
+def error_of(at: Integers, f: FloatArray) -> str:
+    """The error of the calls since the last time, as text; empty without one. It begins anew after one."""
+    status, where = int(at[STATUS]), FUNCTIONS[at[WHERE]]
+    if not status:
+        return ""
+    at[STATUS], f[at[HELD] : at[SIZES]] = 0, np.nan
+    if status == ENDED:
+        return "it terminated the simulation, or returned early"
+    if status == UNSETTLED:
+        return f"its discrete states do not converge in {MOST_ROUNDS} event iterations"
+    name = NAMES_3.get(where, where) if at[FMI_3] else where
+    return f"its function {name} returned status {status}"

@@ -1,7 +1,8 @@
 """The process of an FMU, seen from its parent: started, sent messages, and killed on a timeout.
 
 A message is a header in JSON, then numbers. Nothing that is read here can become code, since the other
-process runs an untrusted program. Each process has a mark in its environment, which everything it starts
+process runs an untrusted program. The arguments of a kernel, and its results, are a tree in the header whose
+arrays follow it. Each process has a mark in its environment, which everything it starts
 inherits; so programs that outlive it or left its process group are found and ended. Build servers find the
 remains of a build in the same way.
 """
@@ -22,20 +23,22 @@ import tempfile
 import threading
 import time
 import weakref
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twinmatch.fmu.archive import FmuError
-from twinmatch.signals import FloatArray
 
 MOST_HEADER: Final = 1 << 24
 MOST_NUMBERS: Final = 1 << 27
 """Largest header, and largest block of numbers after it, bytes."""
 
 _LENGTHS: Final = struct.Struct("<II")
+_SIZES: Final = {"<f8": 8, "<i8": 8, "|b1": 1}
+"""Bytes of a number of each kind."""
 MARK: Final = "TWINMATCH_FMU"
 """Environment variable with the mark."""
 _ROUNDS: Final = 20
@@ -54,18 +57,45 @@ class FmuMessageError(Exception):
 
 
 class ProcessMessage(NamedTuple):
-    """A header, and arrays by name."""
+    """A header, and arrays."""
 
     header: Mapping[str, Any]
-    arrays: Mapping[str, FloatArray]
+    arrays: Sequence[NDArray[Any]]
 
 
-def packed(header: Mapping[str, Any], arrays: Mapping[str, FloatArray]) -> bytes:
+def tree_of(value: Any, arrays: list[NDArray[Any]]) -> Any:
+    """Numbers, arrays, and tuples of them as a tree for JSON; the arrays are added to the list."""
+    if isinstance(value, np.ndarray):
+        arrays.append(value)
+        return {"array": len(arrays) - 1}
+    if isinstance(value, tuple):
+        kind = "" if type(value) is tuple else f"{type(value).__module__}:{type(value).__name__}"
+        return [kind, *(tree_of(one, arrays) for one in value)]
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def value_of(tree: Any, arrays: Sequence[NDArray[Any]], found: Callable[[str], Any]) -> Any:
+    """The value of such a tree; `found` gives the class of a named tuple.
+
+    Raises:
+        FmuMessageError: it is no such tree.
+    """
+    try:
+        if isinstance(tree, dict):
+            return arrays[tree["array"]]
+        if isinstance(tree, list):
+            values = [value_of(one, arrays, found) for one in tree[1:]]
+            return found(tree[0])._make(values) if tree[0] else tuple(values)
+    except (IndexError, KeyError, TypeError) as error:
+        raise FmuMessageError(f"values that cannot be read: {error}") from error
+    return tree
+
+
+def packed(header: Mapping[str, Any], arrays: Sequence[NDArray[Any]] = ()) -> bytes:
     """Encode a message."""
-    held = {name: np.ascontiguousarray(array, dtype="<f8") for name, array in arrays.items()}
-    shapes = [[name, list(array.shape)] for name, array in held.items()]
+    shapes = [[array.dtype.str, list(array.shape)] for array in arrays]
     head = json.dumps({**header, "arrays": shapes}).encode()
-    body = b"".join(array.tobytes() for array in held.values())
+    body = b"".join(array.tobytes() for array in arrays)
     return _LENGTHS.pack(len(head), len(body)) + head + body
 
 
@@ -81,16 +111,16 @@ def unpacked(read: Callable[[int], bytes]) -> ProcessMessage:
         raise FmuMessageError(f"a message of {size} and {numbers} bytes")
     try:
         header = json.loads(read(size))
-        shapes = [(str(name), tuple(int(n) for n in shape)) for name, shape in header.pop("arrays")]
+        shapes = [(_SIZES[kind], kind, tuple(int(n) for n in shape)) for kind, shape in header.pop("arrays")]
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
         raise FmuMessageError(f"a header that cannot be read: {error}") from error
-    body, arrays, place = read(numbers), {}, 0
-    for name, shape in shapes:
+    body, arrays, place = read(numbers), [], 0
+    for size, kind, shape in shapes:
         count = math.prod(shape)
-        if min(shape, default=0) < 0 or place + 8 * count > len(body):
-            raise FmuMessageError(f"an array {name} of shape {shape} in {len(body)} bytes")
-        arrays[name] = np.frombuffer(body, "<f8", count, place).reshape(shape).astype(np.float64)
-        place += 8 * count
+        if min(shape, default=0) < 0 or place + size * count > len(body):
+            raise FmuMessageError(f"an array of shape {shape} in {len(body)} bytes")
+        arrays.append(np.frombuffer(body, kind, count, place).reshape(shape).copy())
+        place += size * count
     return ProcessMessage(header, arrays)
 
 
@@ -144,9 +174,10 @@ class FmuProcess:
         self._first = True
 
     def ask(
-        self, header: Mapping[str, Any], arrays: Mapping[str, FloatArray] | None = None, *, limit: float
+        self, header: Mapping[str, Any], arrays: Sequence[NDArray[Any]] = (), *, limit: float
     ) -> ProcessMessage:
-        """Send a request and return the answer, within `limit` seconds, plus `START` for the first one.
+        """Send a request and return the answer, within `limit` seconds, plus `START` for the first one and
+        where a kernel is compiled or loaded first.
 
         Raises:
             ProcessLostError: there was no answer, or an unreadable one; the process has been killed.
@@ -159,8 +190,10 @@ class FmuProcess:
             by = time.monotonic() + whole
             self._first = False
             try:
-                self._write(packed({**header, "limit": whole}, arrays or {}), by)
+                self._write(packed({**header, "limit": whole}, arrays), by)
                 message = unpacked(lambda size: self._read(size, by))
+                if "loading" in message.header:
+                    message = unpacked(lambda size: self._read(size, by + START))
             except TimeoutError:
                 self.close()
                 raise ProcessLostError(f"it gave no answer within {limit:g} s and was killed") from None

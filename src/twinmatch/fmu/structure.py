@@ -1,4 +1,4 @@
-"""FMUs added to a plant as structures.
+"""FMUs added to a plant as structures, with the kernels of native equations, which run in their processes.
 
 The name of such a structure contains the first digits of a hash of FMU and map, so that the name in a verdict
 identifies the program.
@@ -7,21 +7,49 @@ identifies the program.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Mapping
-from functools import cached_property
+import math
+import sys
+import threading
+from collections.abc import Iterable
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from twinmatch.dynamics import Model, Parameter, State, Structure, begin, simulate_driven
-from twinmatch.fmu.archive import MOST_BYTES, FmuError, digest_of
-from twinmatch.fmu.differences import Differences
-from twinmatch.fmu.kernels import FmuKernels
-from twinmatch.fmu.mapping import FmuMap, read_maps
-from twinmatch.fmu.runner import Runner
+from twinmatch.dynamics import (
+    Model,
+    Plant,
+    Structure,
+    StructureLostError,
+    begin,
+    kernels,
+    runs,
+    simulate_driven,
+)
+from twinmatch.dynamics.descent import Search, update_search
+from twinmatch.dynamics.runs import LeastSquares
+from twinmatch.dynamics.store import KERNELS
+from twinmatch.fmu.archive import (
+    CO_SIMULATION,
+    MODEL_EXCHANGE,
+    MOST_BYTES,
+    Described,
+    FmuError,
+    described_from,
+    digest_of,
+)
+from twinmatch.fmu.mapping import FmuMap, Link, read_maps
+from twinmatch.fmu.process import START, FmuMessageError, FmuProcess, ProcessLostError, tree_of, value_of
 from twinmatch.plants.records import MARK, is_marked
+from twinmatch.signals import FloatArray
 
+_SAMPLES = 1000
+"""Samples that one FMU's `patience` is for."""
+_FINITE: Final = {"advance", "run", "run_with_tangents", "foresee"}
+"""Kernels whose results are refused unless all are finite."""
+_TINY = 5e-324
 SAMPLES = 8
 _STATE = 1e-4
 """Tolerance of a state, in units of its span: a restarted solver chooses other steps."""
@@ -40,7 +68,7 @@ def check_restart(model: Model) -> None:
     low, high = plant.drive.limits
     drive = np.repeat([0.5 * (plant.drive.rest + high), 0.5 * (plant.drive.rest + low)], SAMPLES // 2)
     parameters = model.parameters()
-    period = 1.0 if plant.loop is None else plant.loop.period
+    period = _period(plant)
     y = float(np.mean(plant.output.set_points or plant.output.span))
     run = simulate_driven(parameters, drive, states=begin(parameters, y), period=period)
     spans = np.array([state.span[1] - state.span[0] for state in model.declared_states])
@@ -59,40 +87,197 @@ def check_restart(model: Model) -> None:
             )
 
 
+def _hidden(model: Model) -> frozenset[int]:
+    """Indices of the parameters by which the output at given states has no derivative at all.
+
+    For co-simulation each of these derivatives would cost two starts of the FMU.
+    """
+    output = model.plant.output
+    states = begin(model.parameters(), float(np.mean(output.set_points or output.span)))
+    given = model.parameters().vector, states, float(model.plant.drive.rest), model.disturbances
+    by_parameters = model.kernels_by(model.names).slopes_at(*given)[5]
+    return frozenset(np.flatnonzero(by_parameters == 0.0).tolist())
+
+
+class FmuKernels:
+    """The kernels of `twinmatch.dynamics`, run in an FMU's process, with derivatives by some parameters."""
+
+    QUANTITIES: Final[tuple[str, ...]] = ()
+    RATE_LIMIT, MOST_STEPS = kernels.RATE_LIMIT, kernels.MOST_STEPS
+
+    def __init__(self, source: FmuSource, unknown: tuple[str, ...]) -> None:
+        self._source, self.UNKNOWN = source, unknown
+        self.STATES, self.PARAMETERS = source.map.known_states, source.map.known_parameters
+        self._unknown = [self.PARAMETERS.index(name) for name in unknown]
+        for kernel in KERNELS:
+            if not hasattr(self, kernel.__name__):
+                setattr(self, kernel.__name__, partial(self.call, kernel))
+
+    def call(self, kernel: Any, *arguments: Any) -> Any:
+        """The results of a kernel."""
+        each = 1 if kernel.__name__ == "run" else 1 + 4 * (len(self.UNKNOWN) + len(self.STATES) + 1)
+        name = f"{kernel.__module__}:{kernel.__name__}"
+        found = self._source.ask(name, self._unknown, arguments, each)
+        if kernel.__name__ in _FINITE and not all(np.isfinite(array).all() for array in _arrays(found)):
+            raise FmuError(f"{self._source.title}: the FMU has no finite values at these parameters")
+        return found
+
+    def step_count(self, *arguments: Any) -> int:
+        """Runge–Kutta steps per sample; 1 for co-simulation."""
+        return int(self.call(kernels.step_count, *arguments)) if self._exchange else 1
+
+    def start_at(self, problem: LeastSquares, values: FloatArray) -> Any:
+        """As `twinmatch.dynamics.runs.start_at`."""
+        return self.call(runs.start_at, self._stepped(problem), values)
+
+    def normal_at(self, problem: LeastSquares, values: FloatArray, limit: float) -> Any:
+        """As `twinmatch.dynamics.runs.normal_at`."""
+        given = self._stepped(problem), values, limit
+        return self._source.ask("twinmatch.fmu.functions:normal_at", [], given, 1 + 2 * values.size)
+
+    def search(self, problem: LeastSquares, state: Search) -> None:
+        """Let a search run to its end, one request for each point."""
+        found = self.normal_at(problem, state.point, np.inf)
+        while update_search(state, *found):
+            found = self.normal_at(problem, state.point, float(state.best[0]))
+
+    @property
+    def _exchange(self) -> bool:
+        return self._source.kind == MODEL_EXCHANGE
+
+    def _stepped(self, problem: LeastSquares) -> LeastSquares:
+        """With one step per sample for co-simulation: no corners at which the fastest rate is searched."""
+        return problem if self._exchange else problem._replace(corners=problem.corners[:0])
+
+
+def _arrays(found: Any) -> list[Any]:
+    return [found] if not isinstance(found, tuple) else [array for one in found for array in _arrays(one)]
+
+
 class FmuSource:
-    """The implementation of a structure that is an FMU; see `twinmatch.dynamics.Elsewhere`."""
+    """The implementation of a structure that is an FMU; see `twinmatch.dynamics.ExternalEquations`.
+
+    Its process is started by the first request, and abandoned for good when it is lost.
+    """
 
     def __init__(self, of: FmuMap, name: str, digest: str) -> None:
-        self.map, self.runner = of, Runner(of, f"{of.plant.title}, {name}", digest)
-
-    @property
-    def parameters(self) -> Mapping[str, Parameter]:
-        """Parameters that only the FMU has."""
-        return self.map.parameters
-
-    @property
-    def states(self) -> Mapping[str, State]:
-        """States that only the FMU has."""
-        return self.map.states
-
-    @property
-    def lost(self) -> str:
+        """Begin without a process; `digest` is the hash of the FMU that was given."""
+        self.map, self.title = of, f"{of.plant.title}, {name}"
+        self.parameters, self.states = of.parameters, of.states
+        self.lost = ""
         """Why it can no longer be run; empty while it can."""
-        return self.runner.lost
+        self.in_use = False
+        """Whether a loss is reported: it has passed all checks."""
+        self.hidden: frozenset[int] = frozenset()
+        """Indices of the parameters that act on the output through the states only, as far as is known."""
+        self._digest = digest
+        self._process: FmuProcess | None = None
+        self._lock = threading.RLock()
+        self._kind = ""
 
-    @cached_property
-    def kernels(self) -> Any:
-        """Its kernels."""
-        of = self.map
-        parameters = {**of.plant.parameters, **of.parameters}
-        states = {**of.plant.states, **of.states}
-        places = Differences(
-            of.plant,
-            [parameters[name] for name in of.known_parameters],
-            [states[name] for name in of.known_states],
-            of.starts,
-        )
-        return FmuKernels(self.runner, places)
+    def kernels_by(self, unknown: Iterable[str]) -> FmuKernels:
+        """Its kernels with derivatives by these parameters."""
+        return FmuKernels(self, tuple(unknown))
+
+    @property
+    def kind(self) -> str:
+        """Interface type; the first use starts the process."""
+        if not self._kind:
+            self.start()
+        return self._kind
+
+    def start(self) -> FmuProcess:
+        """Its process, started if it is not running.
+
+        Raises:
+            FmuError: the FMU cannot be loaded, or does not fit its map.
+            StructureLostError: it was abandoned.
+        """
+        with self._lock:
+            if self.lost:
+                raise StructureLostError(f"{self.title}: {self.lost}")
+            self._process = self._process or self._started()
+            return self._process
+
+    def close(self) -> None:
+        """Stop its process; the next request starts another one."""
+        with self._lock:
+            if self._process is not None:
+                self._process.close()
+                self._process = None
+
+    def lose(self, why: str) -> StructureLostError:
+        """Abandon it permanently, with one message once it is in use; returns the error to raise."""
+        with self._lock:
+            self.lost = self.lost or why
+            if self.in_use:
+                self.in_use = False
+                print(
+                    f"twinmatch: {self.title}: {why}; everything else continues without this structure",
+                    file=sys.stderr,
+                )
+            self.close()
+        return StructureLostError(f"{self.title}: {self.lost}")
+
+    def ask(self, kernel: str, unknown: list[int], arguments: tuple[Any, ...], each: int) -> Any:
+        """The results of a kernel, by module and name, which takes each sample about `each` times.
+
+        Arrays that it changes are changed.
+
+        Raises:
+            FmuError: the FMU reports an error.
+            StructureLostError: its process is lost.
+        """
+        arrays: list[NDArray[Any]] = []
+        header = {
+            "ask": "call",
+            "kernel": kernel,
+            "unknown": unknown,
+            "shown": [int(k not in self.hidden) for k in unknown],
+            "arguments": tree_of(arguments, arrays),
+        }
+        samples = each * max((len(array) for array in arrays), default=1)
+        limit = self.map.patience * max(samples / _SAMPLES, 1.0)
+        with self._lock:
+            process = self.start()
+            try:
+                answer = process.ask(header, arrays, limit=limit)
+                found = value_of(answer.header["found"], answer.arrays, _refuse)
+                changed = dict(zip(answer.header["changed"], answer.arrays, strict=False))
+                if any(array.shape != arrays[k].shape for k, array in changed.items()):
+                    raise FmuMessageError("an array of another shape")
+            except ProcessLostError as error:
+                raise self.lose(f"the FMU is lost: {error}") from error
+            except FmuError as error:
+                raise FmuError(f"{self.title}: the FMU reports: {error}") from error
+            except (FmuMessageError, KeyError, IndexError, TypeError) as error:
+                raise self.lose(f"the FMU's process gave an invalid answer: {error}") from error
+        for k, array in changed.items():
+            arrays[k][...] = array
+        return found
+
+    def _started(self) -> FmuProcess:
+        """Start the process and load the FMU, after a check against its map."""
+        of, process = self.map, FmuProcess()
+        try:
+            question, self._kind = _loading(of, described_by(of.file, process))
+            files = {"file": str(of.file.resolve()), "folder": str(process.folder / "fmu")}
+            process.ask({**question, **files, "digest": self._digest}, limit=START)
+        except ProcessLostError as error:
+            process.close()
+            raise FmuError(f"{of.place}: {of.file} cannot be loaded: {error}") from error
+        except FmuError as error:
+            process.close()
+            raise FmuError(f"{of.place}: {error}") from error
+        return process
+
+
+def _refuse(name: str) -> Any:
+    raise FmuMessageError(f"an answer with a value of class {name}")
+
+
+def _period(plant: type[Plant]) -> float:
+    return 1.0 if plant.loop is None else float(plant.loop.period)
 
 
 def is_fmu(structure: str) -> bool:
@@ -139,9 +324,10 @@ def _adopted(of: FmuMap) -> Model:
         ),
     )
     try:
-        source.runner.start()
+        source.start()
         check_restart(model)
-        source.runner.in_use = True
+        source.hidden = _hidden(model)
+        source.in_use = True
     except BaseException:
         of.plant.disown(name)
         raise
@@ -171,3 +357,115 @@ def _mark(of: FmuMap, digest: str) -> str:
 
 def _sorted(items: Iterable[tuple[str, Any]]) -> list[tuple[str, Any]]:
     return sorted((name, repr(value)) for name, value in items)
+
+
+def described_by(file: Path, process: FmuProcess, limit: float = START) -> Described:
+    """Read the description of an FMU, without executing its code.
+
+    Raises:
+        FmuError: the file is not an FMU, or cannot be used.
+    """
+    if not file.is_file():
+        raise FmuError(f"{file}: does not exist; give the path of an FMU")
+    try:
+        answer = process.ask(
+            {"ask": "describe", "file": str(file.resolve()), "folder": str(process.folder / "description")},
+            limit=limit,
+        )
+        return described_from(dict(answer.header["described"]))
+    except ProcessLostError as error:
+        raise FmuError(f"{file}: its description cannot be read: {error}") from error
+    except (FmuError, KeyError, TypeError, ValueError) as error:
+        raise FmuError(f"{file}: {error}") from error
+
+
+def _loading(of: FmuMap, described: Described) -> tuple[dict[str, Any], str]:
+    """The request that loads the FMU, without the paths of its files; and its interface type.
+
+    Raises:
+        FmuError: the FMU does not match the map.
+    """
+    kind = of.kind or next(iter(described.kinds), "")
+    if kind not in described.kinds:
+        ways = " and ".join(described.kinds) or "neither model exchange nor co-simulation"
+        raise FmuError(f"it supports {ways}" + (f", not {kind}" if kind else ""))
+    plant, links = of.plant, of.links
+    inputs = [links[plant.drive.name], *(links[name] for name in plant.disturbances if name in links)]
+    states = [links[name] for name in of.known_states]
+    parameters = [links[name] for name in of.known_parameters]
+    output = [links[plant.output.name]]
+    for link in (*output, *inputs, *states, *parameters):
+        for name in (link.variable, link.set):
+            if described.called(name) is None:
+                raise FmuError(f"has no real variable {name!r}; `twinmatch fmu` lists those it has")
+    _check_inputs(described, inputs)
+    own = [v.name for v in sorted(described.variables, key=lambda v: v.state) if v.state >= 0]
+    if kind == MODEL_EXCHANGE:
+        _check_states(described, own, [link.variable for link in states])
+    _check_settable(described, [*parameters, *(states if kind == CO_SIMULATION else [])])
+    names = {
+        "fixed": [link.set for link in (*parameters, *states)],
+        "inputs": [link.variable for link in inputs],
+        "states": [link.variable for link in states],
+        "output": [link.variable for link in output],
+    }
+    links_, declared = (*parameters, *states, *inputs, *output), {**plant.parameters, **of.parameters}
+    spans = [*({**plant.states, **of.states}[name].span for name in of.known_states), plant.drive.limits]
+    unlimited = [-math.inf for _ in spans]
+    own_parameters = [declared[name] for name in of.known_parameters]
+    return {
+        "ask": "load",
+        "described": described.tree,
+        "kind": kind,
+        "references": {name: _references(described, those) for name, those in names.items()},
+        "places": [own.index(s.variable) if kind == MODEL_EXCHANGE else k for k, s in enumerate(states)],
+        "given": [k for k, name in enumerate(plant.disturbances) if name in links],
+        "signals": [plant.output.name, plant.drive.name, *plant.disturbances],
+        "parameters": of.known_parameters,
+        "starts": [of.starts[name].text for name in of.known_states],
+        "rest": plant.drive.rest,
+        "sample": _period(plant),
+        "numbers": [  # as a machine keeps them
+            [link.factor for link in links_],
+            [link.offset for link in links_],
+            [math.nan for _ in links_],
+            [*(p.scale for p in own_parameters), *(high - low for low, high in spans)],
+            [*(max(p.least, _TINY if p.positive else p.least) for p in own_parameters), *unlimited],
+            [*(p.most for p in own_parameters), *(-least for least in unlimited)],
+        ],
+    }, kind
+
+
+def _references(described: Described, names: list[str]) -> list[int]:
+    return [found.reference for name in names if (found := described.called(name)) is not None]
+
+
+def _check_states(described: Described, own: list[str], named: list[str]) -> None:
+    """Check that the map names all states of a model-exchange FMU, and no others."""
+    left = [name for name in own if name not in named]
+    other = [name for name in named if name not in own]
+    if left or other or described.states != len(named):
+        what = "the map does not name all of them"
+        if left:
+            what = f"the map does not name {left[0]!r}"
+        elif other:
+            what = f"the map names {other[0]!r}, which is not one of them"
+        raise FmuError(f"its continuous states are {', '.join(own) or 'none'}; {what}")
+
+
+def _check_inputs(described: Described, links: list[Link]) -> None:
+    """Check that the plant's inputs are inputs of the FMU: it may ignore values of others."""
+    for link in links:
+        variable = described.called(link.set)
+        if variable is not None and variable.causality != "input" and variable.variability != "tunable":
+            given = f"{variable.causality}, variability {variable.variability or 'not given'}"
+            inputs = ", ".join(one.name for one in described.of("input")) or "none"
+            raise FmuError(f"its variable {link.set!r} is not an input ({given}); its inputs are {inputs}")
+
+
+def _check_settable(described: Described, links: list[Link]) -> None:
+    for link in links:
+        variable = described.called(link.set)
+        if variable is not None and not variable.settable:
+            msg = f"its variable {link.set!r} cannot be set before a run"
+            raise FmuError(f"{msg} ({variable.causality}, initial {variable.initial or 'not given'})")

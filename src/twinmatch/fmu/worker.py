@@ -1,11 +1,14 @@
 """The process in which an FMU runs: reads requests from standard input, answers on its standard output.
 
 An FMU is a program. Here it has its own folder, none of its parent's sockets, limits on memory and file size,
-and exits with its parent. The parent enforces time limits.
+and exits with its parent. The parent enforces time limits. The kernels of `twinmatch.dynamics` run here, so
+that only whole runs cross the border.
 """
 
 from __future__ import annotations
 
+import ctypes
+import importlib
 import math
 import os
 import resource
@@ -13,33 +16,37 @@ import select
 import shutil
 import signal
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO, Final
 
+import numba
 import numpy as np
+from numpy.typing import NDArray
 
-from twinmatch.dynamics.loop import Gains, pid_step, reading
+from twinmatch.dynamics.kernels import Code
+from twinmatch.fmu import functions, machine
 from twinmatch.fmu.archive import (
+    CO_SIMULATION,
+    MODEL_EXCHANGE,
     MOST_BYTES,
-    FmuArchiveError,
+    Described,
     described_from,
     digest_of,
     read_description,
     unpack,
 )
-from twinmatch.fmu.exchange import ModelExchange, machine_of
-from twinmatch.fmu.machine import (
-    DONE,
-    EVENT,
-    CoSimulation,
-    FmuRunError,
-    References,
-    compile_runs,
-    compiled_run,
+from twinmatch.fmu.mapping import Formula
+from twinmatch.fmu.process import (
+    MARK,
+    START,
+    ProcessMessage,
+    end_marked,
+    packed,
+    tree_of,
+    unpacked,
+    value_of,
 )
-from twinmatch.fmu.process import MARK, ProcessMessage, end_marked, packed, unpacked
-from twinmatch.signals import FloatArray
 
 MEMORY: Final = 2 << 30
 """Memory that the FMU may use in addition to that of this process before loading, bytes."""
@@ -48,150 +55,205 @@ _GRACE: Final = 10
 _LONGEST: Final = 1e8
 DESCRIPTION: Final = "modelDescription.xml"
 
-Arrays = dict[str, FloatArray]
+
+class FmuRunError(Exception):
+    """The FMU cannot be run, or violates FMI."""
+
+
+class LoadedFmu:
+    """An FMU whose library is loaded, as a plant for the kernels."""
+
+    def __init__(self, folder: Path, load: Mapping[str, Any]) -> None:
+        """Load it as a request says.
+
+        Raises:
+            FmuRunError: it cannot be loaded.
+        """
+        described, kind = described_from(load["described"]), load["kind"]
+        self._fmu, self._major = _instance(folder, described, kind), int(described.version[0])
+        self._load, self._m, self._n = load, len(load["parameters"]), len(load["starts"])
+        self._formulas = [Formula(f"start of a state of {described.name}", text) for text in load["starts"]]
+        references = {name: np.array(those, dtype=np.uint32) for name, those in load["references"].items()}
+        self.at, self.numbers = machine.memory_for(self._m, self._n, len(references["inputs"]))
+        self._kept = references, _RENEW(self._renew), _START(self._start)
+        self.at[: len(machine.FUNCTIONS)] = [self._address(name) for name in machine.FUNCTIONS]
+        for place, value in (
+            (machine.RENEW, ctypes.cast(self._kept[1], ctypes.c_void_p).value),
+            (machine.INSTANCE, self._fmu.component),
+            (machine.FMI_3, self._major == 3),
+            (machine.EXCHANGE, kind == MODEL_EXCHANGE),
+            *((machine.FIXED + k, references[name].ctypes.data) for k, name in enumerate(_GROUPS)),
+        ):
+            self.at[place] = value
+        if kind == MODEL_EXCHANGE:
+            own = described.indicators if self._major == 2 else self._fmu.getNumberOfEventIndicators()
+            self.at[machine.N_INDICATORS] = own
+            self.at[machine.COMPLETED] *= described.after_steps
+        self._fill(self.at, machine.PLACES, load["places"])
+        self._fill(self.at, machine.GIVEN, load["given"])
+        for place, values in enumerate(load["numbers"], machine.FACTORS):
+            self._fill(self.numbers, place, values)
+        self.numbers[[machine.REST, machine.SAMPLE]] = load["rest"], load["sample"]
+        self._owner, self._addresses = functions.functions_for(
+            self.at.ctypes.data,
+            self.numbers.ctypes.data,
+            ctypes.cast(self._kept[2], ctypes.c_void_p).value or 0,
+        )
+
+    def code(self, unknown: list[int], shown: list[int]) -> Code:
+        """The FMU for kernels, with derivatives by these of its parameters; `shown`: of the output, too."""
+        self.at[machine.N_UNKNOWN] = len(unknown)
+        self._fill(self.at, machine.UNKNOWN, unknown)
+        self._fill(self.at, machine.SHOWN, shown)
+        return functions.code_for(self._addresses, self._m, self._n, len(unknown))
+
+    def require_success(self) -> None:
+        """Raises FmuRunError if one of its functions has reported an error."""
+        error = machine.error_of(self.at, self.numbers)
+        if error:
+            raise FmuRunError(error)
+
+    def _fill(self, array: NDArray[Any], place: int, values: Sequence[float]) -> None:
+        """Write a list of the machine, all of whose places are known."""
+        array[self.at[place] : self.at[place] + len(values)] = values
+
+    def _address(self, name: str) -> int:
+        name = machine.NAMES_3.get(name, name) if self._major == 3 else name
+        found = getattr(self._fmu.dll, f"fmi{self._major}{name}", None) if name else None
+        return 0 if found is None else int(ctypes.cast(found, ctypes.c_void_p).value or 0)
+
+    def _renew(self) -> int:
+        """Replace the instance, for an FMU that cannot be reset; returns a status."""
+        try:
+            getattr(self._fmu, f"fmi{self._major}FreeInstance")(self._fmu.component)
+            self._fmu.instantiate()
+        except Exception:  # FMPy raises many kinds
+            return 3
+        self.at[machine.INSTANCE] = self._fmu.component
+        return 0
+
+    def _start(self, y: Any, u: Any, d: Any, p: Any, _: Any, out: Any) -> None:
+        """Initial states at an output y after a drive u; their derivatives by y and by the unknowns."""
+        output, drive, *others = self._load["signals"]
+        names, n = self._load["parameters"], self._n
+        values = {output: y[0], drive: u[0]}
+        values |= dict(zip(others, d[: len(others)], strict=True))
+        values |= dict(zip(names, p[: len(names)], strict=True))
+        reach = functions.WIDTH * (1.0 + abs(y[0]))
+        unknown = self.at[self.at[machine.UNKNOWN] :][: self.at[machine.N_UNKNOWN]].tolist()
+        ends = [functions.ends_of.py_func(self.at, self.numbers, k, p[k]) for k in unknown]  # type: ignore[attr-defined]
+        of = [(output, (y[0] + reach, y[0] - reach)), *zip([names[k] for k in unknown], ends, strict=True)]
+        for i, formula in enumerate(self._formulas):
+            out[i] = formula(values)
+            for j, (name, (high, low)) in enumerate(of):
+                place = n + i if j == 0 else 2 * n + i * len(unknown) + j - 1
+                rise = formula({**values, name: high}) - formula({**values, name: low})
+                out[place] = rise / (high - low)
+
+
+_GROUPS: Final = ("fixed", "inputs", "states", "output")
+_RENEW: Final = ctypes.CFUNCTYPE(ctypes.c_int)
+_START: Final = ctypes.CFUNCTYPE(None, *(ctypes.POINTER(ctypes.c_double),) * 6)
+
+
+def _instance(folder: Path, described: Described, kind: str) -> Any:
+    """Load the FMU's library and create an instance.
+
+    Raises:
+        FmuRunError: it has none for this machine, or that refuses.
+    """
+    from fmpy import fmi2, fmi3, platform, platform_tuple  # noqa: PLC0415 (an extra)
+
+    major = int(described.version[0])
+    here = platform if major == 2 else platform_tuple
+    if here not in described.platforms:
+        available = ", ".join(described.platforms) or "no platform"
+        raise FmuRunError(f"it has binaries for {available}; this machine is {here}")
+    classes = {2: (fmi2.FMU2Model, fmi2.FMU2Slave), 3: (fmi3.FMU3Model, fmi3.FMU3Slave)}[major]
+    identifier = described.identifiers[described.kinds.index(kind)]
+    library = folder / "binaries" / here / f"{identifier}.so"
+    name = library.relative_to(folder)
+    if not library.is_file():
+        raise FmuRunError(f"it has no {name}, the program for this machine; export it again")
+    try:
+        fmu = classes[kind == CO_SIMULATION](
+            guid=described.guid,
+            modelIdentifier=identifier,
+            unzipDirectory=str(folder),
+            instanceName="twinmatch",
+            libraryPath=str(library),
+        )
+    except Exception as error:  # FMPy raises many kinds
+        why = str(error).rpartition(f"{library}: ")[2]
+        raise FmuRunError(f"its {name} is not a library for this machine: {why}") from error
+    try:
+        fmu.instantiate()
+    except Exception as error:
+        raise FmuRunError(f"it cannot be instantiated ({error}): is it complete, and its licence?") from error
+    return fmu
 
 
 class FmuWorker:
     """One FMU, and the requests it answers."""
 
-    def __init__(self) -> None:
-        self._machine: CoSimulation | None = None
-        self._asks: dict[str, Callable[[ProcessMessage], tuple[dict[str, Any], Arrays]]] = {
-            "describe": self._describe,
-            "load": self._load,
-            "outputs": self._outputs,
-            "ticks": self._ticks,
-            "rates": self._rates,
-            "runs": self._runs,
-        }
+    def __init__(self, answers: BinaryIO) -> None:
+        self._answers = answers
+        self._fmu: LoadedFmu | None = None
+        self._asks: dict[str, Callable[[ProcessMessage], bytes]] = {
+            "describe": self._describe, "load": self._loaded, "call": self._call,
+        }  # fmt: skip
 
-    def answer(self, message: ProcessMessage) -> bytes:
+    def answer(self, message: ProcessMessage) -> None:
         """Answer a request; errors of the FMU are an answer too."""
         try:
-            header, arrays = self._asks[message.header["ask"]](message)
+            found = self._asks[message.header["ask"]](message)
         except Exception as error:  # FMPy raises many kinds for faults of the FMU
-            if self._machine is not None:
-                self._machine.forget()
             words = " ".join(str(error).split()) or type(error).__name__
-            return packed({"error": words[:600], "refused": isinstance(error, FmuArchiveError)}, {})
-        return packed(header, arrays)
+            found = packed({"error": words[:600]})
+        self._say(found)
 
-    def _describe(self, message: ProcessMessage) -> tuple[dict[str, Any], Arrays]:
+    def _say(self, message: bytes) -> None:
+        self._answers.write(message)
+        self._answers.flush()
+
+    def _describe(self, message: ProcessMessage) -> bytes:
         file, folder = Path(message.header["file"]), Path(message.header["folder"])
         names = unpack(file, folder, DESCRIPTION)
-        return {"described": read_description(folder, names).tree}, {}
+        return packed({"described": read_description(folder, names).tree})
 
-    def _load(self, message: ProcessMessage) -> tuple[dict[str, Any], Arrays]:
-        header = message.header
-        file, folder = Path(header["file"]), Path(header["folder"])
-        if digest_of(file) != header["digest"]:
+    def _loaded(self, message: ProcessMessage) -> bytes:
+        file, folder = Path(message.header["file"]), Path(message.header["folder"])
+        if digest_of(file) != message.header["digest"]:
             raise FmuRunError("the file has changed since it was added to the plant; start again")
         unpack(file, folder)
-        compile_runs()
-        described = described_from(header["described"])
-        references = References(**header["references"])
-        self._machine = machine_of(folder, described, header["kind"], references, header["places"])
-        return {}, {}
+        self._fmu = LoadedFmu(folder, message.header)
+        return packed({})
 
-    @property
-    def _loaded(self) -> CoSimulation:
-        if self._machine is None:
+    def _call(self, message: ProcessMessage) -> bytes:
+        """The results of a kernel, and the arrays that it has changed."""
+        if self._fmu is None:
             raise FmuRunError("no FMU is loaded")
-        return self._machine
-
-    def _outputs(self, message: ProcessMessage) -> tuple[dict[str, Any], Arrays]:
-        machine, arrays = self._loaded, message.arrays
-        found = []
-        for fixed, inputs in zip(arrays["fixed"].tolist(), arrays["inputs"].tolist(), strict=True):
-            machine.put(fixed, inputs)
-            found.append(machine.output())
-        return {}, {"output": np.array(found)}
-
-    def _ticks(self, message: ProcessMessage) -> tuple[dict[str, Any], Arrays]:
-        """Advance from each of several points by one period: the output before, and the states after."""
-        machine, arrays, header = self._loaded, message.arrays, message.header
-        outputs, after = [], []
-        for fixed, inputs in zip(arrays["fixed"].tolist(), arrays["inputs"].tolist(), strict=True):
-            machine.put(fixed, inputs)
-            outputs.append(machine.output())
-            machine.move(header["period"], header["steps"])
-            after.append(machine.states())
-        shape = (len(outputs), len(machine.references.states))
-        return {}, {"output": np.array(outputs), "after": np.array(after).reshape(shape)}
-
-    def _rates(self, message: ProcessMessage) -> tuple[dict[str, Any], Arrays]:
-        """Rates and outputs at each of several points."""
-        machine, arrays = self._loaded, message.arrays
-        if not isinstance(machine, ModelExchange):
-            raise FmuRunError("a co-simulation FMU provides no derivatives")
-        outputs, rates = [], []
-        for fixed, inputs in zip(arrays["fixed"].tolist(), arrays["inputs"].tolist(), strict=True):
-            machine.put(fixed, inputs)
-            outputs.append(machine.output())
-            rates.append(machine.rates())
-        shape = (len(outputs), len(machine.references.states))
-        return {}, {"output": np.array(outputs), "rates": np.array(rates).reshape(shape)}
-
-    def _runs(self, message: ProcessMessage) -> tuple[dict[str, Any], Arrays]:
-        """Whole runs from several points with the same signals, in closed loop or driven.
-
-        The controller works in the plant's units: output and drive are converted with scale and offset.
-        """
         header, arrays = message.header, message.arrays
-        runs = [self._run(fixed, header, arrays) for fixed in arrays["fixed"].tolist()]
-        names = ("output", "input", "states")
-        return {}, {name: np.stack([run[k] for run in runs]) for k, name in enumerate(names)}
-
-    def _run(self, fixed: list[float], header: Any, arrays: Any) -> tuple[FloatArray, FloatArray, FloatArray]:
-        machine, gains = self._loaded, _gains(header["gains"])
-        found = _compiled_run(machine, gains, fixed, header, arrays)
-        if found is not None:
-            return found
-        (y_scale, y_offset), (u_scale, u_offset) = header["y"], header["u"]
-        closed, period, steps = header["closed"], header["period"], header["steps"]
-        integral, previous, resolution = header["integral"], header["previous"], header["resolution"]
-        given, noise, frozen = (arrays[name].tolist() for name in ("given", "noise", "frozen"))
-        others = arrays["disturbances"].tolist()
-        outputs, inputs, states = [], [], []
-        last = 0.0
-        machine.put(fixed, [u_scale * header["rest"] + u_offset, *others[0]])
-        for k, value in enumerate(given):
-            states.append(machine.states())
-            seen = y_scale * machine.output() + y_offset
-            last = reading(seen, noise[k], bool(frozen[k]) and k > 0, resolution, last)
-            u = value
-            if closed:
-                u, integral, previous = pid_step(gains, integral, previous, value, last)
-            outputs.append(last)
-            inputs.append(u)
-            machine.feed([u_scale * u + u_offset, *others[k]])
-            machine.move(period, steps)
-        states.append(machine.states())
-        shape = (len(states), len(machine.references.states))
-        return np.array(outputs), np.array(inputs), np.array(states).reshape(shape)
+        kernel, before = _named(header["kernel"]), [array.tobytes() for array in arrays]
+        own = (self._fmu.at, self._fmu.numbers) if kernel is functions.normal_at else ()
+        given = value_of(header["arguments"], arrays, _named)
+        whole = (self._fmu.code(header["unknown"], header["shown"]), *own, *given)
+        kinds = tuple(map(numba.typeof, whole))
+        if kinds not in kernel.overloads:
+            self._say(packed({"loading": True}))
+            signal.alarm(math.ceil(min(header["limit"] + START, _LONGEST)) + _GRACE)
+            kernel.compile(kinds)
+        found = kernel(*whole)
+        self._fmu.require_success()
+        changed = [i for i, was in enumerate(before) if arrays[i].tobytes() != was]
+        sent = [arrays[i] for i in changed]
+        return packed({"changed": changed, "found": tree_of(found, sent)}, sent)
 
 
-def _compiled_run(
-    machine: CoSimulation, gains: Gains, fixed: list[float], header: Any, arrays: Any
-) -> tuple[FloatArray, FloatArray, FloatArray] | None:
-    """The run in compiled code; None if it has events."""
-    given, others = arrays["given"], arrays["disturbances"]
-    machine.put(fixed, [header["u"][0] * header["rest"] + header["u"][1], *others[0].tolist()])
-    ready = machine.run_arguments()
-    if ready is None:
-        return None
-    y, u = np.empty(given.size), np.empty(given.size)
-    states = np.empty((given.size + 1, len(machine.references.states)))
-    numbers = [header[name] for name in ("resolution", "integral", "previous", "period")]
-    status = compiled_run(
-        *ready, header["closed"], gains, given, others, arrays["noise"], arrays["frozen"],
-        np.array([*numbers, *header["y"], *header["u"]], dtype=np.float64), header["steps"], y, u, states,
-    )  # fmt: skip
-    if status == EVENT:
-        return None
-    if status != DONE:
-        raise FmuRunError(f"one of its functions returned status {status}")
-    return y, u, states
+def _named(name: str) -> Any:
+    """A kernel, or the class of an argument, by module and name."""
+    module, _, what = name.partition(":")
+    return getattr(importlib.import_module(module), what)
 
 
 def main() -> None:
@@ -202,20 +264,14 @@ def main() -> None:
     questions = os.fdopen(os.dup(0), "rb")
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     threading.Thread(target=_end_with, args=(os.getppid(), folder), daemon=True).start()
-    worker = FmuWorker()
+    worker = FmuWorker(answers)
     _limit()
     while message := _next(questions):
         # If the parent has ended, nobody else ends an FMU that hangs and lets no other thread run.
         signal.alarm(math.ceil(min(message.header["limit"], _LONGEST)) + _GRACE)
-        answers.write(worker.answer(message))
-        answers.flush()
+        worker.answer(message)
         signal.alarm(0)
     _leave(folder)
-
-
-def _gains(values: list[float]) -> Gains:
-    named: dict[str, Any] = dict(zip(Gains._fields, values, strict=True))
-    return Gains(**{**named, "on_measurement": bool(named["on_measurement"])})
 
 
 def _next(questions: BinaryIO) -> ProcessMessage | None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final, NamedTuple, NoReturn
 
 from twinmatch.description import Description, Quantity
@@ -51,7 +51,11 @@ class _Absent:
             for name in names
             if name not in plant.parameters
         }
-        self.kernels: Any = _NoKernels(tuple(names), self.lost)
+        self._kernels = _NoKernels(tuple(names), self.lost)
+
+    def kernels_by(self, unknown: Iterable[str]) -> Any:  # noqa: ARG002 (it has none)
+        """Names without kernels."""
+        return self._kernels
 
 
 class _NoKernels:

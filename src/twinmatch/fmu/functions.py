@@ -1,0 +1,276 @@
+"""An FMU as a plant's functions for the kernels of `twinmatch.dynamics`, which call them by address.
+
+They take the arrays of the functions that are compiled from equations. Most FMUs provide no derivatives by
+parameters, so every derivative is a central difference. Where a match needs only the derivatives of a whole
+run, whole runs are compared: those of samples would add up the error of an FMU's solver.
+"""
+
+# ruff: noqa: ARG001, PLR0912, PLR0917 (kernels are long and take arrays in a row)
+# mypy: disable-error-code="untyped-decorator, no-any-return"
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+import numba
+import numpy as np
+from llvmlite import binding, ir
+from numba import types
+
+from twinmatch.compiled import compiled
+from twinmatch.dynamics.kernels import (
+    MOST_STEPS,
+    OUTPUT_SLOPES,
+    OUTPUTS,
+    SLOPES,
+    STEP,
+    TANGENTS,
+    Code,
+    begin,
+    step_count,
+)
+from twinmatch.dynamics.kernels import SIZES as NUMBERS
+from twinmatch.dynamics.machine import FUNCTIONS, linked
+from twinmatch.dynamics.runs import LeastSquares, add_row, run
+from twinmatch.fmu.machine import (
+    EXCHANGE,
+    GIVEN,
+    HELD,
+    LEAST,
+    MOST,
+    N_INPUTS,
+    N_PARAMETERS,
+    N_STATES,
+    N_UNKNOWN,
+    SAMPLE,
+    SHOWN,
+    SIZES,
+    STATUS,
+    UNKNOWN,
+    Integers,
+    advance,
+    bring,
+    floats_at,
+    integers_at,
+    output,
+    rates,
+)
+from twinmatch.signals import FloatArray
+
+WIDTH: Final = 1e-4
+"""Half width of a central difference, relative to the size of the variable: the truncation error is 1e-8;
+with a variable-step solver accurate to 1e-8, the derivative is accurate to 1e-4."""
+NEAR_ZERO: Final = 0.1
+"""The size of a parameter near zero is this share of its scale."""
+_OF_OUTPUT: Final = (OUTPUTS, OUTPUT_SLOPES)
+
+_INTEGERS, _FLOATS = types.CPointer(types.int64), types.CPointer(types.float64)
+_KINDS: Final = (
+    _INTEGERS, _FLOATS, types.int64, *(_FLOATS,) * 6, types.float64, _FLOATS, _FLOATS, _INTEGERS, types.int64,
+    types.int64,
+)  # fmt: skip
+"""Arguments of `_function`: the machine's integers and floats, which function, and those of the kernels."""
+_LLVM: Final[Mapping[Any, Any]] = {
+    _INTEGERS: ir.IntType(64).as_pointer(),
+    _FLOATS: ir.DoubleType().as_pointer(),
+    types.int64: ir.IntType(64),
+    types.float64: ir.DoubleType(),
+}
+_CALLED: Final = ir.FunctionType(ir.VoidType(), [_LLVM[kind] for kind in _KINDS]).as_pointer()
+
+
+@compiled(inside=True)
+def _value(
+    at: Integers, f: FloatArray, what: int, z: FloatArray, d: FloatArray, h: float, found: FloatArray
+) -> None:
+    """The output, the rates, or the states after a step of h; z holds parameters, states and drive.
+
+    The rates of a co-simulation FMU are differences over one sample, which have the same equilibria.
+    """
+    if at[STATUS] != 0:
+        return
+    bring(at, f, z, d)
+    if what == OUTPUTS:
+        found[0] = output(at, f)
+    elif what == SLOPES and at[EXCHANGE]:
+        rates(at, f, found)
+    else:
+        period = h if what == STEP else f[SAMPLE]
+        advance(at, f, period)
+        for i in range(found.size):
+            end, begun = f[at[HELD] + at[N_PARAMETERS] + i], z[at[N_PARAMETERS] + i]
+            found[i] = end if what == STEP else (end - begun) / period
+
+
+@compiled
+def ends_of(at: Integers, f: FloatArray, by: int, value: float) -> tuple[float, float]:
+    """The ends of a difference by a parameter, state or the drive; the value instead of an impossible one."""
+    size = WIDTH * f[at[SIZES] + by]
+    if by < at[N_PARAMETERS]:
+        size = max(WIDTH * abs(value), NEAR_ZERO * size)
+    high, low = value + size, value - size
+    return high if high <= f[at[MOST] + by] else value, low if low >= f[at[LEAST] + by] else value
+
+
+@compiled(inside=True)
+def _slope(
+    at: Integers, f: FloatArray, what: int, z: FloatArray, d: FloatArray, h: float, by: int,
+    found: FloatArray,
+) -> None:  # fmt: skip
+    """The derivative by one of the parameters, then the states, then the drive."""
+    values, moved = np.empty((2, found.size)), z.copy()
+    ends = ends_of(at, f, by, z[by])
+    for side in range(2):
+        moved[by] = ends[side]
+        _value(at, f, what, moved, d, h, values[side])
+    for i in range(found.size):
+        found[i] = (values[0, i] - values[1, i]) / (ends[0] - ends[1])
+
+
+@compiled
+def _function(
+    integers: Any, floats: Any, what: int, x: Any, u: Any, d: Any, p: Any, b: Any, out: Any, h: float,
+    columns: Any, du: Any, which: Any, first: int, size: int,
+) -> None:  # fmt: skip
+    """One of the functions, an index of `FUNCTIONS`; b and those after `out` are not used by all of them."""
+    at, f = integers_at(integers), floats_at(integers, floats)
+    m, n, q, most = at[N_PARAMETERS], at[N_STATES], at[N_UNKNOWN], 0
+    for i in range(at[N_INPUTS] - 1):
+        most = max(most, at[at[GIVEN] + i] + 1)
+    z, others, column = np.empty(m + n + 1), numba.carray(d, most), np.zeros(max(n, 1))
+    for i in range(m + n + 1):
+        z[i] = p[i] if i < m else x[i - m] if i < m + n else np.nan if what in _OF_OUTPUT else u[0]
+    if what == OUTPUT_SLOPES:
+        for i in range(n + q):
+            out[i] = 0.0
+            if i < n or at[at[SHOWN] + i - n]:
+                by = m + i if i < n else at[at[UNKNOWN] + i - n]
+                _slope(at, f, OUTPUTS, z, others, 0.0, by, column[:1])
+                out[i] = column[0]
+    elif what == SLOPES:
+        # By the unknowns (n × q), then the rates, their derivatives by the states (n × n) and the drive (n).
+        for j in range(q + n + 1):
+            _slope(at, f, SLOPES, z, others, 0.0, at[at[UNKNOWN] + j] if j < q else m + j - q, column[:n])
+            for i in range(n):
+                of_x = i * n + j - q if j < q + n else n * n + i
+                out[i * q + j if j < q else n * (q + 1) + of_x] = column[i]
+    elif what == TANGENTS:
+        by, before = np.empty((first + n + 1, n)), np.empty(n)
+        for j in range(first + n + 1):
+            place = at[at[UNKNOWN] + which[j]] if j < first else m + j - first
+            _slope(at, f, STEP, z, others, h, place, by[j])
+        for j in range(size):
+            for i in range(n):
+                before[i] = columns[i * size + j]
+            for i in range(n):
+                total = by[first + n, i] * du[j] + (by[j, i] if j < first else 0.0)
+                for k in range(n):
+                    total += by[first + k, i] * before[k]
+                columns[i * size + j] = total
+    if what != OUTPUT_SLOPES:
+        value = STEP if what == TANGENTS else what
+        skipped = n * q if what == SLOPES else 0
+        column[:] = 0.0
+        _value(at, f, value, z, others, h, column[: 1 if what == OUTPUTS else n])
+        for i in range(column.size):
+            out[skipped + i] = column[i]
+        if value == STEP:
+            out[n] = 0.0  # kinks within the step have been found
+
+
+def functions_for(at: int, numbers: int, start: int) -> tuple[Any, dict[str, int]]:
+    """The functions of the FMU whose machine is at these addresses: their owner, and their addresses.
+
+    `start` is the address of the function for initial states.
+    """
+    _function.compile(_KINDS)  # type: ignore[attr-defined]
+    result = _function.overloads[_KINDS]  # type: ignore[attr-defined]
+    # A kernel from the cache does not list this name as defined.
+    address = result.library.codegen._engine.get_function_address(result.fndesc.llvm_cfunc_wrapper_name)
+    kinds = [_LLVM[kind] for kind in _KINDS]
+    module = ir.Module("fmu")
+    for what, name in enumerate(FUNCTIONS):
+        count = {STEP: 7, TANGENTS: 12}.get(what, 6)
+        llvm = ir.Function(module, ir.FunctionType(ir.VoidType(), kinds[3 : 3 + count]), name)
+        builder = ir.IRBuilder(llvm.append_basic_block())
+        if what in {STEP, TANGENTS, SLOPES, OUTPUTS, OUTPUT_SLOPES}:
+            pointers = [
+                builder.inttoptr(ir.Constant(kinds[2], value), kind)
+                for value, kind in zip((address, at, numbers), (_CALLED, *kinds), strict=False)
+            ]
+            unused = [ir.Constant(kind, None if kind.is_pointer else 0) for kind in kinds[3 + count :]]
+            builder.call(pointers[0], [*pointers[1:], ir.Constant(kinds[2], what), *llvm.args, *unused])
+        builder.ret_void()
+    target = binding.Target.from_default_triple().create_target_machine(reloc="pic", jit=True)
+    owner, addresses = linked(target.emit_object(binding.parse_assembly(str(module))))
+    return owner, {**addresses, "start": start}
+
+
+def code_for(addresses: Mapping[str, int], parameters: int, states: int, unknown: int) -> Code:
+    """The FMU as a plant for the kernels."""
+    sizes = {
+        "n_states": states, "n_inputs": 1, "n_outputs": 1, "n_parameters": parameters, "n_unknown": unknown
+    }  # fmt: skip
+    known = {**addresses, **dict.fromkeys(NUMBERS, 0), **sizes}
+    return np.array([known[name] for name in (*FUNCTIONS, *NUMBERS)], dtype=np.int64)
+
+
+@compiled
+def normal_at(
+    code: Code, at: Integers, f: FloatArray, problem: LeastSquares, values: FloatArray, limit: float
+) -> tuple[float, FloatArray, FloatArray]:
+    """As `twinmatch.dynamics.runs.normal_at`, from differences of whole runs; infinite without finite values.
+
+    `code` has no unknowns: no derivatives of single samples are needed.
+    """
+    n, free, m = values.size, problem.places.size, at[N_PARAMETERS]
+    size, signals = problem.disturbances.shape[0], 2 if problem.closed else 1
+    nowhere = np.inf, np.zeros(n), np.zeros((n, n))
+    still, never = np.zeros(size), np.zeros(size, dtype=np.bool_)
+    simulated, ends = np.empty((1 + 2 * n, 2, size)), np.empty((n, 2))
+    normal, row, steps = np.zeros((n + 1, n + 1)), np.empty(n + 1), 0
+    for i in range(1 + 2 * n):
+        moved, j = values.copy(), (i - 1) // 2
+        if i > 0:
+            by = problem.places[j] if j < free else m + problem.started[j - free]
+            ends[j, 0], ends[j, 1] = ends_of(at, f, by, values[j])
+            moved[j] = ends[j, (i - 1) % 2]
+        vector = problem.base.copy()
+        vector[problem.places] = moved[:free]
+        x, _, _ = begin(code, vector, problem.first, problem.input_before, problem.disturbances[0])
+        x[problem.started] = moved[free:]
+        if i == 0:
+            steps = step_count(
+                code, vector, problem.corners, problem.drives, problem.default_disturbances, problem.period,
+                problem.rate_limit,
+            )  # fmt: skip
+            if steps > MOST_STEPS:
+                return nowhere
+        simulated[i, 0], simulated[i, 1], _ = run(
+            code, vector, x, problem.closed, problem.gains, problem.reference, problem.measured[1],
+            problem.disturbances, still, never, 0.0, problem.integral, problem.previous, problem.period,
+            steps,
+        )  # fmt: skip
+        if i == 0 or i == 2 * n:
+            normal[:] = 0.0
+            for k in range(size):
+                for s in range(signals):
+                    for j in range(n):
+                        rise = simulated[1 + 2 * j, s, k] - simulated[2 + 2 * j, s, k]
+                        row[j] = rise / (ends[j, 0] - ends[j, 1]) if i > 0 else 0.0
+                    row[n] = simulated[0, s, k] - problem.measured[s, k]
+                    add_row(normal, row, problem.weights[s, k], problem.robust)
+        if i == 0 and normal[n, n] > limit:
+            break
+    if not np.isfinite(normal).all():
+        return nowhere
+    cost, gradient, hessian = normal[n, n], normal[n, :n].copy(), np.zeros((n, n))
+    for j in range(n):
+        off = values[j] - problem.expected[j]
+        cost += problem.pull[j] * off * off
+        gradient[j] += problem.pull[j] * off
+        for i in range(j + 1):
+            hessian[i, j] = hessian[j, i] = normal[j, i]
+        hessian[j, j] += problem.pull[j]
+    return cost, gradient, hessian
