@@ -102,7 +102,7 @@ def test_a_changed_plant_is_derived_again(start: Start, tmp_path: Path) -> None:
 def test_kernels_are_compiled_once_for_all_plants() -> None:
     """With a loop and without one, with kinks and disturbances or none: a second plant compiles nothing."""
     source = "".join(path.read_text(encoding="utf-8") for path in SOURCE.rglob("*.py"))
-    asked = set(re.findall(r"kernels\.([a-z_]+)\(", source)) - {"foresee"}  # only an FMU's have that
+    asked = set(re.findall(r"kernels\.([a-z_]+)\(", source)) - {"call"}  # which hands others the plant
     assert len(asked) > 8
     compiled = []
     for plant in (Lag, Motor, Box):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from twinmatch.fmu.mapping import draft, overview
+from twinmatch.fmu.archive import draft, overview
 from twinmatch.fmu.process import FmuProcess
 from twinmatch.fmu.structure import described_by
 from twinmatch.plants import find_plant

@@ -1,7 +1,7 @@
 """The map file: which FMUs are structures of a plant, and which of their variables are which quantity.
 
-Initial states are formulas in terms of the plant's quantities, such as `temperature + 273.15`.
-A first draft of a map matches similar names.
+Initial states are formulas in terms of the plant's quantities, such as `temperature + 273.15`. `loading`
+compares a map with the FMU's description, and says how its process loads it.
 """
 
 from __future__ import annotations
@@ -9,19 +9,15 @@ from __future__ import annotations
 import ast
 import math
 import operator
-import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-import yaml
-
 from twinmatch.dynamics import Parameter, Plant, PlantError, State
-from twinmatch.fmu.archive import CO_SIMULATION, MODEL_EXCHANGE, Described, FmuError, Variable
+from twinmatch.fmu.archive import CO_SIMULATION, MODEL_EXCHANGE, Described, FmuError
 from twinmatch.plants import find_plant
 from twinmatch.sessions.documents import DocumentError, read_yaml
-from twinmatch.signals import KELVIN
 
 _BINARY: Final[dict[type, Callable[[float, float], float]]] = {
     ast.Add: operator.add,
@@ -43,9 +39,7 @@ _OF_PARAMETER: Final = (
     "unit", "text", "symbol", "default", "bounds", "scale", "least", "positive", "most", "relative",
 )  # fmt: skip
 _OF_STATE: Final = ("unit", "text", "symbol", "span", "scale", "start_bounds")
-_CELSIUS: Final = ("°C", "degC")
-_MOST: Final = 60
-"""Most variables listed per kind."""
+_TINY = 5e-324
 
 
 class Formula:
@@ -292,117 +286,98 @@ def _number(place: str, value: Any) -> float:
     return float(value)
 
 
-def overview(described: Described) -> list[str]:
-    """The description and the variables, as lines of text."""
-    kinds = " and ".join(described.kinds) or "no supported interface type"
-    platforms = ", ".join(described.platforms) or "no platform"
-    lines = [
-        f"{described.name}: FMI {described.version}, {kinds}; by {described.tool or 'an unknown tool'}",
-        f"binaries for {platforms}; directional derivatives: {'yes' if described.directional else 'no'}",
-    ]
-    for title, found in (
-        ("inputs", described.of("input")),
-        ("outputs", described.of("output")),
-        ("continuous states", [v for v in described.variables if v.state >= 0]),
-        ("parameters", described.of("parameter")),
-        ("others that can be set before a run", _others(described)),
-    ):
-        lines.append(f"{title}: {'none' if not found else ''}".rstrip())
-        lines += [f"  {_line(variable)}" for variable in found[:_MOST]]
-        if len(found) > _MOST:
-            lines.append(f"  and {len(found) - _MOST} more")
-    return [*lines, _verdict(described)]
+def sample_time(plant: type[Plant]) -> float:
+    """Sample time of the plant's loop, s; 1 s if it is not known."""
+    return 1.0 if plant.loop is None else float(plant.loop.period)
 
 
-def draft(file: Path, described: Described, plant: type[Plant]) -> str:
-    """A draft of its map for a plant, as YAML, with question marks for missing entries."""
-    output, drive = described.of("output"), described.of("input")
-    links = {plant.output.name: _alike(plant.output, output), plant.drive.name: _alike(plant.drive, drive)}
-    if len(output) == 1:
-        links[plant.output.name] = output[0]
-    if len(drive) == 1 + len(plant.disturbances) == 1:
-        links[plant.drive.name] = drive[0]
-    own = [v for v in described.variables if v.state >= 0] or _others(described)
-    links |= {name: _alike(of, drive) for name, of in plant.disturbances.items()}
-    states = {name: _alike(of, own) for name, of in plant.states.items()}
-    parameters = {name: _alike(of, described.of("parameter")) for name, of in plant.parameters.items()}
-    taken = {name for name, found in (states | parameters).items() if found is not None}
-    entry: dict[str, Any] = {
-        "fmu": file.name,
-        "variables": {
-            name: _written(found, plant.declarations[name].unit)
-            for name, found in (links | states | parameters).items()
-            if found is not None or name in {plant.output.name, plant.drive.name}
-        },
-        "starts": {name: _start(plant, name) for name in states if name in taken},
-        "free": [n for n in next(iter(plant.structures.values())).free if n in taken],
+def loading(of: FmuMap, described: Described) -> tuple[dict[str, Any], str]:
+    """The request that loads the FMU, without the paths of its files; and its interface type.
+
+    Raises:
+        FmuError: the FMU does not match the map.
+    """
+    kind = of.kind or next(iter(described.kinds), "")
+    if kind not in described.kinds:
+        ways = " and ".join(described.kinds) or "neither model exchange nor co-simulation"
+        raise FmuError(f"it supports {ways}" + (f", not {kind}" if kind else ""))
+    plant, links = of.plant, of.links
+    inputs = [links[plant.drive.name], *(links[name] for name in plant.disturbances if name in links)]
+    states = [links[name] for name in of.known_states]
+    parameters = [links[name] for name in of.known_parameters]
+    output = [links[plant.output.name]]
+    for link in (*output, *inputs, *states, *parameters):
+        for name in (link.variable, link.set):
+            if described.called(name) is None:
+                raise FmuError(f"has no real variable {name!r}; `twinmatch fmu` lists those it has")
+    _check_inputs(described, inputs)
+    own = [v.name for v in sorted(described.variables, key=lambda v: v.state) if v.state >= 0]
+    if kind == MODEL_EXCHANGE:
+        _check_states(described, own, [link.variable for link in states])
+    _check_settable(described, [*parameters, *(states if kind == CO_SIMULATION else [])])
+    names = {
+        "fixed": [link.set for link in (*parameters, *states)],
+        "inputs": [link.variable for link in inputs],
+        "states": [link.variable for link in states],
+        "output": [link.variable for link in output],
     }
-    tree = {"plant": plant.name, "structures": {described.name or file.stem: entry}}
-    text = yaml.safe_dump(tree, sort_keys=False, allow_unicode=True)
-    named = {found.name for found in (links | states | parameters).values() if found is not None}
-    left = [v for v in (*described.of("parameter"), *own) if v.name not in named]
-    return text + "".join(_more(v) for v in left)
+    links_, declared = (*parameters, *states, *inputs, *output), {**plant.parameters, **of.parameters}
+    spans = [*({**plant.states, **of.states}[name].span for name in of.known_states), plant.drive.limits]
+    unlimited = [-math.inf for _ in spans]
+    own_parameters = [declared[name] for name in of.known_parameters]
+    return {
+        "ask": "load",
+        "described": described.tree,
+        "kind": kind,
+        "references": {name: _references(described, those) for name, those in names.items()},
+        "places": [own.index(s.variable) if kind == MODEL_EXCHANGE else k for k, s in enumerate(states)],
+        "given": [k for k, name in enumerate(plant.disturbances) if name in links],
+        "signals": [plant.output.name, plant.drive.name, *plant.disturbances],
+        "parameters": of.known_parameters,
+        "starts": [of.starts[name].text for name in of.known_states],
+        "rest": plant.drive.rest,
+        "sample": sample_time(plant),
+        "numbers": [  # as a machine keeps them
+            [link.factor for link in links_],
+            [link.offset for link in links_],
+            [math.nan for _ in links_],
+            [*(p.scale for p in own_parameters), *(high - low for low, high in spans)],
+            [*(max(p.least, _TINY if p.positive else p.least) for p in own_parameters), *unlimited],
+            [*(p.most for p in own_parameters), *(-least for least in unlimited)],
+        ],
+    }, kind
 
 
-def _verdict(described: Described) -> str:
-    if not described.kinds:
-        return "It cannot be used: it supports neither co-simulation nor model exchange."
-    if MODEL_EXCHANGE in described.kinds:
-        return "It can be matched and used for forecasts if the map names all continuous states."
-    return (
-        "It can be matched and used for forecasts if the map names all internal states, and all of them can "
-        "be set before a run."
-    )
+def _references(described: Described, names: list[str]) -> list[int]:
+    return [found.reference for name in names if (found := described.called(name)) is not None]
 
 
-def _others(described: Described) -> list[Variable]:
-    if MODEL_EXCHANGE in described.kinds and CO_SIMULATION not in described.kinds:
-        return []
-    kinds = ("local", "output")
-    return [v for v in described.variables if v.causality in kinds and v.settable and v.state < 0]
+def _check_states(described: Described, own: list[str], named: list[str]) -> None:
+    """Check that the map names all states of a model-exchange FMU, and no others."""
+    left = [name for name in own if name not in named]
+    other = [name for name in named if name not in own]
+    if left or other or described.states != len(named):
+        what = "the map does not name all of them"
+        if left:
+            what = f"the map does not name {left[0]!r}"
+        elif other:
+            what = f"the map names {other[0]!r}, which is not one of them"
+        raise FmuError(f"its continuous states are {', '.join(own) or 'none'}; {what}")
 
 
-def _line(variable: Variable) -> str:
-    start = "" if variable.start is None else f" = {variable.start:g}"
-    unit = f" {variable.unit}" if variable.unit else ""
-    text = f"  ({variable.text})" if variable.text else ""
-    return " ".join(f"{variable.name}{start}{unit}{text}".split())
+def _check_inputs(described: Described, links: list[Link]) -> None:
+    """Check that the plant's inputs are inputs of the FMU: it may ignore values of others."""
+    for link in links:
+        variable = described.called(link.set)
+        if variable is not None and variable.causality != "input" and variable.variability != "tunable":
+            given = f"{variable.causality}, variability {variable.variability or 'not given'}"
+            inputs = ", ".join(one.name for one in described.of("input")) or "none"
+            raise FmuError(f"its variable {link.set!r} is not an input ({given}); its inputs are {inputs}")
 
 
-def _alike(of: Any, variables: Iterable[Variable]) -> Variable | None:
-    """The variable with the name of a quantity, or with it as last part, ignoring case and punctuation."""
-    wanted = {_plain(of.name), _plain(of.symbol)} - {""}
-    for variable in variables:
-        if {_plain(variable.name), _plain(variable.name.rsplit(".", 1)[-1])} & wanted:
-            return variable
-    return None
-
-
-def _plain(name: str) -> str:
-    return re.sub(r"[\W_]", "", name).casefold()
-
-
-def _written(found: Variable | None, unit: str) -> Any:
-    if found is None:
-        return "?"
-    celsius = unit in _CELSIUS
-    if celsius != (found.unit in _CELSIUS) and {unit, found.unit} & {"K"}:
-        return {"variable": found.name, "offset": -KELVIN if celsius else KELVIN}
-    return found.name
-
-
-def _start(plant: type[Plant], state: str) -> str:
-    name = plant.output.name
-    return f"{name} + {KELVIN}" if plant.output.unit == "°C" and plant.states[state].unit == "K" else name
-
-
-def _more(variable: Variable) -> str:
-    """A comment line for a variable that the plant does not have."""
-    value = 1.0 if variable.start is None else variable.start
-    kind = "parameters" if variable.causality == "parameter" else "states"
-    what = (
-        f"default: {value:g}, bounds: [?, ?], unit: {variable.unit!r}"
-        if kind == "parameters"
-        else f"span: [?, ?], unit: {variable.unit!r}"
-    )
-    return f"# not in the plant; can be declared under {kind}: {variable.name}: {{{what}}}\n"
+def _check_settable(described: Described, links: list[Link]) -> None:
+    for link in links:
+        variable = described.called(link.set)
+        if variable is not None and not variable.settable:
+            msg = f"its variable {link.set!r} cannot be set before a run"
+            raise FmuError(f"{msg} ({variable.causality}, initial {variable.initial or 'not given'})")

@@ -192,8 +192,10 @@ class FmuProcess:
             try:
                 self._write(packed({**header, "limit": whole}, arrays), by)
                 message = unpacked(lambda size: self._read(size, by))
-                if "loading" in message.header:
-                    message = unpacked(lambda size: self._read(size, by + START))
+                if "loading" in message.header:  # a kernel, before it runs
+                    unpacked(lambda size: self._read(size, by + START))
+                    by = time.monotonic() + limit
+                    message = unpacked(lambda size: self._read(size, by))
             except TimeoutError:
                 self.close()
                 raise ProcessLostError(f"it gave no answer within {limit:g} s and was killed") from None

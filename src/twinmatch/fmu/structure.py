@@ -7,7 +7,6 @@ identifies the program.
 from __future__ import annotations
 
 import hashlib
-import math
 import sys
 import threading
 from collections.abc import Iterable
@@ -20,7 +19,6 @@ from numpy.typing import NDArray
 
 from twinmatch.dynamics import (
     Model,
-    Plant,
     Structure,
     StructureLostError,
     begin,
@@ -32,7 +30,6 @@ from twinmatch.dynamics.descent import Search, update_search
 from twinmatch.dynamics.runs import LeastSquares
 from twinmatch.dynamics.store import KERNELS
 from twinmatch.fmu.archive import (
-    CO_SIMULATION,
     MODEL_EXCHANGE,
     MOST_BYTES,
     Described,
@@ -40,7 +37,7 @@ from twinmatch.fmu.archive import (
     described_from,
     digest_of,
 )
-from twinmatch.fmu.mapping import FmuMap, Link, read_maps
+from twinmatch.fmu.mapping import FmuMap, loading, read_maps, sample_time
 from twinmatch.fmu.process import START, FmuMessageError, FmuProcess, ProcessLostError, tree_of, value_of
 from twinmatch.plants.records import MARK, is_marked
 from twinmatch.signals import FloatArray
@@ -49,7 +46,6 @@ _SAMPLES = 1000
 """Samples that one FMU's `patience` is for."""
 _FINITE: Final = {"advance", "run", "run_with_tangents", "foresee"}
 """Kernels whose results are refused unless all are finite."""
-_TINY = 5e-324
 SAMPLES = 8
 _STATE = 1e-4
 """Tolerance of a state, in units of its span: a restarted solver chooses other steps."""
@@ -68,7 +64,7 @@ def check_restart(model: Model) -> None:
     low, high = plant.drive.limits
     drive = np.repeat([0.5 * (plant.drive.rest + high), 0.5 * (plant.drive.rest + low)], SAMPLES // 2)
     parameters = model.parameters()
-    period = _period(plant)
+    period = sample_time(plant)
     y = float(np.mean(plant.output.set_points or plant.output.span))
     run = simulate_driven(parameters, drive, states=begin(parameters, y), period=period)
     spans = np.array([state.span[1] - state.span[0] for state in model.declared_states])
@@ -260,7 +256,7 @@ class FmuSource:
         """Start the process and load the FMU, after a check against its map."""
         of, process = self.map, FmuProcess()
         try:
-            question, self._kind = _loading(of, described_by(of.file, process))
+            question, self._kind = loading(of, described_by(of.file, process))
             files = {"file": str(of.file.resolve()), "folder": str(process.folder / "fmu")}
             process.ask({**question, **files, "digest": self._digest}, limit=START)
         except ProcessLostError as error:
@@ -274,10 +270,6 @@ class FmuSource:
 
 def _refuse(name: str) -> Any:
     raise FmuMessageError(f"an answer with a value of class {name}")
-
-
-def _period(plant: type[Plant]) -> float:
-    return 1.0 if plant.loop is None else float(plant.loop.period)
 
 
 def is_fmu(structure: str) -> bool:
@@ -377,95 +369,3 @@ def described_by(file: Path, process: FmuProcess, limit: float = START) -> Descr
         raise FmuError(f"{file}: its description cannot be read: {error}") from error
     except (FmuError, KeyError, TypeError, ValueError) as error:
         raise FmuError(f"{file}: {error}") from error
-
-
-def _loading(of: FmuMap, described: Described) -> tuple[dict[str, Any], str]:
-    """The request that loads the FMU, without the paths of its files; and its interface type.
-
-    Raises:
-        FmuError: the FMU does not match the map.
-    """
-    kind = of.kind or next(iter(described.kinds), "")
-    if kind not in described.kinds:
-        ways = " and ".join(described.kinds) or "neither model exchange nor co-simulation"
-        raise FmuError(f"it supports {ways}" + (f", not {kind}" if kind else ""))
-    plant, links = of.plant, of.links
-    inputs = [links[plant.drive.name], *(links[name] for name in plant.disturbances if name in links)]
-    states = [links[name] for name in of.known_states]
-    parameters = [links[name] for name in of.known_parameters]
-    output = [links[plant.output.name]]
-    for link in (*output, *inputs, *states, *parameters):
-        for name in (link.variable, link.set):
-            if described.called(name) is None:
-                raise FmuError(f"has no real variable {name!r}; `twinmatch fmu` lists those it has")
-    _check_inputs(described, inputs)
-    own = [v.name for v in sorted(described.variables, key=lambda v: v.state) if v.state >= 0]
-    if kind == MODEL_EXCHANGE:
-        _check_states(described, own, [link.variable for link in states])
-    _check_settable(described, [*parameters, *(states if kind == CO_SIMULATION else [])])
-    names = {
-        "fixed": [link.set for link in (*parameters, *states)],
-        "inputs": [link.variable for link in inputs],
-        "states": [link.variable for link in states],
-        "output": [link.variable for link in output],
-    }
-    links_, declared = (*parameters, *states, *inputs, *output), {**plant.parameters, **of.parameters}
-    spans = [*({**plant.states, **of.states}[name].span for name in of.known_states), plant.drive.limits]
-    unlimited = [-math.inf for _ in spans]
-    own_parameters = [declared[name] for name in of.known_parameters]
-    return {
-        "ask": "load",
-        "described": described.tree,
-        "kind": kind,
-        "references": {name: _references(described, those) for name, those in names.items()},
-        "places": [own.index(s.variable) if kind == MODEL_EXCHANGE else k for k, s in enumerate(states)],
-        "given": [k for k, name in enumerate(plant.disturbances) if name in links],
-        "signals": [plant.output.name, plant.drive.name, *plant.disturbances],
-        "parameters": of.known_parameters,
-        "starts": [of.starts[name].text for name in of.known_states],
-        "rest": plant.drive.rest,
-        "sample": _period(plant),
-        "numbers": [  # as a machine keeps them
-            [link.factor for link in links_],
-            [link.offset for link in links_],
-            [math.nan for _ in links_],
-            [*(p.scale for p in own_parameters), *(high - low for low, high in spans)],
-            [*(max(p.least, _TINY if p.positive else p.least) for p in own_parameters), *unlimited],
-            [*(p.most for p in own_parameters), *(-least for least in unlimited)],
-        ],
-    }, kind
-
-
-def _references(described: Described, names: list[str]) -> list[int]:
-    return [found.reference for name in names if (found := described.called(name)) is not None]
-
-
-def _check_states(described: Described, own: list[str], named: list[str]) -> None:
-    """Check that the map names all states of a model-exchange FMU, and no others."""
-    left = [name for name in own if name not in named]
-    other = [name for name in named if name not in own]
-    if left or other or described.states != len(named):
-        what = "the map does not name all of them"
-        if left:
-            what = f"the map does not name {left[0]!r}"
-        elif other:
-            what = f"the map names {other[0]!r}, which is not one of them"
-        raise FmuError(f"its continuous states are {', '.join(own) or 'none'}; {what}")
-
-
-def _check_inputs(described: Described, links: list[Link]) -> None:
-    """Check that the plant's inputs are inputs of the FMU: it may ignore values of others."""
-    for link in links:
-        variable = described.called(link.set)
-        if variable is not None and variable.causality != "input" and variable.variability != "tunable":
-            given = f"{variable.causality}, variability {variable.variability or 'not given'}"
-            inputs = ", ".join(one.name for one in described.of("input")) or "none"
-            raise FmuError(f"its variable {link.set!r} is not an input ({given}); its inputs are {inputs}")
-
-
-def _check_settable(described: Described, links: list[Link]) -> None:
-    for link in links:
-        variable = described.called(link.set)
-        if variable is not None and not variable.settable:
-            msg = f"its variable {link.set!r} cannot be set before a run"
-            raise FmuError(f"{msg} ({variable.causality}, initial {variable.initial or 'not given'})")

@@ -241,8 +241,9 @@ class FmuWorker:
         kinds = tuple(map(numba.typeof, whole))
         if kinds not in kernel.overloads:
             self._say(packed({"loading": True}))
-            signal.alarm(math.ceil(min(header["limit"] + START, _LONGEST)) + _GRACE)
+            signal.alarm(math.ceil(min(2 * header["limit"] + START, _LONGEST)) + _GRACE)
             kernel.compile(kinds)
+            self._say(packed({"loading": False}))
         found = kernel(*whole)
         self._fmu.require_success()
         changed = [i for i, was in enumerate(before) if arrays[i].tobytes() != was]
