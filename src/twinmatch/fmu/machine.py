@@ -165,7 +165,7 @@ def _initialise(at: Integers, f: FloatArray) -> None:
 def bring(at: Integers, f: FloatArray, z: FloatArray, d: FloatArray) -> None:
     """Bring it to parameters, states and drive, and to disturbances; a drive of NaN: as it is.
 
-    A run goes on where nothing but the inputs has changed; otherwise another one begins.
+    A run continues where nothing but the inputs has changed; otherwise another one begins.
     """
     m, n, held = at[N_PARAMETERS], at[N_STATES], at[HELD]
     same, there = at[BEGUN] != 0, True
@@ -358,7 +358,7 @@ def _settle(at: Integers) -> None:
 
 
 def error_of(at: Integers, f: FloatArray) -> str:
-    """The error of the calls since the last time, as text; empty without one. It begins anew after one."""
+    """The error of the calls since the last time, as text; empty without one. It is then forgotten."""
     status, where = int(at[STATUS]), FUNCTIONS[at[WHERE]]
     if not status:
         return ""

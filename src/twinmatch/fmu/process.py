@@ -78,7 +78,7 @@ def value_of(tree: Any, arrays: Sequence[NDArray[Any]], found: Callable[[str], A
     """The value of such a tree; `found` gives the class of a named tuple.
 
     Raises:
-        FmuMessageError: it is no such tree.
+        FmuMessageError: the tree cannot be read.
     """
     try:
         if isinstance(tree, dict):
