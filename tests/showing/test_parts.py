@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -11,14 +13,23 @@ from hypothesis import strategies as st
 
 from tests.support.plants import Motor
 from tests.support.rig import GAINS, rig, run
-from twinmatch.comparing import CandidateScore, Criteria, OrderScore
+from twinmatch.comparing import Candidate, CandidateScore, Criteria, OrderScore, Verdict, score
 from twinmatch.dynamics import Plant
+from twinmatch.forecasting import Band, Forecast
+from twinmatch.offline.summary import summarise
 from twinmatch.plants import PLANTS, Peltier
-from twinmatch.showing.family import criterion_rows
+from twinmatch.sessions import samples_of
+from twinmatch.showing.family import Member, criterion_rows, family
+from twinmatch.showing.figures.drawing import png, svg
+from twinmatch.showing.figures.family import draw_criteria, draw_matrix, draw_responses, draw_uncertainty
+from twinmatch.showing.figures.forecasts import draw_forecasts
+from twinmatch.showing.forecasts import comparison_words, forecast_words
 from twinmatch.showing.quantities import in_order, number, parameter_format
-from twinmatch.showing.series import compare, rolling_rms
+from twinmatch.showing.series import Fan, compare, fan, rolling_rms
 from twinmatch.showing.style import CLOSED, DRIVEN, LEVELS, ORDERS, PLANT, SET_POINT, TEXT
+from twinmatch.showing.summary import document, sentence
 from twinmatch.signals import KELVIN, Sample
+from twinmatch.twin import MatchReport, Twin, TwinSettings
 
 
 @pytest.mark.parametrize("plant", PLANTS.values(), ids=str)
@@ -153,3 +164,185 @@ def test_colours_that_stand_side_by_side_are_distinguished(colours: tuple[str, .
 def test_text_is_dark_on_white() -> None:
     contrast = 1.05 / (float(linear(TEXT) @ [0.2126, 0.7152, 0.0722]) + 0.05)
     assert contrast > 7
+
+
+# The candidates with their windows and models.
+
+
+GIVEN = Candidate("from the paper", 90.0, rig(seebeck=0.0295, conductance=0.38, heat_capacity=13.7), None)
+
+
+@pytest.fixture(scope="module")
+def samples() -> list[Sample]:
+    reference = np.repeat([30.0, 60.0], [60, 250])
+    return samples_of(run(rig(seebeck=0.06, conductance=0.5, heat_capacity=27.0), reference, seed=11))
+
+
+Judged = tuple[list[MatchReport], list[Verdict]]
+
+
+@pytest.fixture(scope="module")
+def judged(samples: list[Sample]) -> Judged:
+    twin = Twin(TwinSettings(), [GIVEN])
+    outcomes = [twin.push(sample) for sample in samples]
+    return [o.match for o in outcomes if o.match], [v for o in outcomes for v in o.verdicts]
+
+
+@pytest.fixture(scope="module")
+def members(samples: list[Sample], judged: Judged) -> tuple[Member, ...]:
+    matches, verdicts = judged
+    return family(samples, matches, verdicts[-1], TwinSettings())
+
+
+def test_matched_and_given_candidates_have_their_window_and_their_own_models(
+    members: tuple[Member, ...], judged: Judged
+) -> None:
+    """The models that are found again explain the measured window exactly as the verdict says."""
+    assert [m.score.name for m in members] == ["60 °C", "from the paper"]
+    assert [m.match is not None for m in members] == [True, False]
+    assert sum(m.nominal for m in members) == 1
+    for member in members:
+        assert (member.window.first, member.window.last) == judged[0][0].match.samples
+        found = [
+            score(model, member.measured, 2, absolute=Peltier.output.absolute) for model in member.models
+        ]
+        assert [s.total.gain for s in found] == [o.total.gain for o in member.score.orders]
+        assert [s.u.bic for s in found] == [o.u.bic for o in member.score.orders]
+
+
+def test_matches_go_into_the_json_with_what_is_known_of_them(judged: Judged, samples: list[Sample]) -> None:
+    matches, verdicts = judged
+    summary = summarise(samples, verdicts, TwinSettings().gains)
+    entry = json.loads(json.dumps(document("s", verdicts, summary, matches), allow_nan=False))
+    (match,) = entry["matches"]
+    assert match["status"] == "accepted"
+    assert match["free"] == ["seebeck", "conductance", "heat_capacity"]
+    for name, (low, high) in zip(match["free"], match["intervals"], strict=True):
+        value = match["parameters"][name]
+        assert low is None or low <= value
+        assert high is None or value <= high
+    assert entry["summary"]["sentence"] == sentence(summary)
+
+
+def test_the_simulated_model_is_the_one_of_the_gain(members: tuple[Member, ...]) -> None:
+    """Its first samples are the measured ones, which the gain's table copies."""
+    member = members[0]
+    answer = member.simulated("33331")
+    assert answer.output.shape == answer.input.shape == (len(member.window) - 2,)
+    np.testing.assert_allclose(answer.output[:4], member.measured.output[:4])
+    assert np.sqrt(np.mean((answer.output - member.measured.output) ** 2)) < 1.0
+
+
+def test_a_candidate_from_before_the_recording_is_left_out(samples: list[Sample], judged: Judged) -> None:
+    matches, verdicts = judged
+    assert family(samples[100:], matches, verdicts[-1], TwinSettings()) == ()
+    assert family(samples, matches, None, TwinSettings()) == ()
+
+
+def test_the_family_is_drawn(members: tuple[Member, ...], judged: Judged) -> None:
+    verdict = judged[1][-1]
+    figures = [
+        draw_responses(members),
+        draw_uncertainty(members),
+        draw_criteria(verdict),
+        draw_matrix(verdict),
+    ]
+    for figure in figures:
+        assert png(figure, 50).startswith(b"\x89PNG")
+    assert svg(draw_matrix(verdict)) == svg(draw_matrix(verdict)), "the same on every run"
+
+
+# A forecast among the samples, and what is said of it.
+
+
+def forecast(
+    output: Sequence[float], reference: Sequence[float], *, sample: int = 10, half: float = 0.5
+) -> Forecast:
+    mean, size = np.array(output, dtype=np.float64), len(output)
+    entry = np.linspace(-200.0, 100.0, size)
+    return Forecast(
+        sample=sample,
+        candidate="70 °C",
+        structure="no sink",
+        confidence=0.9,
+        time=np.arange(1.0, size + 1),
+        reference=np.array(reference, dtype=np.float64),
+        output=Band(mean, mean - half, mean + half),
+        input=Band(entry, np.maximum(entry - 10, -255), np.minimum(entry + 10, 255)),
+    )
+
+
+def recorded(reference: Sequence[float], *, missing: int | None = None) -> list[Sample]:
+    """Samples 0 and on; the output is 50 °C and a tenth of the index."""
+    found = [Sample(k, k * 10**9, r, 50 + 0.1 * k, 5.0 * k) for k, r in enumerate(reference)]
+    return [s for s in found if s.index != missing]
+
+
+def around(*, reference: Sequence[float], missing: int | None = None) -> Fan:
+    """A forecast of ten samples made at sample 10, a session of which has these set-points."""
+    told = forecast((50 + 0.1 * np.arange(11, 21)).tolist(), [60.0] * 10)
+    return fan(told, recorded(reference, missing=missing), 1.0)
+
+
+def test_it_is_compared_with_the_measurements() -> None:
+    found = around(reference=[60.0] * 40)
+    assert (found.past.last, found.measured.first, found.measured.last) == (10, 11, 20)  # type: ignore[union-attr]
+    np.testing.assert_allclose(found.error, 0, atol=1e-12)
+    y, u = found.in_band
+    assert y.tolist() == [1.0] * 10
+    assert u.tolist() == [float(abs(5 * k - (-200 + 300 * (k - 11) / 9)) <= 10) for k in range(11, 21)]
+
+
+@given(st.integers(11, 25), st.integers(11, 25), st.integers(11, 30))
+def test_it_is_so_up_to_another_set_point_a_missing_sample_or_the_end(step: int, gone: int, end: int) -> None:
+    reference = [60.0 if k < step else 70.0 for k in range(end)]
+    found = around(reference=reference, missing=gone)
+    assert found.judged == max(0, min(step, gone, end, 21) - 11)
+    assert found.error.size == found.in_band[0].size == found.in_band[1].size == found.judged
+
+
+def test_nothing_recorded_behind_it_is_nothing_to_say() -> None:
+    found = around(reference=[60.0] * 11)
+    assert found.measured is None
+    assert comparison_words(found, Peltier) == []
+    assert draw_forecasts([found], Peltier).axes
+
+
+def test_what_was_known_ends_where_a_sample_is_missing() -> None:
+    assert around(reference=[60.0] * 30, missing=8).past.first == 9
+
+
+def words(output: Sequence[float], reference: Sequence[float]) -> str:
+    return "\n".join(forecast_words(forecast(output, reference), Peltier))
+
+
+def test_each_set_point_ahead_has_its_answer() -> None:
+    rise = [51.0 + k for k in range(20)]
+    told = words(rise, [60.0] * 15 + [90.0] * 5)
+    # Within 1 °C by the mean at 59 °C, by the band's edges 0.5 °C before and after.
+    arrival = "first after 9 s (9 to 10), but it does not stay there"
+    assert f"within 1 °C of 60 °C (set-point from 1 to 15 s): {arrival}" in told
+    assert "within 1 °C of 90 °C (set-point from 16 to 20 s): not in that time" in told
+    assert "temperature after 20 s: 70.0 °C, within 69.5 to 70.5 °C in 90 % of such cases" in told
+    assert "width of the band: 1.0 °C and 20 PWM at 10 s" in told
+    assert "largest control: 200 PWM after 1 s (190 to 210)" in told
+
+
+def test_what_is_there_already_is_not_reached() -> None:
+    assert "within 1 °C of 60 °C: all the time" in words([60.0] * 12, [60.0] * 12)
+
+
+def test_of_a_ramp_only_the_end_is_reported() -> None:
+    told = words(np.linspace(50, 70, 20).tolist(), np.linspace(50, 70, 20).tolist())
+    assert told.count("within 1 °C of") == 1
+    assert "within 1 °C of 70 °C" in told
+
+
+def test_the_picture_has_three_panels_for_each_and_explains_every_line_once() -> None:
+    figure = draw_forecasts([around(reference=[60.0] * 40)] * 4, Peltier)
+    assert len(figure.axes) == 12
+    said = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert sorted(said) == sorted(
+        ["set-point", "90 % band", "measured before", "measured afterwards", "forecast"]
+    )
+    assert draw_forecasts([], Peltier).axes[0].texts[0].get_text() == "no forecast was made"
