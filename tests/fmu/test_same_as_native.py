@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -15,6 +16,7 @@ from twinmatch.dynamics import (
     Experiment,
     Model,
     Observer,
+    advance,
     begin,
     forecast_loop,
     linearised,
@@ -25,7 +27,7 @@ from twinmatch.dynamics import (
 from twinmatch.fitting import fit_structure, match
 from twinmatch.fmu import adopt_fmus
 from twinmatch.plants import Peltier
-from twinmatch.signals import Window
+from twinmatch.signals import KELVIN, Window
 
 KINDS = ("exchange_fmu", "switching_fmu", "third_fmu", "third_fmu co-simulation", "python_fmu")
 TRUTH = {"seebeck": 0.06, "conductance": 0.7, "heat_capacity": 28.0}
@@ -180,6 +182,40 @@ def test_any_plate_moves_as_its_equations_say(
     runs = [simulate_closed_loop(p, reference, states=begin(p, begun)) for p in (one, other)]
     np.testing.assert_allclose(runs[1].output, runs[0].output, rtol=0, atol=1e-6)
     np.testing.assert_allclose(runs[1].input, runs[0].input, rtol=0, atol=1e-4)
+
+
+def test_units_are_converted_and_disturbances_given(python_fmu: Path, tmp_path: Path) -> None:
+    """The plate as a structure of the incubator, whose room is the plate's sink."""
+    entry = {
+        "fmu": str(python_fmu),
+        "variables": {
+            "temperature": "celsius",
+            "heater": {"variable": "pwm", "factor": 0.01, "offset": 0.1},
+            "room": {"variable": "ambient", "offset": -KELVIN},
+            "plate": {"variable": "plate", "offset": -KELVIN},
+            "alpha": "seebeck",
+        },
+        "parameters": {"alpha": {"default": 0.06, "bounds": [0.01, 0.2]}},
+        "states": {"plate": {"span": [0, 100]}},
+        "starts": {"plate": "temperature + (heater - heater) * room"},
+        "free": ["alpha"],
+    }
+    (tmp_path / "map.yaml").write_text(
+        yaml.safe_dump({"plant": "incubator", "structures": {"a plate": entry}})
+    )
+    (model,) = adopt_fmus(tmp_path / "map.yaml")
+    heater, room, period = np.linspace(0.0, 1.0, 20), np.linspace(20.0, 30.0, 20), 2.0
+    own, expected = np.array([30.0 + KELVIN]), []
+    for u, d in zip(heater.tolist(), room.tolist(), strict=True):
+        expected.append(own[0] - KELVIN)
+        sink = NATIVE.parameters(
+            seebeck=0.06, resistance=3.3, conductance=0.35, heat_capacity=15.0, ambient=d + KELVIN
+        )
+        own = advance(sink, own, (u - 0.1) / 0.01, period)
+    parameters = model.parameters()
+    states = begin(parameters, 30.0, disturbances=np.array([20.0]))
+    run = simulate_driven(parameters, heater, states=states, period=period, disturbances=room[:, None])
+    np.testing.assert_allclose(run.output, expected, rtol=0, atol=1e-6)
 
 
 def test_one_without_free_parameters_is_scored_as_it_is(adopted, exchange_fmu: Path) -> None:
