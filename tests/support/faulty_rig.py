@@ -45,6 +45,7 @@ SLOW_KINDS = (
 @dataclass(frozen=True)
 class Break:
     kind: str
+    """`heat±X` warms the plate by X °C in all, evenly, from elsewhere."""
     start: int
     length: int = 1_000_000
 
@@ -105,6 +106,8 @@ def run(
         samples.append(Sample(k, k, float(wanted), seen, pwm))
         since = 0.0 if broken is None else (k - broken.start) * period
         states = advance(_now(rig, what, since), states, pwm, period)
+        if broken is not None and what.startswith("heat"):
+            states[0] += float(what[4:]) * period / broken.length
     return samples, truth
 
 

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from tests.support.plants import Lag
 from twinmatch.comparing import TrustLevel
-from twinmatch.forecasting import HORIZONS, horizons_for, leads_of, time_scale
+from twinmatch.dynamics.pace import time_scale
+from twinmatch.forecasting import HORIZONS, horizons_for, leads_of
 from twinmatch.offline.judging import judge_samples
 from twinmatch.signals import Sample
 from twinmatch.twin import ForecastSettings, TwinSettings

@@ -15,7 +15,6 @@ from twinmatch.forecasting.forecast import (
     Forecast,
     ForecastError,
     horizons_for,
-    time_scale,
 )
 from twinmatch.forecasting.outlook import Followers, Outlook, StateFilter
 from twinmatch.forecasting.scoring import Calibration, Ledger, leads_of
@@ -55,7 +54,6 @@ __all__ = [
     "largest_input",
     "leads_of",
     "settling_time",
-    "time_scale",
     "time_to_reach",
     "what_if",
 ]

@@ -7,6 +7,7 @@ from typing import Final
 
 import numpy as np
 
+from twinmatch.dynamics.pace import time_scale
 from twinmatch.errors import TwinmatchError
 from twinmatch.signals import FloatArray
 
@@ -18,24 +19,7 @@ class ForecastError(TwinmatchError):
 CONFIDENCE: Final = 0.9
 """Share of future samples that a band is to hold."""
 HORIZONS: Final = (10.0, 60.0, 300.0)
-"""Horizons at which forecasts are made and scored, s, for samples `_SHORTEST_PERIOD` to
-`_LONGEST_PERIOD` apart."""
-_LONGEST_PERIOD: Final = 5.0
-"""Sample time from which the horizons grow with it, s: at 5 s the longest one is 60 samples, as many as a
-verdict compares with the forecasts made for them."""
-_SHORTEST_PERIOD: Final = 0.5
-"""Sample time below which they shrink with it, s: at 0.5 s the longest one is 600 samples, nearly the longest
-window that is matched."""
-
-
-def time_scale(period: float) -> float:
-    """Factor on the horizons and intervals of forecasts for a sample time, s.
-
-    In a plant that is sampled every minute, nothing can be seen ten seconds ahead, and five minutes are only
-    five samples. In a motor that is sampled a hundred times a second, all has settled long before.
-    Windows are counted in samples; for slow and fast samples horizons are, too.
-    """
-    return max(period / _LONGEST_PERIOD, min(period / _SHORTEST_PERIOD, 1.0))
+"""Horizons at which forecasts are made and scored, s, at a time scale of 1."""
 
 
 def horizons_for(period: float) -> tuple[float, ...]:

@@ -14,14 +14,15 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from twinmatch.dynamics import Parameters
+from twinmatch.dynamics.pace import time_scale
 from twinmatch.dynamics.tracker import Belief, Readings, Traces, Tracker
 from twinmatch.health.tracking import REACH, Block, TrackedBlocks, joined
-from twinmatch.signals import Sample
+from twinmatch.signals import FloatArray, Sample
 
 
 class Kind(Enum):
@@ -32,7 +33,9 @@ class Kind(Enum):
     DRIVE = "drive"
     SENSOR = "sensor"
     OTHER = "other"
-    """Something else pushes the output."""
+    """Something else pushes the output, from now on …"""
+    PASSING = "passing"
+    """… or for a while: a hand on the plate, a draught, a knock against the load."""
 
 
 _LOSSES: Final = ((math.log(1 / 6), 0.8), (math.log(3.0), 0.6))
@@ -44,6 +47,9 @@ _OFFSET: Final = 30.0
 """Spread of an offset of the reading, in standard deviations of its noise."""
 _PUSH: Final = 1.0
 """Spread of a push, in standard deviations of the noise per sample."""
+_PASSING: Final = ((3.0, 30.0), (12.0, 30.0), (3.0, 90.0))
+"""The same for a push that passes, which may be stronger for being short, and the time after its onset, s,
+within which it changes."""
 _SLOW_TIME: Final = 300.0
 """Time in which a slow change covers its spread, s."""
 _ROOM_TIME: Final = 1800.0
@@ -51,7 +57,14 @@ _ROOM_TIME: Final = 1800.0
 _RARE: Final = 2.5
 """Prior cost of a change that grows evenly over minutes, nats: fans fail at once and fail far more often, and
 the sink's response to that looks much the same."""
-_LEAST: Final = {Kind.LOSSES: 0.4, Kind.ROOM: 0.3, Kind.DRIVE: 0.08, Kind.SENSOR: 10.0, Kind.OTHER: 0.3}
+_LEAST: Final = {
+    Kind.LOSSES: 0.4,
+    Kind.ROOM: 0.3,
+    Kind.DRIVE: 0.08,
+    Kind.SENSOR: 10.0,
+    Kind.OTHER: 0.3,
+    Kind.PASSING: 0.5,
+}
 """Changes smaller than this, in the same units, are not reported."""
 
 
@@ -72,6 +85,8 @@ class Hypothesis:
     """Its name, if it is a parameter."""
     price: float = 0.0
     """Prior cost, nats: higher for changes that are rarer than others."""
+    lasting: float = 20.0
+    """Time after its onset within which it may still change, s."""
     slowly: float = 0.0
     """Time in which an even change covers its spread, s; 0: a sudden change."""
 
@@ -125,6 +140,9 @@ def hypotheses(tracker: Tracker, noise: float, period: float) -> Sequence[Hypoth
     ):
         sudden = Hypothesis(kind, index, 0.0, spread * unit, _LEAST[kind] * unit)
         found += [sudden] if kind is Kind.OTHER else [sudden, replace(sudden, slowly=_SLOW_TIME, price=_RARE)]
+    unit = noise / time_scale(period)
+    passing = Hypothesis(Kind.PASSING, tracker.fading, 0.0, 0.0, _LEAST[Kind.PASSING] * unit)
+    found += [replace(passing, spread=spread * unit, lasting=time) for spread, time in _PASSING]
     return found
 
 
@@ -132,20 +150,30 @@ _EVERY: Final = 2
 """Spacing of the moments at which a change may have begun, blocks."""
 _LEAST_AGE: Final = 3
 """Least age of a change that is reported, blocks."""
+_CAME_BACK: Final = 0.5
+"""Share of the smallest change worth reporting below which a number has come back."""
 _LEARN: Final = 30
 """Blocks that must be seen before a change is reported."""
 _WORTH: Final = 4.0
 """Nats that a jump must save before the tracker is run for each hypothesis, and by which one onset must beat
 another to count as the beginning of the change."""
-_ONSET: Final = 20.0
-"""Time after its assumed onset within which a sudden change may have happened, s."""
-_LESS_ACCURATE: Final = frozenset({Kind.LOSSES, Kind.ROOM, Kind.OTHER})
+_LESS_ACCURATE: Final = frozenset({Kind.LOSSES, Kind.ROOM, Kind.OTHER, Kind.PASSING})
 """Changes after which the equations may be less accurate than before, as they may without a change: the air
 in an open box is no longer one lump. A sensor offset or a weak drive leaves their accuracy as it was."""
 _PATIENCE: Final = 12
 """Comparisons without result after which they are made less often …"""
 _RAREST: Final = 6
 """… down to once in so many blocks."""
+
+
+class _Found(NamedTuple):
+    """The best hypothesis of one kind."""
+
+    gain: float
+    hypothesis: Hypothesis
+    age: int
+    level: int
+    belief: Belief
 
 
 class ChangeDetector:
@@ -158,9 +186,9 @@ class ChangeDetector:
         self.tracker = self._tracked.tracker
         noise = parameters.model.plant.output.noise
         self.hypotheses = hypotheses(self.tracker, noise, period)
-        self._jumps = list({h.index: h for h in self.hypotheses}.values())
+        self._jumps = list({h.index: h for h in self.hypotheses if h.kind is not Kind.PASSING}.values())
         self._offset = next(h for h in self.hypotheses if h.kind is Kind.SENSOR)
-        self._best: tuple[DetectedChange, Belief] | None = None
+        self._best: tuple[DetectedChange, _Found] | None = None
         self._reset()
 
     @property
@@ -172,6 +200,11 @@ class ChangeDetector:
     def suspected(self) -> bool:
         """Whether a change is suspected now."""
         return self._best is not None
+
+    @property
+    def block(self) -> float:
+        """Length of a block, s."""
+        return self._tracked.size * self._period
 
     @property
     def push_rate(self) -> float:
@@ -205,10 +238,17 @@ class ChangeDetector:
             return None
         return self._search()
 
+    def pushes(self) -> FloatArray:
+        """What has passed: how far it pushed the output in every block since its onset, in its unit."""
+        assert self._best is not None  # noqa: S101 — only a returned change is asked about
+        _, h, age, level, _ = self._best[1]
+        beliefs = (self._run(h, age, level, blocks)[1] for blocks in range(1, age + 1))
+        return np.array([belief.values[h.index] for belief in beliefs]) * self.block
+
     def adopt(self) -> None:
         """Accept the change returned last as the new state of the plant."""
         assert self._best is not None  # noqa: S101 — only a returned change is adopted
-        self._tracked.adopt(self._best[1])
+        self._tracked.adopt(self._best[1].belief)
         self._reset()
 
     def _reset(self) -> None:
@@ -259,15 +299,19 @@ class ChangeDetector:
     def _compare(self, ages: Sequence[int]) -> DetectedChange | None:
         """Compare every hypothesis of a change, `ages` blocks ago, with no change."""
         nothing, before = self._tracked.unchanged()
-        found: dict[Kind, tuple[float, Hypothesis, int, int, Belief]] = {}
+        found: dict[Kind, _Found] = {}
         for age, h, level in itertools.product(ages, self.hypotheses, self._tracked.levels):
             if level > self._tracked.level and h.kind not in _LESS_ACCURATE:
                 continue
             cost, belief = self._run(h, age, level)
             gain = nothing - float(before[-age - 1]) - cost
-            if h.kind not in found or gain > found[h.kind][0]:
-                found[h.kind] = (gain, h, age, level, belief)
-        order = sorted(found.values(), key=lambda f: -f[0])
+            if h.kind not in found or gain > found[h.kind].gain:
+                found[h.kind] = _Found(gain, h, age, level, belief)
+        order = sorted(found.values(), key=lambda f: -f.gain)
+        if self._passed(found[Kind.PASSING]):  # then a number that has come back has not changed
+            order = [f for f in order if f.hypothesis.kind is Kind.PASSING or not self._came_back(f)]
+        else:
+            order = [f for f in order if f.hypothesis.kind is not Kind.PASSING]
         gain, h, age, level, belief = order[0]
         if gain < _WORTH:
             self._best = None
@@ -284,20 +328,32 @@ class ChangeDetector:
         change = DetectedChange(
             hypothesis=h,
             gain=gain,
-            lead=gain - order[1][0],
+            lead=gain - max([0.0, *(f.gain for f in order[1:])]),
             first=onset.first,
             before=float(onset.before[self._tracked.level].values[h.index]),
             value=float(belief.values[h.index]),
             begun=dated > 0,
-            rivals=tuple(f[1].kind for f in order[1:]),
-            gains=tuple(f[0] for f in order[1:]),
+            rivals=tuple(f.hypothesis.kind for f in order[1:]),
+            gains=tuple(f.gain for f in order[1:]),
         )
-        self._best = (change, belief)
+        self._best = (change, order[0]._replace(belief=belief))
         return change
 
-    def _run(self, h: Hypothesis, age: int, level: int) -> tuple[float, Belief]:
-        """Code length of the last blocks' readings under a hypothesis at a level, and the belief after it."""
-        blocks: list[Block] = list(self._tracked.blocks)[-age:]
+    def _passed(self, found: _Found) -> bool:
+        """Whether something has pushed the output and ceased."""
+        return found.gain >= _WORTH and self._came_back(found)
+
+    def _came_back(self, found: _Found) -> bool:
+        """Whether a number is nearly where it was before."""
+        _, h, age, _, belief = found
+        before = self._tracked.blocks[-age].before[self._tracked.level]
+        shift = float(belief.values[h.index] - before.values[h.index])
+        return abs(shift) < _CAME_BACK * h.least
+
+    def _run(self, h: Hypothesis, age: int, level: int, most: int | None = None) -> tuple[float, Belief]:
+        """Code length of the last blocks' readings, or of the first `most` of those, under a hypothesis at a
+        level, and the belief after it."""
+        blocks: list[Block] = list(self._tracked.blocks)[-age:][:most]
         stretch: Readings = joined(blocks)
         before = blocks[0].before[level]
         if h.slowly:
@@ -306,12 +362,12 @@ class ChangeDetector:
             return cost + h.price, belief.closed(self.tracker.rate)
         opened = np.zeros(self.tracker.size)
         half = math.sqrt(0.5) * h.spread
-        opened[h.index] = half / math.sqrt(_ONSET)
+        opened[h.index] = half / math.sqrt(h.lasting)
         belief, cost = self.tracker.run(
             before.opened(h.index, h.shift, half),
             stretch,
             level,
             opened=opened,
-            lasting=round(_ONSET / self._period),
+            lasting=round(h.lasting / self._period),
         )
         return cost, belief

@@ -39,6 +39,8 @@ class Fault(Enum):
     """The plant loses more or less heat than before: a fan, a lid, a draught."""
     ROOM_CHANGED = "room-changed"
     """The surroundings of the plant have changed."""
+    DISTURBANCE = "disturbance"
+    """Something pushes the output for a while; plant, drive and sensor are as before."""
     DRIFT = "drift"
     """The plant no longer behaves as before, and the samples do not show why."""
 
@@ -86,10 +88,11 @@ class Health:
     """The alarm that began at this sample, or ended at it (then it has a `last`)."""
 
 
-_SUDDEN: Final = frozenset(Fault) - SLOW
+_SUDDEN: Final = frozenset(Fault) - SLOW - {Fault.DISTURBANCE}
 _NAMED: Final = SLOW - {Fault.DRIFT}
 PRECEDENCE: Final = {
-    Fault.DRIFT: _SUDDEN | _NAMED,
+    Fault.DISTURBANCE: _SUDDEN | SLOW,
+    Fault.DRIFT: _SUDDEN | _NAMED | {Fault.DISTURBANCE},
     Fault.DRIVE_WEAK: frozenset({Fault.DRIVE_LOST, Fault.SENSOR_FROZEN, Fault.SENSOR_IMPLAUSIBLE}),
     **{fault: _SUDDEN | (_NAMED - {fault}) for fault in _NAMED},
 }
@@ -173,6 +176,13 @@ class FaultSentences:
             f"{lasts * self._period:g} s: look at drive, wires and supply"
         )
         return Evidence(Fault.DRIVE_WEAK, sure, index - effect.length - lasts, reason)
+
+    def passed(self, moved: float, lasted: float) -> str:
+        """What has moved the output for a while."""
+        return (
+            f"something other than the drive moved {self.output} for about {lasted:g} s, by "
+            f"{signed(moved)}{self.unit} in all, and has ceased: look at {self.surroundings}"
+        )
 
 
 def signed(value: float) -> str:

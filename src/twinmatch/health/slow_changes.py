@@ -6,6 +6,8 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
+import numpy as np
+
 from twinmatch.health.changes import ChangeDetector, DetectedChange, Hypothesis, Kind
 from twinmatch.health.faults import Evidence, Fault, FaultSentences, signed
 from twinmatch.health.settings import HealthSettings
@@ -17,6 +19,7 @@ _NAMES: Final = {
     Kind.DRIVE: Fault.DRIVE_WEAK,
     Kind.SENSOR: Fault.SENSOR_DRIFT,
     Kind.OTHER: Fault.DRIFT,
+    Kind.PASSING: Fault.DISTURBANCE,
 }
 _CAUSES: Final = {
     Kind.LOSSES: "its losses",
@@ -24,6 +27,7 @@ _CAUSES: Final = {
     Kind.DRIVE: "its drive",
     Kind.SENSOR: "the reading",
     Kind.OTHER: "something unknown",
+    Kind.PASSING: "something that passes",
 }
 _AGREEING: Final = 2
 """Consecutive comparisons that must agree on the kind of change."""
@@ -33,6 +37,8 @@ _NAME_WAIT: Final = 60.0
 """Time to wait for a name before an unnamed change is reported, s."""
 _ACCEPT: Final = 600.0
 """Time after which a reported change counts as the plant's normal state, s."""
+_MOVED: Final = 10.0
+"""What has passed is reported if it moved the output by so many standard deviations of its noise."""
 _REMAINDER: Final = 0.4
 """Share of a change that may remain when it counts as over."""
 
@@ -92,7 +98,7 @@ class SlowChanges:
         change = self._change
         assert change is not None and self.evidence is not None  # noqa: S101, PT018 — only evidence are reported
         self._reported = _Reported(self.evidence.fault, change.hypothesis, change.before, index)
-        self._over = False
+        self._over = self.evidence.fault is Fault.DISTURBANCE
         if self.evidence.fault is not Fault.DRIFT or change.hypothesis.kind is Kind.OTHER:
             self._detector.adopt()
             self._clear_suspicion()
@@ -137,6 +143,8 @@ class SlowChanges:
             self._clear_suspicion()
             return True
         reported, h = self._reported, change.hypothesis
+        if h.kind is Kind.PASSING:
+            return self._absorbed(change)
         same = reported is not None and reported.hypothesis.index == h.index
         if not same and h.parameter:
             return False
@@ -150,6 +158,30 @@ class SlowChanges:
         self._clear_suspicion()
         return True
 
+    def _absorbed(self, change: DetectedChange) -> bool:
+        """Whether what has passed needs no report: too small, or while a reported change is on."""
+        if not self._surely_passed(change) or (self._reported is None and self._passage() is not None):
+            return False
+        self._detector.adopt()
+        self._clear_suspicion()
+        return True
+
+    def _surely_passed(self, change: DetectedChange) -> bool:
+        """Whether something that has passed explains far more than anything that would have lasted."""
+        clearly = change.gain >= _UNNAMED_FACTOR * self._settings.change
+        return clearly and change.lead >= self._settings.lead and self._running >= _AGREEING
+
+    def _passage(self) -> tuple[float, float] | None:
+        """How far something that has passed moved the output, and how long it lasted, s; None if that is too
+        little to be reported."""
+        assert self._change is not None  # noqa: S101 — only what was detected is described
+        pushes, block = self._detector.pushes(), self._detector.block
+        strong = np.abs(pushes) >= self._change.hypothesis.least * block
+        noise = self._settings.followed.model.plant.output.noise
+        if not strong.any() or np.abs(pushes).sum() < _MOVED * noise:
+            return None
+        return float(pushes.sum()), int(strong.sum()) * block
+
     def _evidence(self, change: DetectedChange, index: int) -> Evidence:
         """The evidence for a change."""
         h, settings = change.hypothesis, self._settings
@@ -160,6 +192,10 @@ class SlowChanges:
             named = False  # a lost drive is found by `Effect`, and one that does more has no fault name
         if h.kind is Kind.SENSOR and not any(rival in (Kind.ROOM, Kind.LOSSES) for rival in change.rivals):
             named = False  # changed surroundings, if not modelled, look the same as an offset
+        if named and h.kind is Kind.PASSING:
+            passed = self._surely_passed(change) and change.begun
+            reason = self._sentences.passed(*self._passage() or (0.0, 0.0))
+            return Evidence(Fault.DISTURBANCE, passed, change.first, reason, slow=True)
         if named:
             sentences = self._sentences
             places = {Kind.DRIVE: "drive, wires and supply", Kind.SENSOR: sentences.sensor}

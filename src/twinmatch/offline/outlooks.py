@@ -11,8 +11,9 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from twinmatch.dynamics import Drive, Output
+from twinmatch.dynamics.pace import time_scale
 from twinmatch.errors import TwinmatchError
-from twinmatch.forecasting import Forecast, ForecastError, Outlook, SetPoints, horizons_for, time_scale
+from twinmatch.forecasting import Forecast, ForecastError, Outlook, SetPoints, horizons_for
 from twinmatch.offline.judging import EVERY, Terms, Watch
 from twinmatch.offline.processes import held_interrupts
 from twinmatch.sessions import Session

@@ -20,7 +20,7 @@ from twinmatch.comparing import (
 from twinmatch.dynamics import Parameters
 from twinmatch.errors import TwinmatchError
 from twinmatch.fitting import Status
-from twinmatch.health import SLOW, Alarm, Health, HealthState, Monitor
+from twinmatch.health import SLOW, Alarm, Fault, Health, HealthState, Monitor
 from twinmatch.signals import Sample, Window, bridge
 from twinmatch.twin.candidates import UNSCORED, CandidatePool
 from twinmatch.twin.forecaster import Forecaster
@@ -291,7 +291,7 @@ class Discriminator:
         if health is not None and health.state is HealthState.FAULT and health.fault is not None:
             fault, since = health.fault.value, health.since
             # A plant that has changed still obeys its drive: its next matches adapt the twin.
-            level = TrustLevel.DOUBTFUL if health.fault in SLOW else TrustLevel.FAULT
+            level = TrustLevel.DOUBTFUL if health.fault in (*SLOW, Fault.DISTURBANCE) else TrustLevel.FAULT
         return _Assessment(
             level=level,
             fault=fault,

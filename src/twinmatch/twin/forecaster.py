@@ -13,6 +13,7 @@ import numpy as np
 
 from twinmatch.comparing import BASELINES, Candidate, ForecastScore, beaten_words
 from twinmatch.dynamics import Pid, PidGains, PidState, PlantError
+from twinmatch.dynamics.pace import time_scale
 from twinmatch.forecasting import (
     HORIZONS,
     Arx,
@@ -25,7 +26,6 @@ from twinmatch.forecasting import (
     StateFilter,
     horizons_for,
     leads_of,
-    time_scale,
 )
 from twinmatch.signals import BoolArray, FloatArray, Sample
 from twinmatch.twin.trust import BandCheck, LeaderConfidence, check_band

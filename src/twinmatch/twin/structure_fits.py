@@ -18,9 +18,9 @@ import numpy as np
 
 from twinmatch.comparing import Candidate
 from twinmatch.dynamics import Model, Parameters, PidGains, Plant
+from twinmatch.dynamics.pace import time_scale
 from twinmatch.errors import TwinmatchError
 from twinmatch.fitting import Noise, StructureFit, fit_structure
-from twinmatch.forecasting import time_scale
 from twinmatch.signals import Window
 from twinmatch.twin.structures import StructureChoice, choose_structure
 
