@@ -98,7 +98,7 @@ class SlowChanges:
         change = self._change
         assert change is not None and self.evidence is not None  # noqa: S101, PT018 — only evidence are reported
         self._reported = _Reported(self.evidence.fault, change.hypothesis, change.before, index)
-        self._over = self.evidence.fault is Fault.DISTURBANCE
+        self._over = False
         if self.evidence.fault is not Fault.DRIFT or change.hypothesis.kind is Kind.OTHER:
             self._detector.adopt()
             self._clear_suspicion()
@@ -117,7 +117,7 @@ class SlowChanges:
         change = self._detector.push(sample)
         if change is None:
             if not self._detector.suspected:
-                self._over = self._reported is not None and self._reported_unnamed
+                self._over = self._no_longer_there
                 self._clear_suspicion()
             return
         kind = change.hypothesis.kind
@@ -131,8 +131,9 @@ class SlowChanges:
         self._unnamed_since = None
 
     @property
-    def _reported_unnamed(self) -> bool:
-        return self._reported is not None and self._reported.fault is Fault.DRIFT
+    def _no_longer_there(self) -> bool:
+        """Whether what was reported is over as soon as nothing is suspected: it has no number that returns."""
+        return self._reported is not None and self._reported.fault in (Fault.DRIFT, Fault.DISTURBANCE)
 
     def _settled(self, change: DetectedChange) -> bool:
         """Whether the change needs no report: always there, or the end or growth of a reported one."""
