@@ -132,7 +132,7 @@ class SlowChanges:
 
     @property
     def _no_longer_there(self) -> bool:
-        """Whether what was reported is over as soon as nothing is suspected: it has no number that returns."""
+        """Whether what was reported is over once nothing is suspected: no number of it returns."""
         return self._reported is not None and self._reported.fault in (Fault.DRIFT, Fault.DISTURBANCE)
 
     def _settled(self, change: DetectedChange) -> bool:
