@@ -91,6 +91,7 @@ def _one(path: Path, options: argparse.Namespace) -> Backtest:
             plant=options.plant,
             watch=progress.advance,
             progress=progress.reading,
+            second=True,
         )
     _print(tested)
     return tested

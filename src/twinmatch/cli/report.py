@@ -58,5 +58,6 @@ def _make(options: argparse.Namespace) -> SessionReport:
             peers=options.peers,
             watch=progress.advance,
             progress=progress.reading,
+            second=True,
             command=shlex.join(["twinmatch", *sys.argv[1:]]),
         )

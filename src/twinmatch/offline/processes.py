@@ -108,7 +108,10 @@ class Beside:
         here = partial(task, *args, **kwargs)
         if self._second is None:
             return here
-        given = self._second.submit(task, *args, **kwargs)
+        try:
+            given = self._second.submit(task, *args, **kwargs)
+        except BrokenProcessPool:
+            return here
 
         def result() -> R:
             try:

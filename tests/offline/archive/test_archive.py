@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -20,6 +21,7 @@ from twinmatch.offline.archive import ArchiveError, find_sessions, is_single
 from twinmatch.offline.archive.files import Store, content_of, key_of
 from twinmatch.offline.archive.job import ArchiveTerms, Job, judge_in_processes, judge_job
 from twinmatch.offline.judging import judge, terms_from_files
+from twinmatch.offline.processes import Beside, pool
 from twinmatch.sessions import open_any
 from twinmatch.showing.summary import document
 from twinmatch.twin import TwinSettings
@@ -195,6 +197,22 @@ def _is_gone(group: int) -> bool:
             return True
         time.sleep(0.05)
     return False
+
+
+def end_but_in(process: int) -> int:
+    """End this process, unless it is that one."""
+    if os.getpid() != process:
+        os._exit(1)
+    return process
+
+
+def test_work_is_done_even_if_the_second_process_dies() -> None:
+    with pool(1) as second:
+        work, other = Beside(second), second.submit(os.getpid).result()
+        assert {result() for result in [work.give(os.getpid) for _ in range(20)]} <= {os.getpid(), other}
+        with pytest.raises(BrokenProcessPool):
+            second.submit(end_but_in, os.getpid()).result()
+        assert work.give(os.getpid)() == os.getpid()
 
 
 # Which sessions a user means, results kept between runs, and what makes one stale.

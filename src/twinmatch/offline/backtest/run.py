@@ -320,6 +320,7 @@ def backtest_session(
     plant: str | None = None,
     watch: Watch | None = None,
     progress: ProgressCallback | None = None,
+    second: bool = False,
 ) -> Backtest:
     """Test the twin on a session, an .mcap file or a recording.
 
@@ -331,10 +332,11 @@ def backtest_session(
         plant: name or file of the plant, if the session does not name it or it is in a file.
         watch: called with the progress.
         progress: called with the amount of the file read and the total.
+        second: whether a second process may forecast meanwhile; it imports the program's main module again.
     """
     session = open_any(path, progress=progress, plant=plant)
     terms = terms_from_files(session, config, candidates)
-    with beside(len(session.samples), possible=portable(terms.settings.plant)) as work:
+    with beside(len(session.samples), possible=second and portable(terms.settings.plant)) as work:
         return backtest(session, terms, choices, watch=watch, work=work)
 
 

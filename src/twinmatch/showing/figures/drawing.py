@@ -72,6 +72,9 @@ def _arrange(figure: Figure) -> None:
     """Lay the figure out once; matplotlib would otherwise repeat that for every file."""
     engine = figure.get_layout_engine()
     if engine is not None:
+        for axis in (axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)):
+            if not axis.get_label_text():  # otherwise its ticks are laid out again to place no label
+                axis.set_label_coords(0.0, 0.0)
         engine.execute(figure)
         figure.set_layout_engine(None)  # with another, matplotlib would draw the figure twice
         for axes in figure.axes:  # the solver's last digits vary between runs, and so would names in an SVG

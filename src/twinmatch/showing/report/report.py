@@ -360,6 +360,7 @@ def make_report(
     watch: Watch | None = None,
     progress: ProgressCallback | None = None,
     command: str = "from Python",
+    second: bool = False,
 ) -> SessionReport:
     """Judge a session, an `.mcap` file or a recording and build a report on it.
 
@@ -372,12 +373,13 @@ def make_report(
         watch: called with the progress.
         progress: called with the amount of the file read and the total.
         command: command line shown in the report.
+        second: whether a second process may help; it imports the program's main module again.
 
     Raises:
         TwinmatchError: one of the files cannot be used.
     """
     session = open_any(path, progress=progress, plant=plant)
     terms, unlike = _terms(session, config, candidates)
-    with beside(len(session.samples), possible=portable(terms.settings.plant)) as work:
+    with beside(len(session.samples), possible=second and portable(terms.settings.plant)) as work:
         judged = _judged(session, terms, unlike, peers=peers, watch=watch, work=work)
         return build_report(judged, path, command=command, work=work)
