@@ -80,8 +80,12 @@ def test_time_constants_are_those_of_the_equations() -> None:
 
 
 def test_a_plant_without_mistakes_has_no_findings() -> None:
-    checked = check_plant(Lag, period=1.0)
+    shown: list[tuple[str, int, int]] = []
+    checked = check_plant(Lag, 1.0, lambda *what: shown.append(what))
     assert checked.findings == ()
+    total = len(Lag.structures) + 1
+    assert [(done, of) for _, done, of in shown] == [(done, total) for done in range(total)]
+    assert shown[-1][0].startswith("checking structure ")
     assert checked.exit_code == 0
     assert checked.notes == ("time constants at the defaults: 5 s",)
 

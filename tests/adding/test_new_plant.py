@@ -213,7 +213,9 @@ def test_a_fault_that_keeps_every_window_out_is_named(tmp_path: Path, stuck: boo
         for k, (a, b) in enumerate(zip(y, u, strict=True))
     ]
     session = session_of(Path("block.csv"), samples, plant=plant.name, has_reference=False)
-    checked = check_data(session, plant)
+    shown: set[str] = set()
+    checked = check_data(session, plant, lambda what, *_: shown.add(what.split()[0]))
+    assert shown == {"judging", "fitting"}
     assert [f.what[: len(w)] for f, w in zip(checked.findings, found, strict=True)] == found
 
 

@@ -5,7 +5,7 @@ Equations, declarations, and behaviour at its defaults and within the bounds of 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any, Final
 
 import numpy as np
@@ -23,21 +23,27 @@ from twinmatch.adding.trial import (
 from twinmatch.dynamics import Equations, Model, Parameters, Plant, PlantError, advance, begin
 from twinmatch.dynamics.equations import written_equations
 
+Shown = Callable[[str, int, int], None]
+"""Called with what is being done, how many parts of it are, and of how many."""
 
-def check_plant(plant: type[Plant], period: float | None = None) -> CheckedPlant:
+
+def check_plant(
+    plant: type[Plant], period: float | None = None, show: Shown = lambda *_: None
+) -> CheckedPlant:
     """Check a plant.
 
     Args:
         plant: the plant.
         period: sampling period, s; by default that of its loop. Without either, checks that depend on it are
             skipped.
+        show: called before every check with what is checked, the number of checks made, and that of all.
     """
     if period is None and plant.loop is not None:
         period = plant.loop.period
     findings: dict[str, Finding] = {}
     notes: list[str] = []
     try:
-        for found, remarks in _steps(plant, period):
+        for found, remarks in _steps(plant, period, show):
             findings |= {one.what: one for one in found}
             notes += [note for note in remarks if note not in notes]
     except PlantError as error:
@@ -45,7 +51,11 @@ def check_plant(plant: type[Plant], period: float | None = None) -> CheckedPlant
     return CheckedPlant(plant.title, tuple(findings.values()), tuple(notes))
 
 
-def _steps(plant: type[Plant], period: float | None) -> Iterator[tuple[list[Finding], list[str]]]:
+def _steps(
+    plant: type[Plant], period: float | None, show: Shown
+) -> Iterator[tuple[list[Finding], list[str]]]:
+    total = len(plant.structures) + 1
+    show("checking declarations and units", 0, total)
     dimensions = Dimensions(plant)
     for parts in dict.fromkeys(structure.parts for structure in plant.structures.values()):
         dimensions.check(parts)
@@ -53,7 +63,8 @@ def _steps(plant: type[Plant], period: float | None) -> Iterator[tuple[list[Find
     yield unreached(plant), [f"disturbance {n}: in no equation" for n in idle_disturbances(plant)]
     yield coarse(plant), []
     yield _unused(plant), []
-    for name in plant.structures:
+    for number, name in enumerate(plant.structures, 1):
+        show(f"checking structure {name}", number, total)
         model = plant.model(name)
         yield misdeclared(model), []
         yield ranges(model), []

@@ -8,11 +8,13 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
 
+from twinmatch.adding.check import Shown
 from twinmatch.adding.proposal import noise_of
 from twinmatch.adding.trial import CheckedPlant, Finding, time_constants
 from twinmatch.dynamics import Output, Pid, PidGains, Plant, PlantError, controller_state
@@ -65,10 +67,13 @@ def data_for(path: Path, plant: type[Plant], map_file: Path | None = None) -> Se
     return open_any(path, plant=plant.name)
 
 
-def check_data(session: Session, plant: type[Plant]) -> CheckedPlant:
-    """Check the plant against a recording: noise, duration, and results of the matches."""
+def check_data(session: Session, plant: type[Plant], show: Shown = lambda *_: None) -> CheckedPlant:
+    """Check the plant against a recording: noise, duration, and results of the matches.
+
+    `show` is called with what is being done, how many samples of it are done, and of how many.
+    """
     terms = terms_from_files(session)
-    judgement = judge(session, terms)
+    judgement = judge(session, terms, watch=partial(show, "judging the recording"))
     y = np.array([sample.output for sample in session.samples])
     noise = noise_of(y)
     findings, notes = [], []
@@ -89,6 +94,8 @@ def check_data(session: Session, plant: type[Plant]) -> CheckedPlant:
         )
     findings += loop_findings(session, plant, terms.settings.gains)
     faults = [verdict.reason for verdict in judgement.verdicts if verdict.fault]
+    size = len(session.samples)
+    show(f"fitting {len(plant.structures)} structures to {size} samples", size, size)
     compared = compare_structures(session.samples, plant, terms.settings)
     findings += _of_matches(judgement.matches, faults)
     notes += [*_accepted(judgement.matches), *compared.notes]

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from twinmatch.adding import CheckedPlant, check_plant
 from twinmatch.adding.data import check_data, data_for
-from twinmatch.cli.shared import add_options
+from twinmatch.cli.shared import Progress, add_options
 from twinmatch.plants import find_plant
 
 
@@ -32,12 +32,14 @@ def run(options: argparse.Namespace) -> int:
     samples = None
     if options.data is not None:
         samples = data_for(options.data, plant, options.map_file)
-    checked = check_plant(plant, options.period or (samples.period if samples else None))
+    with Progress("checking") as progress:
+        checked = check_plant(plant, options.period or (samples.period if samples else None), progress.show)
     _print(checked)
     if samples is None or checked.unusable:
         return checked.exit_code
 
-    checked_data = check_data(samples, plant)
+    with Progress("checking") as progress:
+        checked_data = check_data(samples, plant, progress.show)
     _print(checked_data)
     return max(checked.exit_code, checked_data.exit_code)
 

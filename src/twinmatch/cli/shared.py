@@ -165,13 +165,14 @@ class Progress:
 
     def advance(self, done: int, total: int) -> None:
         """Show that `done` of `total` are done."""
-        self._show(self._doing, done, total)
+        self.show(self._doing, done, total)
 
     def reading(self, done: int, total: int) -> None:
         """Show that `done` of `total` bytes of the file are read, before the work itself."""
-        self._show("reading", done, total)
+        self.show("reading", done, total)
 
-    def _show(self, doing: str, done: int, total: int) -> None:
+    def show(self, doing: str, done: int, total: int) -> None:
+        """Show what is being done, and that `done` of `total` parts of it are."""
         if self._bar is None and self._shown:
             from rich.console import Console  # noqa: PLC0415 — needed only for the bar
             from rich.progress import Progress as Bar  # noqa: PLC0415
