@@ -18,9 +18,9 @@ from scipy.integrate import solve_ivp
 
 from benchmarks.common import Row, main, measure_side_by_side, peer, rows_of
 from twinmatch.dynamics import (
+    Controller,
     Experiment,
     Observer,
-    Pid,
     SensorRealisation,
     advance,
     begin,
@@ -101,15 +101,15 @@ def _observer(quick: bool) -> list[Row]:
 
     def numpy() -> Array:
         states, covariance = held["states"], held["covariance"]
-        slope = MODEL.kernels.slopes_at(vector, states, 0.0, row)[4]
+        slope = MODEL.kernels.slopes_at(vector, states, MODEL.rest, row)[4][0]
         reach = covariance @ slope
         gain = reach / (slope @ reach + noise)
-        states = states + gain * (30.1 - MODEL.kernels.outputs_at(vector, states, 0.0, row)[0])
+        states = states + gain * (30.1 - MODEL.kernels.outputs_at(vector, states, MODEL.rest, row)[0][0])
         kept = np.eye(2) - np.outer(gain, slope)
         covariance = kept @ covariance @ kept.T + noise * np.outer(gain, gain)
         slopes = np.zeros((2, 3))
         MODEL.kernels.predict(
-            vector, states, np.zeros((2, 2)), np.zeros(2), 10.0, row, 1.0, steps, nowhere, slopes
+            vector, states, np.zeros((2, 2)), np.zeros(2), np.array([10.0]), row, 1.0, steps, nowhere, slopes
         )
         held["states"] = states
         held["covariance"] = slopes[:, :2] @ covariance @ slopes[:, :2].T + 4e-4 * np.eye(2)
@@ -223,12 +223,12 @@ def _solve_ivp(experiment: Experiment) -> Array:
     symbols = [*written.states, written.drive, *written.parameters]
     rates = sympy.lambdify(symbols, [equations.rates[s] for s in written.states], "math")
     parameters = [RIG[str(s)] for s in written.parameters]
-    pid = Pid(experiment.gains, experiment.controller)
+    pid = Controller(Peltier.loop, Peltier.loop.state(experiment.window))
     states = begin(RIG, float(experiment.measured[0, 0]))
     output = []
     for reference in experiment.window.reference[2:].tolist():
         output.append(states[0] - 273.15)
-        u = pid.step(reference, output[-1])
+        u = pid.step(reference, output[-1])[0]
         done = solve_ivp(
             lambda _t, x, u=u: rates(*x, u, *parameters), (0.0, 1.0), states, rtol=1e-8, atol=1e-8
         )

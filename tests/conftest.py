@@ -137,7 +137,7 @@ def recorded_hour(recordings: dict[int, Path]) -> Callable[[int], Window]:
         if number not in recordings:
             pytest.skip(f"recording {number} is not in {RECORDINGS}")
         u, y, _, r = np.asarray(scipy.io.loadmat(recordings[number])["simout"], dtype=np.float64).T
-        return Window(reference=r, output=y, input=u)
+        return Window(r, y, u)
 
     return read
 

@@ -56,7 +56,7 @@ def test_windows_are_read_only_copies() -> None:
         (lambda: Window.from_samples([]), "no sample"),
         (lambda: Window.from_samples(samples(1, 3)), "sample 3 follows sample 1"),
         (lambda: Window(np.zeros(2), np.zeros(3), np.zeros(2)), "lengths"),
-        (lambda: Window(np.zeros((2, 2)), np.zeros(2), np.zeros(2)), "reference has shape"),
+        (lambda: Window(np.zeros((2, 2, 1)), np.zeros(2), np.zeros(2)), "references have shape"),
         (lambda: Window(np.zeros(2), np.array([0.0, np.nan]), np.zeros(2), first=7), "nan at sample 8"),
         (lambda: Window(np.zeros(2), np.zeros(2), np.zeros(2), period=0.0), "period is 0.0 s"),
         (lambda: Window.from_samples(samples(1, 2)).part(0, 2), "samples 0 to 2 requested"),

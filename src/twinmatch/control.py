@@ -13,7 +13,10 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import accumulate
 
-from twinmatch.dynamics import Pid, PidGains, PidState, Plant, gains_of
+import numpy as np
+from numpy.typing import ArrayLike
+
+from twinmatch.dynamics import Controller, Plant, pid_of
 from twinmatch.errors import TwinmatchError
 from twinmatch.signals import Sample
 
@@ -132,10 +135,10 @@ class Loop:
     def __init__(
         self,
         plant: type[Plant],
-        gains: PidGains | None = None,
+        gains: Loop | None = None,
         *,
         max_age: float = 2.0,
-        state: PidState | None = None,
+        state: ArrayLike | None = None,
     ) -> None:
         """Start with the output off and without readings.
 
@@ -168,9 +171,10 @@ class Loop:
         """Whether a fault holds the drive at rest: then the input is rest, in the samples too, and the
         controller continues from there."""
         self._plant = plant
-        self._pid = Pid(gains or gains_of(plant, 1.0), state)
+        self._gains = gains or pid_of(plant)
+        self._pid = Controller(self._gains, state)
         self._restart = state is None
-        self._period = round(self._pid.gains.period * NANOSECONDS)
+        self._period = round(self._gains.period * NANOSECONDS)
         self._max_age = round(max_age * NANOSECONDS)
         self._output = math.nan
         self._measured: int | None = None
@@ -182,7 +186,7 @@ class Loop:
     @property
     def time(self) -> float:
         """Time from sample 0 to the newest tick in whole periods, s; 0 before sample 0."""
-        return (self._number or 0) * self._pid.gains.period
+        return (self._number or 0) * self._gains.period
 
     @property
     def running(self) -> bool:
@@ -214,7 +218,7 @@ class Loop:
         if number is None:
             return None
         self._newest = now
-        reference = profile(number * self._pid.gains.period)
+        reference = profile(number * self._gains.period)
         trouble = self._doubt(now, reference)
         if trouble or reference is None:
             self.trouble, self.input, self._restart = trouble, 0.0, True
@@ -232,7 +236,7 @@ class Loop:
             return Sample(number, now, reference, self._output, self.input, self._disturbances)
         if self._restart:
             self._continue(reference)
-        self.input = self._pid.step(reference, self._output)
+        self.input = float(self._pid.step(reference, self._output)[0])
         return Sample(number, now, reference, self._output, self.input, self._disturbances)
 
     def _place(self, now: int) -> int | None:
@@ -273,7 +277,7 @@ class Loop:
 
     def _continue(self, reference: float) -> None:
         """Set the controller's state so that its output continues from the current one."""
-        gains, error = self._pid.gains, reference - self._output
+        gains, error = self._gains, reference - self._output
         integral = self.input - gains.proportional * error
-        self._pid.state = PidState(integral, -self._output if gains.on_measurement else error)
+        self._pid.state = np.array([integral, -self._output if gains.on_measurement else error])
         self._restart = False

@@ -25,6 +25,7 @@ __all__ = [
     "Window",
     "bridge",
     "not_one_loop",
+    "only",
     "unbroken",
 ]
 
@@ -39,7 +40,7 @@ _NONE: FloatArray = np.empty((0, 0))
 
 
 class SignalError(TwinmatchError):
-    """Arrays that do not make a window: unequal lengths, not one-dimensional, not finite, invalid period."""
+    """Arrays that do not make a window: unequal lengths, not finite, invalid period; or not a single loop."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,14 +65,17 @@ class Sample:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Window:
-    """Consecutive samples as read-only float64 arrays of length N."""
+    """Consecutive samples as read-only float64 arrays, one row per sample.
 
-    reference: FloatArray
-    """Set-point r, in the output's unit, shape (N,)."""
-    output: FloatArray
-    """Measured output y, shape (N,)."""
-    input: FloatArray
-    """Command u, shape (N,)."""
+    Signals of one column may be given as arrays of shape (N,).
+    """
+
+    references: FloatArray
+    """Set-points r, in the outputs' units, shape (N, r)."""
+    outputs: FloatArray
+    """Measured outputs y, shape (N, o)."""
+    inputs: FloatArray
+    """Commands u, shape (N, m)."""
     first: int = 0
     """Index of the first sample in its session."""
     period: float = 1.0
@@ -84,15 +88,15 @@ class Window:
 
     def __post_init__(self) -> None:
         lengths = set()
-        for name in ("reference", "output", "input"):
+        for name in ("references", "outputs", "inputs"):
             values = np.array(getattr(self, name), dtype=np.float64)
-            if values.ndim != 1:
-                msg = f"window: {name} has shape {values.shape}; give one value per sample"
+            if values.ndim not in (1, 2):
+                msg = f"window: {name} have shape {values.shape}; give one row per sample"
                 raise SignalError(msg)
-            self._keep(name, values)
-            lengths.add(values.size)
+            self._keep(name, values[:, None] if values.ndim == 1 else np.ascontiguousarray(values))
+            lengths.add(len(values))
         if len(lengths) != 1:
-            msg = f"window: reference, output and input have lengths {sorted(lengths)}; they must be equal"
+            msg = f"window: references, outputs and inputs have lengths {sorted(lengths)}; they must be equal"
             raise SignalError(msg)
         given = np.empty((len(self), 0)) if self.disturbances is _NONE else self.disturbances
         disturbances = np.array(given, dtype=np.float64)
@@ -148,9 +152,9 @@ class Window:
                     f"sample {samples[0].index} has {number}; they must be equal"
                 )
         return cls(
-            reference=_array(s.reference for s in samples),
-            output=_array(s.output for s in samples),
-            input=_array(s.input for s in samples),
+            _array(s.reference for s in samples),
+            _array(s.output for s in samples),
+            _array(s.input for s in samples),
             first=int(indices[0]),
             period=period,
             disturbances=np.array([s.disturbances for s in samples]).reshape(len(samples), number),
@@ -158,7 +162,22 @@ class Window:
         )
 
     def __len__(self) -> int:
-        return int(self.reference.size)
+        return len(self.references)
+
+    @property
+    def reference(self) -> FloatArray:
+        """Set-point of a single loop, shape (N,)."""
+        return only("reference", self.references)
+
+    @property
+    def output(self) -> FloatArray:
+        """Output of a single loop, shape (N,)."""
+        return only("output", self.outputs)
+
+    @property
+    def input(self) -> FloatArray:
+        """Command of a single loop, shape (N,)."""
+        return only("input", self.inputs)
 
     @property
     def last(self) -> int:
@@ -182,9 +201,9 @@ class Window:
             raise SignalError(msg)
         span = slice(first - self.first, last - self.first + 1)
         return Window(
-            self.reference[span],
-            self.output[span],
-            self.input[span],
+            self.references[span],
+            self.outputs[span],
+            self.inputs[span],
             first=first,
             period=self.period,
             disturbances=self.disturbances[span],
@@ -195,6 +214,21 @@ class Window:
     def share_seen(self) -> float:
         """Share of its samples that were received."""
         return 1.0 if self.seen is None else float(np.mean(self.seen))
+
+
+def only(name: str, signal: FloatArray) -> FloatArray:
+    """The single column of a signal, without that dimension.
+
+    What is defined for a single loop asks for it: polynomial models from one set-point to one output, say.
+
+    Raises:
+        SignalError: it has not exactly one column.
+    """
+    if signal.shape[-1] != 1:
+        raise SignalError(
+            f"{name}: there are {signal.shape[-1]} of them; this is for a loop with one of each"
+        )
+    return signal[..., 0]
 
 
 def bridge(before: Sample, after: Sample, longest: int) -> list[Sample]:

@@ -36,8 +36,8 @@ from twinmatch.comparing.models import operating_level
 from twinmatch.comparing.plant_gap import linearised_in_loop
 from twinmatch.comparing.polynomials import column_of, even_part, exact, multiply, to_half_plane
 from twinmatch.dynamics import (
+    Controller,
     Parameters,
-    Pid,
     PidGains,
     PlantError,
     Structure,
@@ -146,8 +146,8 @@ def test_the_controller_is_the_pid_that_runs() -> None:
     assert nu_gap_of(symbol, symbol) == 0.0
     assert nu_gap(symbol, by_hand) < 1e-12
     errors = np.random.default_rng(1).normal(0, 0.3, 60)
-    pid = Pid(gains)
-    ran = [pid.step(reference=float(e), output=0.0) for e in errors]
+    pid = Controller(gains)
+    ran = [pid.step(reference=float(e), output=0.0)[0] for e in errors]
     assert np.abs(ran).max() < gains.high
     np.testing.assert_allclose(control.forced_response(by_hand, U=errors).outputs, ran, rtol=1e-9, atol=1e-9)
 

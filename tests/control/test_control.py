@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from twinmatch.control import ControlError, Loop, Profile
-from twinmatch.dynamics import Pid, PidState
+from twinmatch.dynamics import Controller, PidState
 from twinmatch.plants import Peltier
 
 
@@ -145,10 +145,10 @@ def test_recorded_control_is_reproduced(recorded_hour, number):
 
 @given(st.lists(st.tuples(st.floats(0, 100), st.floats(-20, 150)), min_size=1, max_size=50))
 def test_each_tick_is_one_step_of_the_pid(signals):
-    loop, pid = Loop(Peltier, state=PidState()), Pid(GAINS)
+    loop, pid = Loop(Peltier, state=PidState()), Controller(GAINS)
     for k, (reference, temperature) in enumerate(signals):
         sample = tick(loop, k, reference, temperature)
-        assert sample.input == loop.input == pid.step(reference, temperature)
+        assert sample.input == loop.input == pid.step(reference, temperature)[0]
         assert (sample.reference, sample.output, sample.stamp) == (reference, temperature, k * SECOND)
 
 
@@ -156,10 +156,10 @@ def test_the_first_output_is_zero_and_the_integral_carries_on():
     loop = Loop(Peltier)
     assert tick(loop, 0, 40.0, 25.0).input == 0
     # From here on the state is the one the two first samples fix.
-    pid = Pid(GAINS)
+    pid = Controller(GAINS)
     pid.follow(40.0, 25.0, 0.0)
-    pid.state = PidState(-GAINS.proportional * 15.0 + GAINS.integral * 15.0, 15.0)
-    assert tick(loop, 1, 40.0, 25.5).input == pytest.approx(pid.step(40.0, 25.5), abs=1e-9)
+    pid = Controller(GAINS, (-GAINS.proportional * 15.0 + GAINS.integral * 15.0, 15.0))
+    assert tick(loop, 1, 40.0, 25.5).input == pytest.approx(pid.step(40.0, 25.5)[0], abs=1e-9)
 
 
 def test_the_set_point_is_asked_for_at_times_of_the_grid():

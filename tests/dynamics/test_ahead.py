@@ -29,7 +29,7 @@ from twinmatch.dynamics import (
     simulate_closed_loop,
     simulate_driven,
 )
-from twinmatch.dynamics.loop import pid_step
+from twinmatch.dynamics.laws import commands_of
 from twinmatch.plants import Peltier
 
 Array = Any
@@ -46,23 +46,25 @@ def drawn_at_random(case: Case, inputs: Array | None) -> tuple[Array, Array]:
     """
     base, unsure, joint, drift, first, gains, reference = case
     rng, kernels, none = np.random.default_rng(11), base.model.kernels, base.model.disturbances
-    n, size = len(base.model.states), reference.size
-    spread, constants = np.asarray(drift) * math.sqrt(gains.period), gains.constants
+    n, size, rest, law = len(base.model.states), reference.size, np.zeros(1), gains.law
+    spread = np.asarray(drift) * math.sqrt(gains.period)
     readings, commands = np.empty((RUNS, size)), np.empty((RUNS, size))
     for run, moved in enumerate(rng.multivariate_normal(np.zeros(joint.shape[0]), joint, RUNS)):
         plant = base.replace(**{name: base[name] + moved[n + j] for j, name in enumerate(unsure)})
         ahead = none, gains.period, plant.steps(gains.period)
-        states = kernels.advance(plant.vector, first["states"] + moved[:n], float(first["input"]), *ahead)
-        memory = first["controller"].integral, first["controller"].previous
+        states = kernels.advance(
+            plant.vector, first["states"] + moved[:n], np.array([first["input"]]), *ahead
+        )
+        memory = np.array(first["controller"])
         strays = spread * rng.standard_normal((size, n))
         noise = base.model.plant.output.noise * rng.standard_normal(size)
         for k in range(size):
             states = states + strays[k]
-            y = kernels.outputs_at(plant.vector, states, 0.0, none)[0] + noise[k]
-            u = float(inputs[k]) if inputs is not None else 0.0
+            y = kernels.outputs_at(plant.vector, states, rest, none)[0] + noise[k]
             if inputs is None:
-                u, *memory = pid_step(constants, *memory, float(reference[k]), y)
-            readings[run, k], commands[run, k] = y, u
+                command, memory = commands_of(law, memory, reference[k : k + 1, None], y[None])
+            u = inputs[k : k + 1] if inputs is not None else command[0]
+            readings[run, k], commands[run, k] = y[0], u[0]
             states = kernels.advance(plant.vector, states, u, *ahead)
     return readings, commands
 
@@ -134,15 +136,15 @@ def agree(drawn: Array, mean: Array, variance: Array, most: float = 0.15) -> Non
 def test_the_variances_are_those_of_many_runs(case: Any) -> None:
     found = foretold(case(), None)
     readings, commands = drawn_at_random(case(), None)
-    agree(readings, found.output, found.output_variance)
-    agree(commands, found.input, found.input_variance)
+    agree(readings, found.outputs[:, 0], found.output_variances[:, 0])
+    agree(commands, found.inputs[:, 0], found.input_variances[:, 0])
 
 
 def test_they_are_for_inputs_that_are_known() -> None:
     case, inputs = peltier_case(MASSIVE), np.repeat([60.0, -20.0, 90.0], 50)
     found = foretold(case, inputs)
-    agree(drawn_at_random(case, inputs)[0], found.output, found.output_variance)
-    np.testing.assert_array_equal(found.input_variance, 0.0)
+    agree(drawn_at_random(case, inputs)[0], found.outputs[:, 0], found.output_variances[:, 0])
+    np.testing.assert_array_equal(found.input_variances[:, 0], 0.0)
 
 
 def test_they_are_where_the_controller_is_on_its_limit() -> None:
@@ -151,12 +153,12 @@ def test_they_are_where_the_controller_is_on_its_limit() -> None:
     case = motor_case(share=0.003, high=7.5)
     found = foretold(case, None)
     readings, commands = drawn_at_random(case, None)
-    agree(readings, found.output, found.output_variance, most=0.4)
-    limited = found.input == case[5].high
+    agree(readings, found.outputs[:, 0], found.output_variances[:, 0], most=0.4)
+    limited = found.inputs[:, 0] == case[5].high
     assert limited.sum() >= 3
-    np.testing.assert_array_equal(found.input_variance[limited], 0.0)
-    clear = case[5].high - found.input > 4.0 * np.sqrt(found.input_variance)
-    agree(commands[:, clear], found.input[clear], found.input_variance[clear], most=0.4)
+    np.testing.assert_array_equal(found.input_variances[:, 0][limited], 0.0)
+    clear = case[5].high - found.inputs[:, 0] > 4.0 * np.sqrt(found.input_variances[:, 0])
+    agree(commands[:, clear], found.inputs[:, 0][clear], found.input_variances[:, 0][clear], most=0.4)
 
 
 @pytest.mark.parametrize("structure", list(Peltier.structures))
@@ -170,13 +172,13 @@ def test_the_mean_is_the_simulation_to_the_last_bit(structure: str) -> None:
         controller=memory,
     )  # fmt: skip
     run = simulate_closed_loop(rig, reference, states=advance(rig, states, 50.0, 1.0), controller=memory)
-    np.testing.assert_array_equal(found.output, run.output)
-    np.testing.assert_array_equal(found.input, run.input)
+    np.testing.assert_array_equal(found.outputs[:, 0], run.output)
+    np.testing.assert_array_equal(found.inputs[:, 0], run.input)
     driven = forecast_loop(
         rig, states=states, covariance=np.eye(n), input=50.0, drift=np.ones(n), inputs=run.input
     )  # fmt: skip
-    np.testing.assert_array_equal(driven.output, run.output)
-    np.testing.assert_array_equal(driven.input, run.input)
+    np.testing.assert_array_equal(driven.outputs[:, 0], run.output)
+    np.testing.assert_array_equal(driven.inputs[:, 0], run.input)
 
 
 def test_disturbances_ahead_act_from_the_newest_sample_on() -> None:
@@ -188,7 +190,7 @@ def test_disturbances_ahead_act_from_the_newest_sample_on() -> None:
     run = simulate_closed_loop(
         motor, np.full(60, 100.0), states=there, gains=Motor.loop, disturbances=loads[1:]
     )
-    np.testing.assert_array_equal(found.output, run.output)
+    np.testing.assert_array_equal(found.outputs[:, 0], run.output)
     held = forecast_loop(motor, reference=np.full(60, 100.0), disturbances=[0.02], **given_)
     rows = forecast_loop(motor, reference=np.full(60, 100.0), disturbances=np.full((61, 1), 0.02), **given_)
     for one, other in zip(held, rows, strict=True):
@@ -211,11 +213,11 @@ def test_a_linear_loop_is_its_matrices() -> None:
     z = np.diag([(a * first) ** 2 + drift**2, 0.0])
     of_u = np.array([-0.5, 1.0])
     for k in range(400):
-        assert found.output_variance[k] == pytest.approx(z[0, 0] + noise**2, rel=1e-5)
-        assert found.input_variance[k] == pytest.approx(of_u @ z @ of_u + 0.25 * noise**2, rel=1e-5)
+        assert found.output_variances[:, 0][k] == pytest.approx(z[0, 0] + noise**2, rel=1e-5)
+        assert found.input_variances[:, 0][k] == pytest.approx(of_u @ z @ of_u + 0.25 * noise**2, rel=1e-5)
         z = loop @ z @ loop.T + q
     settled = scipy.linalg.solve_discrete_lyapunov(loop, q)
-    assert found.output_variance[-1] == pytest.approx(settled[0, 0] + noise**2, rel=1e-5)
+    assert found.output_variances[:, 0][-1] == pytest.approx(settled[0, 0] + noise**2, rel=1e-5)
 
 
 @settings(max_examples=20)
@@ -240,19 +242,19 @@ def test_what_is_sure_has_no_variance_and_more_doubt_has_more(
         )  # fmt: skip
 
     sure = said(np.zeros((4, 4)), 0.0, 0.0)
-    np.testing.assert_array_equal(sure.output_variance, 0.0)
-    np.testing.assert_array_equal(sure.input_variance, 0.0)
+    np.testing.assert_array_equal(sure.output_variances[:, 0], 0.0)
+    np.testing.assert_array_equal(sure.input_variances[:, 0], 0.0)
     less, more = said(root @ root.T, 0.0, 0.0), said(root @ root.T + 0.1 * np.eye(4), 0.01, 0.1)
     for one, other in (
-        (less.output_variance, more.output_variance),
-        (less.input_variance, more.input_variance),
+        (less.output_variances[:, 0], more.output_variances[:, 0]),
+        (less.input_variances[:, 0], more.input_variances[:, 0]),
     ):
         assert np.all(one >= 0.0)
         assert np.all(other >= one * (1 - 1e-9))
-    np.testing.assert_array_equal(less.output, more.output)
+    np.testing.assert_array_equal(less.outputs[:, 0], more.outputs[:, 0])
     if not closed:
-        np.testing.assert_array_equal(more.input_variance, 0.0)
-    assert np.all(more.output_variance >= 0.01)  # the reading's own noise counts
+        np.testing.assert_array_equal(more.input_variances[:, 0], 0.0)
+    assert np.all(more.output_variances[:, 0] >= 0.01)  # the reading's own noise counts
 
 
 def test_what_cannot_be_forecast_is_refused() -> None:
@@ -270,10 +272,10 @@ def test_what_cannot_be_forecast_is_refused() -> None:
         ({"inputs": np.zeros(5)}, "takes set-points ahead or inputs ahead; give one"),
         ({"unsure": ["mass"]}, "no parameter 'mass'; there are"),
         ({"unsure": ["ambient"]}, "covariance of shape (2, 2) given; give finite values of shape (3, 3)"),
-        ({"reference": [40.0, math.nan]}, "set-points with a value that is not finite given"),
+        ({"reference": [40.0, math.nan]}, "set-points is nan at sample 1; only finite values can be used"),
         ({"states": np.zeros(1)}, "states of shape (1,) given; give finite values of shape (2,)"),
         ({"drift": [0.1]}, "drift of shape (1,) given"),
-        ({"input": math.inf}, "newest input and noise with a value that is not finite given"),
+        ({"input": math.inf}, "newest input with a value that is not finite given"),
     ):
         with pytest.raises(PlantError, match=re.escape(message)):
             said(**changes)

@@ -67,7 +67,7 @@ def test_tangents_are_those_of_differences(model: object, closed: bool) -> None:
     values = experiment.values_of(base)
     exact = experiment.tangents(values)
     # The derivatives share subexpressions with the rates, which rounds them another way.
-    np.testing.assert_allclose(exact.output, experiment.simulate(values).output, rtol=1e-12)
+    np.testing.assert_allclose(exact.outputs[:, 0], experiment.simulate(values).output, rtol=1e-12)
     for j, name in enumerate([*free, *starts]):
         scale = base.model.declared[name].scale if j < len(free) else 1.0
         step = np.zeros(values.size)
@@ -91,7 +91,9 @@ def test_the_normal_equations_are_those_of_the_arrays(k: float, j: float, robust
     )
     values = np.array([k, j, 1e-4])
     found = experiment.tangents(values)
-    left = (np.stack([found.output, found.input]) - experiment.measured)[:, 10:] * weights[:, None]
+    left = (np.stack([found.outputs[:, 0], found.inputs[:, 0]]) - experiment.measured)[:, 10:] * weights[
+        :, None
+    ]
     jacobian = (found.by[:, 10:] * weights[:, None, None]).reshape(-1, 3)
     root = np.sqrt(1.0 + left**2) if robust else np.ones_like(left)
     expected = np.sum(2.0 * (root - 1.0)) if robust else np.sum(left**2)
@@ -127,9 +129,9 @@ def test_noise_goes_round_the_loop(closed: bool, plant: str) -> None:
     )
     found = experiment.tangents(experiment.values_of(base))
     weighed = found.by * np.array(weights)[:, None, None]
-    sums, mean_square = noise_scores(experiment, found, weighed, weights)
+    sums, mean_square = noise_scores(experiment, found, weighed, np.array([weights]))
 
-    size, bump = found.output.size, 1e-4
+    size, bump = len(found.outputs), 1e-4
     load = window.disturbances[2:]
 
     def response(noise: np.ndarray, first: float) -> np.ndarray:
@@ -178,13 +180,13 @@ def test_what_cannot_be_run_is_refused() -> None:
     p = MOTOR.parameters()
     with pytest.raises(PlantError, match="reference is nan at sample 1"):
         simulate_closed_loop(p, [40.0, math.nan], states=begin(p, 0.0))
-    with pytest.raises(PlantError, match=r"input has shape \(1, 1\)"):
-        simulate_driven(p, [[40.0]], states=begin(p, 0.0))
+    with pytest.raises(PlantError, match=r"input has shape \(1, 2\); give one value per sample"):
+        simulate_driven(p, [[40.0, 1.0]], states=begin(p, 0.0))
     with pytest.raises(PlantError, match="the period is 0 s"):
         simulate_driven(p, [4.0], states=begin(p, 0.0), period=0)
     with pytest.raises(PlantError, match="the input is inf"):
         advance(p, np.array([0.0]), math.inf, 0.05)
-    with pytest.raises(PlantError, match=r"initial states are .*nan"):
+    with pytest.raises(PlantError, match="the reading is nan"):
         begin(p, math.nan)
     with pytest.raises(PlantError, match="no state 'sink'; it has omega"):
         begin(p, 0.0, starts={"sink": 1.0})

@@ -125,8 +125,8 @@ def test_faulty_declarations_are_refused_in_words() -> None:
     with pytest.raises(PlantError, match=r"is \(2.0, 1.0\); give two finite numbers, the smaller first"):
         Parameter(default=1.0, bounds=(2.0, 1.0))
     for body, message in (
-        ({}, "declares 0 of Drive; declare exactly one"),
-        ({"u": _Parts.u}, "declares 0 of Output; declare exactly one"),
+        ({}, "declares no Drive; declare at least one"),
+        ({"u": _Parts.u}, "declares no Output; declare at least one"),
         ({"u": _Parts.u, "y": _Parts.y}, "has no structure; declare at least one"),
         (
             {"u": _Parts.u, "y": _Parts.y, "structures": {"s": Structure(free=("k",))}},

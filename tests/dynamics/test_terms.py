@@ -84,7 +84,7 @@ def test_a_match_finds_the_outflow_of_a_tank_that_ran_empty() -> None:
         np.testing.assert_allclose(exact.by[0, :, j], (up.output - down.output) / 2e-7, atol=0.02)
     low = begin(Cask.model().parameters(), -0.3)  # noise shows levels below zero
     assert np.isfinite(
-        experiment.model.kernels.slopes_at(experiment.base.vector, low, 0.0, np.empty(0))[1]
+        experiment.model.kernels.slopes_at(experiment.base.vector, low, np.zeros(1), np.empty(0))[1]
     ).all()
     filled = np.repeat([0.0, 8.0, 3.0], 100)
     truth = Cask.model().parameters(k=0.08, a=0.15)
@@ -99,7 +99,7 @@ def test_a_match_finds_the_outflow_of_a_tank_that_ran_empty() -> None:
 def test_a_root_that_stays_above_zero_is_exact() -> None:
     """A smooth root would bend, by a little, the valley of parameters that no data can tell apart."""
     tank = Tank.model().parameters()
-    slope = tank.model.kernels.slopes_at(tank.vector, np.array([4.0]), 1.0, np.empty(0))[1]
+    slope = tank.model.kernels.slopes_at(tank.vector, np.array([4.0]), np.ones(1), np.empty(0))[1]
     assert slope[0, 0] == pytest.approx(-tank["hole"] / (2 * 2.0) / tank["area"], rel=1e-14)
 
 

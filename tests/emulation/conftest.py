@@ -15,7 +15,7 @@ import pytest
 
 from tests.support.processes import Process, Processes
 from tests.support.waiting import PATIENCE
-from twinmatch.dynamics import Pid
+from twinmatch.dynamics import Controller as Law
 from twinmatch.dynamics.store import cache_folder
 from twinmatch.emulation.clock import ClockClient, parse_address
 from twinmatch.emulation.faults import tell
@@ -89,7 +89,7 @@ class Controller:
         self.link = PwmLink(rig.address("serial"))
         self.errors: list[PwmLinkError] = []
         self.current = 0.0
-        self._pid = Pid(Peltier.loop)
+        self._pid = Law(Peltier.loop)
         self._now = 0
         self._moved = threading.Condition()
         self._clock = ClockClient(parse_address(rig.address("clock")), self._on_time)
@@ -125,7 +125,7 @@ class Controller:
             news = self.thermal.news()
             if now >= start + len(ticks) * 1e9 and news is not None:
                 y = region(news.frame, PLATE).mean
-                ticks.append(Tick((now - start) / 1e9, y, self._pid.step(reference, y)))
+                ticks.append(Tick((now - start) / 1e9, y, self._pid.step(reference, y)[0]))
             if ticks and now - sent >= 1e8:
                 sent = now
                 self._command(ticks[-1].pwm)

@@ -213,7 +213,7 @@ def test_questions_without_meaning_are_refused(record: Recorder) -> None:
     with pytest.raises(PlantError, match="conductance is -1 W/K; it must be finite and at least 0"):
         match(window, start=START, bounds={"conductance": (-1.0, 1.0)})
     with pytest.raises(FittingError, match=r"noise: input is 0\.0; it must be finite and positive"):
-        Noise(output=0.1, input=0.0)
+        Noise(0.1, 0.0)
 
 
 def two_regime_windows(hour: Window) -> Iterator[Window]:

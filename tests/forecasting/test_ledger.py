@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.stats import laplace, norm
 
 from tests.support.plants import Tank
-from twinmatch.dynamics import PidGains, PidState
+from twinmatch.dynamics import Controller, PidGains
 from twinmatch.forecasting import CONFIDENCE, Arx, Calibration, Ledger, StateFilter, leads_of
 from twinmatch.signals import FloatArray, Sample
 
@@ -261,19 +261,17 @@ def plant(y: float, y_before: float, u: float, u_before: float, room: float) -> 
     return y + 0.3 - 0.1 * y + 0.4 * (y - y_before) + 0.2 * u + 0.05 * u_before + 0.02 * room
 
 
-def record(n: int, gains: PidGains | None, seed: int = 1) -> tuple[list[Sample], list[PidState]]:
+def record(n: int, gains: PidGains | None, seed: int = 1) -> tuple[list[Sample], list[Array]]:
     """An exact run of `plant`: of the loop if there are gains, otherwise under random inputs."""
-    from twinmatch.dynamics import Pid
-
     random = np.random.default_rng(seed)
     y = y_before = u_before = 0.0
-    pid, samples, states = Pid(gains or GAINS), [], []
+    pid, samples, states = Controller(gains or GAINS), [], []
     for k in range(n):
         room, reference = (
             20.0 + random.uniform(),
             float(random.integers(0, 8)) if k % 25 == 0 else samples[-1].reference,
         )
-        u = pid.step(reference, y) if gains else random.uniform(-1.0, 1.0)
+        u = float(pid.step(reference, y)[0]) if gains else random.uniform(-1.0, 1.0)
         samples.append(Sample(k, 0, reference, y, u, (room,)))
         states.append(pid.state)
         y, y_before, u_before = plant(y, y_before, u, u_before, room), y, u
@@ -317,7 +315,7 @@ def test_until_there_are_enough_samples_nothing_changes() -> None:
 def test_it_does_not_leave_what_was_visited_by_more_than_its_width() -> None:
     """A plant that runs away while it is watched."""
     samples = [Sample(k, 0, 0.0, float(np.exp(0.05 * k)), 0.1 * (k % 3)) for k in range(80)]
-    found = fed(samples, None).departure(PidState()).forecast(np.zeros(400), None)
+    found = fed(samples, None).departure(np.zeros(0)).forecast(np.zeros(400), None)
     low, high = samples[0].output, samples[-1].output
     assert found[0, -1] == pytest.approx(2.0 * high - low)
 
@@ -351,7 +349,7 @@ def test_older_samples_weigh_less() -> None:
             y,
             s.input,
         )
-    slopes = [fed(doubled, None, kept).departure(PidState()).coefficients[3] for kept in (1.0, 0.9)]
+    slopes = [fed(doubled, None, kept).departure(np.zeros(0)).coefficients[3] for kept in (1.0, 0.9)]
     assert slopes[1] == pytest.approx(0.4, abs=1e-3)
     assert slopes[0] < 0.38
 

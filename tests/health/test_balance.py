@@ -10,7 +10,7 @@ import pytest
 from tests.support import faulty_rig as rig
 from tests.support.plants import Motor
 from tests.support.servo import PERIOD, Servo, turns
-from twinmatch.dynamics import Pid, advance, begin, read, simulate_closed_loop, simulate_driven
+from twinmatch.dynamics import Controller, advance, begin, read, simulate_closed_loop, simulate_driven
 from twinmatch.health import Alarm, Balance, Fault, HealthError, HealthSettings, Monitor
 from twinmatch.plants import Peltier
 from twinmatch.signals import Sample
@@ -101,7 +101,7 @@ def alarms(kind: str = "", matched: int = 400, **values: float) -> tuple[Alarm, 
 
     From sample `matched` on its parameters are known; its file calls none typical.
     """
-    truth, pid = Motor.model().parameters(**{"j": 4.4e-4, "b": 1.2e-4, **values}), Pid(Motor.loop)
+    truth, pid = Motor.model().parameters(**{"j": 4.4e-4, "b": 1.2e-4, **values}), Controller(Motor.loop)
     states, random, y = begin(truth, 0.0), np.random.default_rng(7), 0.0
     monitor = Monitor(HealthSettings.of(Motor, PERIOD_OTHER_PLANT))
     for k, reference in enumerate(np.repeat([50.0, 120.0, 80.0, -150.0, 100.0, 130.0, 60.0, 110.0], 200)):

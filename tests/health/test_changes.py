@@ -9,7 +9,7 @@ import pytest
 
 from tests.support import faulty_rig as rig
 from tests.support.plants import Motor
-from twinmatch.dynamics import Parameter, Pid, PlantError, advance, begin, read
+from twinmatch.dynamics import Controller, Parameter, PlantError, advance, begin, read
 from twinmatch.health import Fault, HealthSettings, Monitor
 from twinmatch.health.changes import ChangeDetector
 from twinmatch.plants import Peltier
@@ -91,13 +91,13 @@ def test_the_plant_is_trusted_as_far_as_the_samples_bear() -> None:
 def motor(kind: str = "") -> Monitor:
     """600 s of a motor whose load is measured, changed after 400 s."""
     truth = Motor.model("with friction").parameters(j=4.4e-4, b=1.1e-4, k=0.046)
-    pid, states, random = Pid(Motor.loop), begin(truth, 0.0), np.random.default_rng(7)
+    pid, states, random = Controller(Motor.loop), begin(truth, 0.0), np.random.default_rng(7)
     period = Motor.loop.period
     monitor = Monitor(HealthSettings.of(Motor, period))
     for k, reference in enumerate(np.repeat(random.uniform(-150.0, 150.0, 60), 200)):
         late = k * period >= 400
         y = read(truth, states) + random.normal(0.0, 0.2)
-        u, load = pid.step(float(reference), y), 0.02 * np.sin(k / 200)
+        u, load = pid.step(float(reference), y)[0], 0.02 * np.sin(k / 200)
         monitor.push(Sample(k, k, float(reference), y, u, (load,)))
         share = 0.75 if late and kind == "weak" else 1.0
         unseen = 0.005 if late and kind == "load" else 0.0

@@ -22,7 +22,7 @@ from std_msgs.msg import Float64
 from tests.support.processes import Start
 from tests.support.rig import GAINS
 from tests.support.ros import Listener
-from twinmatch.dynamics import Pid
+from twinmatch.dynamics import Controller
 from twinmatch.nodes.controller import ControllerNode
 from twinmatch.nodes.messages import sample_from
 from twinmatch.nodes.topics import EVERYTHING, LATCHED, RELIABLE
@@ -95,15 +95,15 @@ def test_samples_are_steps_of_the_pid(start: Start, bench: Bench) -> None:
 
 
 def test_the_pid_is_exactly_the_one_of_the_plant(start: Start, bench: Bench) -> None:
-    """From the second sample on a `Pid` that followed the first two computes the same."""
+    """From the second sample on a `Controller` that followed the first two computes the same."""
     start("controller", "-p", "period:=1.0", "-p", "profile.levels:=[26.0]", "-p", "profile.holds:=[9.0]")
     bench.feed(lambda: len(bench.samples) >= 4, "samples")
     samples = [sample_from(message) for message in bench.samples]
-    pid = Pid(GAINS)
+    pid = Controller(GAINS)
     for sample in samples[:2]:
         pid.follow(sample.reference, sample.output, sample.input)
     for sample in samples[2:]:
-        assert sample.input == pytest.approx(pid.step(sample.reference, sample.output), abs=1e-9)
+        assert sample.input == pytest.approx(pid.step(sample.reference, sample.output)[0], abs=1e-9)
 
 
 def test_without_temperatures_the_output_is_off_and_samples_have_a_gap(start: Start, bench: Bench) -> None:

@@ -13,8 +13,8 @@ from scipy.integrate import solve_ivp
 
 from tests.support.peltier_oracle import closed_tick, integrated, riccati_arrival, riccati_flow
 from twinmatch.dynamics import (
+    Controller,
     Parameters,
-    Pid,
     PidGains,
     advance,
     begin,
@@ -151,11 +151,11 @@ def test_the_loop_over_recorded_set_points_is_exact_to_a_micro_kelvin(
     reference = recorded_hour(number).reference
     reference = reference if rig is STRUCTURES[0] else reference[:240]
     found = simulate_closed_loop(rig, reference, states=begin(rig, 22.85))
-    states, pid = np.array([296.0, rig["ambient"], 296.0]), Pid(Peltier.loop)
+    states, pid = np.array([296.0, rig["ambient"], 296.0]), Controller(Peltier.loop)
     output, commands = np.empty(reference.size), np.empty(reference.size)
     for k, r in enumerate(reference):
         output[k] = states[0] - KELVIN
-        commands[k] = pid.step(r, output[k])
+        commands[k] = pid.step(r, output[k])[0]
         if rig is STRUCTURES[0]:
             states[0] = closed_tick(rig, states[0], commands[k], 1.0)
         else:
@@ -168,8 +168,8 @@ def test_the_loop_over_recorded_set_points_is_exact_to_a_micro_kelvin(
 def test_the_recorded_commands_are_those_of_the_plants_controller(
     recorded_hour: Callable[[int], Window], number: int
 ) -> None:
-    window, pid = recorded_hour(number), Pid(Peltier.loop)
-    commands = [pid.step(r, y) for r, y in zip(window.reference, window.output, strict=True)]
+    window, pid = recorded_hour(number), Controller(Peltier.loop)
+    commands = [pid.step(r, y)[0] for r, y in zip(window.reference, window.output, strict=True)]
     np.testing.assert_allclose(commands, window.input, atol=1e-4)
 
 
@@ -247,12 +247,12 @@ def test_ticks_in_python_repeat_the_simulation_to_the_last_bit(rig: Parameters, 
     sensor = None if seed is None else Peltier.sensor.realise(STEPS.size, 1.0, seed)
     states = begin(rig, 22.85)
     response = simulate_closed_loop(rig, STEPS, states=states, sensor=sensor)
-    pid, last = Pid(Peltier.loop), None
+    pid, last = Controller(Peltier.loop), None
     for k, reference in enumerate(STEPS):
         assert states.tobytes() == response.states[k].tobytes()
         last = read(rig, states) if sensor is None else sensor.reading(k, read(rig, states), last)
         assert last == response.output[k]
-        pwm = pid.step(reference, last)
+        pwm = pid.step(reference, last)[0]
         assert pwm == response.input[k]
         states = advance(rig, states, pwm, 1.0)
 

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.support.rig import GAINS, rig
-from twinmatch.dynamics import Pid, advance, begin, read
+from twinmatch.dynamics import Controller, advance, begin, read
 from twinmatch.safety import (
     ClockLimits,
     FaultKind,
@@ -253,10 +253,10 @@ def first_alarm(
     reference: Callable[[int], float], drive: Callable[[int, float], float], ticks: int = 900
 ) -> int:
     """Run the rig in its loop with a drive that may fail; the tick of the first alarm, or `ticks`."""
-    watch, pid, states = Runaway(), Pid(GAINS), begin(RIG, 22.85)
+    watch, pid, states = Runaway(), Controller(GAINS), begin(RIG, 22.85)
     for k in range(ticks):
         y = read(RIG, states)
-        u = pid.step(reference(k), y)
+        u = pid.step(reference(k), y)[0]
         if watch.check(float(k), reference(k), y, u):
             return k
         states = advance(RIG, states, drive(k, u), GAINS.period)

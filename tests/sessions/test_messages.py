@@ -17,7 +17,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from twinmatch.cli import main
-from twinmatch.dynamics import Pid
+from twinmatch.dynamics import Controller
 from twinmatch.offline.judging import recorded_terms
 from twinmatch.offline.verification import verify_session
 from twinmatch.plants import Peltier
@@ -170,8 +170,8 @@ def test_samples_are_those_that_another_reader_finds() -> None:
 
 def test_outputs_and_inputs_are_those_of_the_loop() -> None:
     """The rig's PID computes the inputs from references and outputs, so none is taken for another."""
-    window, pid = read_session(SESSION).window(), Pid(Peltier.loop)
-    computed = [pid.step(r, y) for r, y in zip(window.reference, window.output, strict=True)]
+    window, pid = read_session(SESSION).window(), Controller(Peltier.loop)
+    computed = [pid.step(r, y)[0] for r, y in zip(window.reference, window.output, strict=True)]
     np.testing.assert_allclose(computed, window.input, atol=1e-9)
 
 

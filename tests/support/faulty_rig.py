@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from twinmatch.dynamics import Parameters, Pid, advance, begin, read
+from twinmatch.dynamics import Controller, Parameters, advance, begin, read
 from twinmatch.health import Fault, Health, HealthSettings, HealthState, Monitor
 from twinmatch.plants import Peltier
 from twinmatch.signals import FloatArray, Sample
@@ -84,7 +84,7 @@ def run(
     """Samples, and the plate's true temperature, °C."""
     camera = CAMERA.realise(len(reference), period, seed)
     random = np.random.default_rng(seed)
-    pid = Pid(replace(Peltier.loop, period=period, back_calculation=1 / period))
+    pid = Controller(replace(Peltier.loop, period=period, back_calculation=1 / period))
     room = rig["ambient"] - Peltier.output.absolute
     states = begin(rig, room)
     samples: list[Sample] = []
@@ -102,7 +102,7 @@ def run(
         if last is not None and (camera.frozen[k] or what == "sensor-frozen"):
             seen = last
         last = seen
-        pwm = pid.step(float(wanted), seen)
+        pwm = pid.step(float(wanted), seen)[0]
         samples.append(Sample(k, k, float(wanted), seen, pwm))
         since = 0.0 if broken is None else (k - broken.start) * period
         states = advance(_now(rig, what, since), states, pwm, period)

@@ -10,7 +10,7 @@ import pytest
 
 import twinmatch.twin.matcher
 from twinmatch.comparing import ADMITTED, REFUSED, Candidate, Verdict
-from twinmatch.dynamics import Parameters, Pid, advance, begin, read
+from twinmatch.dynamics import Controller, Parameters, advance, begin, read
 from twinmatch.plants import Peltier
 from twinmatch.signals import Sample, Window
 from twinmatch.twin import Discriminator, MatchRequest, Outcome, Twin, TwinSettings, carry_out
@@ -20,11 +20,11 @@ def drive_lost_for_a_while(at: int = 550, again: int = 570, ticks: int = 1410) -
     """Steps between 40 and 70 °C; the drive is lost for twenty samples and comes back."""
     rig = Peltier.model().parameters(seebeck=0.06, conductance=0.6, heat_capacity=28.0)
     noise = np.random.default_rng(5).normal(0.0, 0.1, ticks)
-    pid, states, samples = Pid(Peltier.loop), begin(rig, 22.85), []
+    pid, states, samples = Controller(Peltier.loop), begin(rig, 22.85), []
     for k in range(ticks):
         r = (40.0, 70.0)[(k // 200) % 2]
         y = read(rig, states) + float(noise[k])
-        u = pid.step(r, y)
+        u = pid.step(r, y)[0]
         samples.append(Sample(k, k * 10**9, r, y, u))
         states = advance(rig, states, 0.0 if at <= k < again else u, 1.0)
     return samples

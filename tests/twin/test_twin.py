@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from twinmatch.comparing import Candidate, TrustLevel, Verdict
-from twinmatch.dynamics import Pid, advance, begin, read
+from twinmatch.dynamics import Controller, advance, begin, read
 from twinmatch.plants import Peltier
 from twinmatch.sessions import samples_of
 from twinmatch.signals import Sample, Window
@@ -173,11 +173,11 @@ def drive_lost(at: int, ticks: int, again: int | None = None) -> list[Sample]:
     rig = Peltier.model().parameters(seebeck=0.06, conductance=0.6, heat_capacity=28.0)
     levels = (40.0, 70.0, 45.0, 80.0, 50.0, 75.0, 40.0, 70.0)
     noise = np.random.default_rng(5).normal(0.0, 0.1, ticks)
-    pid, states, samples = Pid(Peltier.loop), begin(rig, 22.85), []
+    pid, states, samples = Controller(Peltier.loop), begin(rig, 22.85), []
     for k in range(ticks):
         r = levels[(k // 200) % len(levels)]
         y = read(rig, states) + float(noise[k])
-        u = pid.step(r, y)
+        u = pid.step(r, y)[0]
         samples.append(Sample(k, k * 10**9, r, y, u))
         states = advance(rig, states, 0.0 if at <= k < (again or ticks) else u, 1.0)
     return samples

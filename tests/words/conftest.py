@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from tests.support.plants import Motor, Tank
-from twinmatch.dynamics import Parameters, Pid, Plant, advance, begin, read
+from twinmatch.dynamics import Controller, Parameters, Plant, advance, begin, read
 from twinmatch.plants import PLANTS
 from twinmatch.sessions import EPOCH, write_session
 from twinmatch.signals import Sample
@@ -46,12 +46,12 @@ def _held(truth: Parameters, levels: list[float], broken: str, last: int, seed: 
     plant = truth.model.plant
     assert plant.loop is not None
     period, begins = plant.loop.period, 240 * len(levels) - last
-    pid, random = Pid(plant.loop), np.random.default_rng(seed)
+    pid, random = Controller(plant.loop), np.random.default_rng(seed)
     states, samples, y = begin(truth, levels[0]), [], 0.0
     for k, reference in enumerate(np.repeat(levels, 240).tolist()):
         if broken != "frozen" or k < begins:
             y = read(truth, states) + random.normal(0.0, plant.output.noise)
-        u = pid.step(reference, y)
+        u = pid.step(reference, y)[0]
         samples.append(Sample(k, EPOCH + round(k * period * 1e9), reference, y, u))
         lost = broken == "lost" and k >= begins
         states = advance(truth, states, plant.drive.rest if lost else u, period)

@@ -224,11 +224,11 @@ def ranges(model: Model) -> list[Finding]:
     found = []
     states = begin(parameters, trial.output, input=float(trial.input[0]))
     _, by_state, _, _, seen, _ = model.kernels.slopes_at(
-        parameters.vector, states, float(trial.input[0]), model.disturbances
+        parameters.vector, states, trial.input[:1], model.disturbances
     )
     integrates = ~by_state.any(axis=0)
     low, high = float(run.output.min()), float(run.output.max())
-    if (low < y.span[0] or high > y.span[1]) and not seen[integrates].any():
+    if (low < y.span[0] or high > y.span[1]) and not seen[:, integrates].any():
         what = (
             f"{model.title}: with the defaults, over the drive's range, the output goes from {low:.4g} to "
             f"{high:.4g} {y.unit}, beyond its span {y.span[0]:g} to {y.span[1]:g}"

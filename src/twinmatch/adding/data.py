@@ -17,7 +17,7 @@ import numpy as np
 from twinmatch.adding.check import Shown
 from twinmatch.adding.proposal import noise_of
 from twinmatch.adding.trial import CheckedPlant, Finding, time_constants
-from twinmatch.dynamics import Output, Pid, PidGains, Plant, PlantError, controller_state
+from twinmatch.dynamics import Law, Output, Plant, PlantError, commands_of
 from twinmatch.fitting import FittingError
 from twinmatch.fitting.gate import Status
 from twinmatch.offline.judging import judge, terms_from_files
@@ -27,7 +27,7 @@ from twinmatch.sessions.mapped import map_samples, with_plant_names
 from twinmatch.sessions.sources import session_of
 from twinmatch.sessions.tables import read_table
 from twinmatch.showing.series import root_mean_square
-from twinmatch.signals import FloatArray, Sample, Window, unbroken
+from twinmatch.signals import FloatArray, Sample, Window, only, unbroken
 from twinmatch.twin import MatchReport, StructureScore, TwinSettings, choose_structure
 
 _SMALL: Final = 3.0
@@ -171,7 +171,7 @@ _SHARE: Final = 0.1
 """RMS error of the input, in standard deviations of the input, from which the loop is another one."""
 
 
-def loop_findings(session: Session, plant: type[Plant], gains: PidGains | None) -> list[Finding]:
+def loop_findings(session: Session, plant: type[Plant], gains: Law | None) -> list[Finding]:
     """A finding if the declared controller does not give the recorded input from set-points and outputs."""
     if gains is None or not session.has_reference:
         return []
@@ -204,7 +204,7 @@ def _runs(samples: Sequence[Sample], period: float) -> Iterator[Window]:
                 yield Window.from_samples(part, period)
 
 
-def _errors(run: Window, gains: PidGains) -> Iterator[FloatArray]:
+def _errors(run: Window, gains: Law) -> Iterator[FloatArray]:
     """Input of the declared controller minus the recorded one, from its first two samples within limits on:
     the controller's state follows from those."""
     within = [not gains.saturates(float(u)) for u in run.input]
@@ -212,9 +212,8 @@ def _errors(run: Window, gains: PidGains) -> Iterator[FloatArray]:
     if begin is None:
         return
     part = run.part(run.first + begin, run.last)
-    pid = Pid(gains, controller_state(part, gains))
-    pairs = zip(part.reference[2:], part.output[2:], strict=True)
-    yield np.array([pid.step(float(r), float(y)) for r, y in pairs]) - part.input[2:]
+    commands, _ = commands_of(gains.law, gains.state(part), part.references[2:], part.outputs[2:])
+    yield only("input", commands) - part.input[2:]
 
 
 _SHORTEST: Final = 60

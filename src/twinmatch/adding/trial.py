@@ -83,7 +83,7 @@ def modes(parameters: Parameters) -> NDArray[np.complex128]:
     model = parameters.model
     states = begin(parameters, middle_of(model))
     rest = sum(model.plant.drive.limits) / 2
-    slopes = model.kernels.slopes_at(parameters.vector, states, float(rest), model.disturbances)[1]
+    slopes = model.kernels.slopes_at(parameters.vector, states, np.array([rest]), model.disturbances)[1]
     if not np.isfinite(slopes).all():
         msg = f"{model.title}: the derivatives of its rates are not finite in the middle of its range"
         raise PlantError(msg)

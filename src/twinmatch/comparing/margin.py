@@ -36,7 +36,7 @@ from twinmatch.comparing.graph_symbol import GraphSymbol, graph_symbol, spectral
 from twinmatch.comparing.nu_gap import common_period
 from twinmatch.comparing.polynomials import DiscriminationError, is_hurwitz, multiply
 from twinmatch.compiled import compiled
-from twinmatch.dynamics import Parameters, PidGains, gains_of, linearised
+from twinmatch.dynamics import Parameters, PidGains, linearised, pid_of
 from twinmatch.signals import FloatArray
 
 
@@ -205,7 +205,7 @@ def loop_plant(
         DiscriminationError: the controller's limits cannot hold the plant there; as `Scales.of`.
         PlantError: no input holds it there, or the plant cannot be computed with this period.
     """
-    gains = gains or gains_of(parameters.model.plant, 1.0)
+    gains = gains or pid_of(parameters.model.plant)
     scales = scales or Scales.of(gains)
     linear = linearised(parameters, operating_point, gains.period)
     if gains.saturates(linear.rest.input):

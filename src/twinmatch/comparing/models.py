@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from twinmatch.comparing.graph_symbol import GraphSymbol
-from twinmatch.dynamics import Parameters, PidGains, Sensor, simulate_window
+from twinmatch.dynamics import Law, Parameters, Sensor, simulate_window
 from twinmatch.fitting import ORDERS, BoxJenkins, estimate_ladder
 from twinmatch.signals import FloatArray, Window
 
@@ -128,7 +128,7 @@ def identify(
 
 
 def twin_response(
-    parameters: Parameters, window: Window, gains: PidGains | None, sensor: Sensor | None, seed: int
+    parameters: Parameters, window: Window, gains: Law | None, sensor: Sensor | None, seed: int
 ) -> Window:
     """Simulate the twin on a window, in closed loop under its reference, or driven by its input without
     gains, with the sensor.
@@ -137,9 +137,9 @@ def twin_response(
     """
     response = simulate_window(parameters, window, gains=gains, sensor=sensor, seed=seed)
     return Window(
-        window.reference[2:],
-        response.output,
-        response.input,
+        window.references[2:],
+        response.outputs,
+        response.inputs,
         window.first + 2,
         window.period,
         window.disturbances[2:],

@@ -34,9 +34,9 @@ from twinmatch.comparing.margin import Scales
 from twinmatch.comparing.nu_gap import nu_gap_of
 from twinmatch.comparing.polynomials import DiscriminationError
 from twinmatch.dynamics import (
+    Law,
     Linear,
     Parameters,
-    PidGains,
     Plant,
     begin,
     linearised,
@@ -66,7 +66,7 @@ its phase matters."""
 class LoopConditions(NamedTuple):
     """The loop in which twins are held; hashable, so that results can be cached."""
 
-    gains: PidGains | None
+    gains: Law | None
     """Gains of the controller; None if it is not known."""
     scales: Scales
     """Scales of output and input."""

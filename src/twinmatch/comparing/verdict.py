@@ -22,7 +22,7 @@ from twinmatch.comparing.uncertainty import (
     Uncertain,
     family_uncertainty,
 )
-from twinmatch.dynamics import Parameters, PidGains
+from twinmatch.dynamics import Law, Parameters, PidGains
 from twinmatch.errors import TwinmatchError
 
 ADMITTED: Final = "admitted"
@@ -298,13 +298,13 @@ def judge_uncertainty(
 
 
 def with_margins(
-    candidates: Sequence[CandidateScore], chosen: int, gains: PidGains | None
+    candidates: Sequence[CandidateScore], chosen: int, gains: Law | None
 ) -> tuple[CandidateScore, ...]:
     """Add the running controller's margin for each candidate, and its ν-gap from the chosen one.
 
     A candidate that cannot be held at its operating point has none; without a known controller, none has.
     """
-    if gains is None:
+    if not isinstance(gains, PidGains):
         return tuple(candidates)
     try:
         controller = loop_controller(gains)

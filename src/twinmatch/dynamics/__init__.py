@@ -6,7 +6,8 @@ equations once and kept on disk. `Parameters` are the values for a model, and al
 `begin`, `advance` and `read` step a plant; `simulate_closed_loop`, `simulate_driven` and `simulate_window`
 run it; `Experiment` is a recorded window as a function of the unknowns, with exact tangents; `linearised`
 gives the response to small deviations; `Observer` estimates unmeasured states; `forecast_loop` forecasts
-the loop from there, with variances. `Pid` is the controller, `Sensor` the model from output to reading.
+the loop from there, with variances. `PidGains`, `TwoLevel` and `LinearLaw` are controllers, and `Sensor` is
+the model from output to reading.
 """
 
 from twinmatch.dynamics.declarations import (
@@ -24,10 +25,20 @@ from twinmatch.dynamics.definition import Equations
 from twinmatch.dynamics.descent import Descended, box_step, descend
 from twinmatch.dynamics.experiment import Experiment, Known, Tangents
 from twinmatch.dynamics.forecasts import LoopForecast, forecast_loop, noise_scores
+from twinmatch.dynamics.laws import LawCode, commands_of
 from twinmatch.dynamics.linear import Linear, Rest, linearised, linearised_at, rest_at
-from twinmatch.dynamics.loop import Pid, PidGains, PidState, Sensor, SensorRealisation, controller_state
+from twinmatch.dynamics.loop import (
+    Controller,
+    Law,
+    LinearLaw,
+    PidGains,
+    PidState,
+    TwoLevel,
+    controller_state,
+)
 from twinmatch.dynamics.observer import Observer, ObserverBank, RandomWalk
 from twinmatch.dynamics.plant import Model, Parameters, Plant
+from twinmatch.dynamics.sensor import Sensor, SensorRealisation
 from twinmatch.dynamics.simulation import (
     FROM_PLANT_FILE,
     SKIPPED,
@@ -39,6 +50,7 @@ from twinmatch.dynamics.simulation import (
     begin_window,
     gains_for,
     gains_of,
+    pid_of,
     quantities,
     read,
     simulate_closed_loop,
@@ -50,6 +62,7 @@ from twinmatch.dynamics.terms import DeadTime, dead_zone, dry_friction, limited,
 __all__ = [
     "FROM_PLANT_FILE",
     "SKIPPED",
+    "Controller",
     "DeadTime",
     "Descended",
     "Disturbance",
@@ -59,7 +72,10 @@ __all__ = [
     "ExternalEquations",
     "FromPlantFile",
     "Known",
+    "Law",
+    "LawCode",
     "Linear",
+    "LinearLaw",
     "LoopForecast",
     "LoopGains",
     "Model",
@@ -68,7 +84,6 @@ __all__ = [
     "Output",
     "Parameter",
     "Parameters",
-    "Pid",
     "PidGains",
     "PidState",
     "Plant",
@@ -82,10 +97,12 @@ __all__ = [
     "Structure",
     "StructureLostError",
     "Tangents",
+    "TwoLevel",
     "advance",
     "begin",
     "begin_window",
     "box_step",
+    "commands_of",
     "controller_state",
     "dead_zone",
     "descend",
@@ -100,6 +117,7 @@ __all__ = [
     "maximum",
     "minimum",
     "noise_scores",
+    "pid_of",
     "quantities",
     "read",
     "rest_at",

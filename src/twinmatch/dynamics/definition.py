@@ -19,7 +19,8 @@ from twinmatch.dynamics.declarations import (
     Structure,
     require_text,
 )
-from twinmatch.dynamics.loop import PidGains, Sensor
+from twinmatch.dynamics.loop import Law
+from twinmatch.dynamics.sensor import Sensor
 
 Expression = Any
 """A SymPy expression; SymPy has no types of its own for mypy."""
@@ -35,8 +36,9 @@ class Equations:
 
     rates: Mapping[Expression, Expression]
     """Time derivative of each state that the structure has, in its unit per second."""
-    output: Expression
-    """The quantity that the sensor measures; a smooth function of states and parameters."""
+    output: Expression | Mapping[Expression, Expression]
+    """The quantity that the sensor measures, a smooth function of states and parameters; for several outputs,
+    that of each."""
     start: Mapping[Expression, Expression]
     """Initial value of each state, from the output, the drive until then, disturbances and parameters."""
     quantities: Mapping[str, Expression] = field(default_factory=dict)
@@ -45,7 +47,29 @@ class Equations:
 
 class PlantType(type):
     """Metaclass of plants: a separate type, so that a plant can define how it is pickled for another
-    process."""
+    process; and what is asked of a plant with one input and one output only."""
+
+    name: str
+    drives: Mapping[str, Drive]
+    outputs: Mapping[str, Output]
+
+    @property
+    def drive(cls) -> Drive:
+        """The only input."""
+        return cls._only("input", cls.drives)
+
+    @property
+    def output(cls) -> Output:
+        """The only output."""
+        return cls._only("output", cls.outputs)
+
+    def _only(cls, what: str, found: Mapping[str, _Declared]) -> _Declared:
+        if len(found) != 1:
+            raise PlantError(
+                f"plant {cls.name}: it has {len(found)} {what}s ({', '.join(found)}); this is for plants "
+                "with one input and one output"
+            )
+        return next(iter(found.values()))
 
 
 class PlantDefinition(metaclass=PlantType):
@@ -57,7 +81,7 @@ class PlantDefinition(metaclass=PlantType):
     """Names of optional parts; `equations` gets those that are included."""
     structures: ClassVar[Mapping[str, Structure]] = {}
     """Structures by name, simple ones first. The first is the one matched to single windows."""
-    loop: ClassVar[PidGains | None] = None
+    loop: ClassVar[Law | None] = None
     """The controller that runs the plant, if known; without one the twin is driven by u."""
     sensor: ClassVar[Sensor | None] = None
     """Sensor model for simulated plants; without one, readings are exact."""
@@ -74,8 +98,8 @@ class PlantDefinition(metaclass=PlantType):
     states: ClassVar[Mapping[str, State]]
     parameters: ClassVar[Mapping[str, Parameter]]
     disturbances: ClassVar[Mapping[str, Disturbance]]
-    drive: ClassVar[Drive]
-    output: ClassVar[Output]
+    drives: ClassVar[Mapping[str, Drive]]
+    outputs: ClassVar[Mapping[str, Output]]
 
     def equations(self, parts: frozenset[str]) -> Equations:  # noqa: ARG002 (subclasses use them)
         """Rates, output and start, in terms of the plant's own symbols (`self.name_of_a_quantity`)."""
@@ -86,14 +110,6 @@ class PlantDefinition(metaclass=PlantType):
     def _of(cls, kind: type[_Declared]) -> dict[str, _Declared]:
         return {n: v for n, v in cls.declarations.items() if isinstance(v, kind)}
 
-    @classmethod
-    def _one(cls, kind: type[_Declared]) -> _Declared:
-        held = list(cls._of(kind).values())
-        if len(held) != 1:
-            msg = f"plant {cls.name}: declares {len(held)} of {kind.__name__}; declare exactly one"
-            raise PlantError(msg)
-        return held[0]
-
 
 def require_consistent(plant: type[PlantDefinition], base: type[PlantDefinition]) -> None:
     """Check a plant's class; `base` is the class of which all plants are.
@@ -102,6 +118,9 @@ def require_consistent(plant: type[PlantDefinition], base: type[PlantDefinition]
         PlantError: it contradicts itself.
     """
     _require_names(plant, base)
+    for kind, found in ((Drive, plant.drives), (Output, plant.outputs)):
+        if not found:
+            raise PlantError(f"plant {plant.name}: declares no {kind.__name__}; declare at least one")
     if not isinstance(plant.structures, Mapping):
         kind = type(plant.structures).__name__
         raise PlantError(
@@ -156,7 +175,7 @@ def _require_names(plant: type[PlantDefinition], base: type[PlantDefinition]) ->
         raise PlantError(msg)
     own = {name for kind in base.__mro__ for name in (*vars(kind), *vars(kind).get("__annotations__", ()))}
     for name, declared in vars(plant).items():
-        if isinstance(declared, Declaration) and name in own and declared not in (plant.output, plant.drive):
+        if isinstance(declared, Declaration) and name in own and not isinstance(declared, Output | Drive):
             msg = f"plant {plant.name}: {name!r} is an attribute of every plant; rename this quantity"
             raise PlantError(msg)
     for attribute in ("title", "followed", "surroundings"):

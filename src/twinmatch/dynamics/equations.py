@@ -90,26 +90,49 @@ def derive(plant: PlantDefinition, parts: frozenset[str], unknown: frozenset[str
     written = written_equations(plant, parts)
     declared = {name: getattr(plant, name) for name in plant.declarations}
     states = tuple(declared[name] for name in plant.states if declared[name] in written.rates)
-    drive, measured = declared[plant.drive.name], declared[plant.output.name]
-    disturbances = tuple(declared[name] for name in plant.disturbances)
+    inputs, measured, disturbances = (
+        tuple(declared[name] for name in names) for names in (plant.drives, plant.outputs, plant.disturbances)
+    )
+    written_outputs = outputs_of(plant, written)
 
     kinks, roots = Kinks(), Roots(plant)
     rates = tuple(kinks.resolved(roots.smooth(sympy.sympify(written.rates[s]))) for s in states)
     quantities = {
         name: kinks.resolved(roots.smooth(sympy.sympify(e))) for name, e in written.quantities.items()
     }
-    output = roots.smooth(sympy.sympify(written.output))
+    outputs = tuple(roots.smooth(sympy.sympify(written_outputs[symbol])) for symbol in measured)
     start = tuple(roots.smooth(sympy.sympify(written.start[s])) for s in states)
-    for what, expressions in (("output", [output]), ("start", start)):
+    for what, expressions in (("output", outputs), ("start", start)):
         if any(Kinks().resolved(expression) != expression for expression in expressions):
             raise PlantError(f"{title}: the {what} has a kink; put it into the sensor or into a rate")
 
-    used = set().union(*(e.free_symbols for e in (*rates, output, *start, *kinks.conditions)))
+    used = set().union(*(e.free_symbols for e in (*rates, *outputs, *start, *kinks.conditions)))
     parameters = tuple(declared[name] for name in plant.parameters if declared[name] in used)
     return Derived(
-        states, (drive,), disturbances, parameters, tuple(s for s in parameters if str(s) in unknown),
-        (measured,), tuple(kinks.switches), tuple(kinks.conditions), rates, (output,), start, quantities,
+        states, inputs, disturbances, parameters, tuple(s for s in parameters if str(s) in unknown),
+        measured, tuple(kinks.switches), tuple(kinks.conditions), rates, outputs, start, quantities,
     )  # fmt: skip
+
+
+def outputs_of(plant: PlantDefinition, written: Equations) -> dict[Expression, Expression]:
+    """The expression of each output.
+
+    Raises:
+        PlantError: there is not one for each.
+    """
+    symbols = [getattr(plant, name) for name in plant.outputs]
+    if not isinstance(written.output, Mapping):
+        if len(symbols) == 1:
+            return {symbols[0]: written.output}
+        raise PlantError(
+            f"plant {plant.name}: it has {len(symbols)} outputs; write `output` as a dictionary, "
+            f"{{{', '.join(f'self.{symbol}: …' for symbol in symbols)}}}"
+        )
+    for symbol in (*symbols, *written.output):
+        if symbol not in written.output or symbol not in symbols:
+            todo = "has no expression" if symbol in symbols else "is not declared as an output"
+            raise PlantError(f"plant {plant.name}: in `output`, {symbol} {todo}")
+    return dict(written.output)
 
 
 def written_equations(plant: PlantDefinition, parts: frozenset[str]) -> Equations:
@@ -171,22 +194,31 @@ def _require_usable(plant: PlantDefinition, written: Equations) -> None:
     declared = {name: getattr(plant, name) for name in plant.declarations}
     every = [declared[name] for name in plant.states]
     states = _require_states(title, every, written)
-    inputs = {declared[name] for name in (*plant.disturbances, *plant.parameters)}
-    drive, measured = declared[plant.drive.name], declared[plant.output.name]
-    known = {*states, *inputs}
+    given = {declared[name] for name in (*plant.disturbances, *plant.parameters)}
+    drives, measured = ({declared[name] for name in names} for names in (plant.drives, plant.outputs))
+    known = {*states, *given}
     for state in states:
-        _require(f"{title}: the rate of {state}", written.rates[state], {*known, drive}, declared)
-        _require(f"{title}: the start of {state}", written.start[state], {*inputs, drive, measured}, declared)
-    if _symbols(written.output) & {drive}:
+        _require(f"{title}: the rate of {state}", written.rates[state], known | drives, declared)
+        _require(f"{title}: the start of {state}", written.start[state], given | drives | measured, declared)
+    for symbol, expression in outputs_of(plant, written).items():
+        name = "the output" if len(measured) == 1 else f"the output {symbol}"
+        _require_output(title, name, expression, drives, states, known, declared)
+    for name, expression in written.quantities.items():
+        _require(f"{title}: the quantity {name}", expression, known | drives, declared)
+
+
+def _require_output(  # noqa: PLR0917 (what is known of the plant)
+    title: str, name: str, expression: Any, drives: set[Any], states: list[Any], known: set[Any],
+    declared: Mapping[str, Any],
+) -> None:  # fmt: skip
+    if _symbols(expression) & drives:
         raise PlantError(
-            f"{title}: the output depends on the drive at the same instant; add a state between, or declare "
+            f"{title}: {name} depends on the drive at the same instant; add a state between, or declare "
             "a disturbance, map the drive's column to it too, and use it in the output"
         )
-    _require(f"{title}: the output", written.output, known, declared)
-    if not _symbols(written.output) & set(states):
-        raise PlantError(f"{title}: the output depends on no state; write it in terms of the states")
-    for name, expression in written.quantities.items():
-        _require(f"{title}: the quantity {name}", expression, {*known, drive}, declared)
+    _require(f"{title}: {name}", expression, known, declared)
+    if not _symbols(expression) & set(states):
+        raise PlantError(f"{title}: {name} depends on no state; write it in terms of the states")
 
 
 def _require_states(title: str, declared: list[Any], written: Equations) -> list[Any]:

@@ -11,10 +11,19 @@ from numpy.typing import NDArray
 
 from twinmatch.dynamics.declarations import PlantError
 from twinmatch.dynamics.descent import Descended, new_search, search_result
-from twinmatch.dynamics.loop import PidState, controller_state
+from twinmatch.dynamics.laws import LawCode
 from twinmatch.dynamics.plant import Parameters
 from twinmatch.dynamics.runs import LeastSquares
-from twinmatch.dynamics.simulation import FROM_PLANT_FILE, NO_GAINS, SKIPPED, LoopGains, Response, gains_for
+from twinmatch.dynamics.simulation import (
+    FROM_PLANT_FILE,
+    SKIPPED,
+    LoopGains,
+    Response,
+    gains_for,
+    law_of,
+    n_references,
+    signal_rows,
+)
 from twinmatch.signals import FloatArray, Window
 
 _COARSE = 0.5
@@ -33,28 +42,29 @@ class Known(NamedTuple):
 class Tangents(NamedTuple):
     """A run and its derivatives."""
 
-    output: FloatArray
-    """y, shape (N,)."""
-    input: FloatArray
-    """u, shape (N,)."""
+    outputs: FloatArray
+    """y, shape (N, o)."""
+    inputs: FloatArray
+    """u, shape (N, m)."""
     by: FloatArray
-    """Derivatives of output and input by the unknowns, shape (2, N, n)."""
+    """Derivatives of outputs and inputs by the unknowns, shape (o + m, N, n)."""
     by_state: FloatArray
     """Derivatives of the states one period later by the states, shape (N, nx, nx)."""
-    by_drive: FloatArray
-    """Derivatives of the states one period later by u, shape (N, nx)."""
-    free: FloatArray
-    """1 where the controller was not limited, else 0, shape (N,)."""
+    by_input: FloatArray
+    """Derivatives of the states one period later by u, shape (N, nx, m)."""
+    around: FloatArray
+    """Derivatives of the controller's commands, and of its state after them, by its state and the readings,
+    shape (N, m + q, q + o)."""
     seen: FloatArray
-    """Derivatives of the output by the states, shape (N, nx)."""
+    """Derivatives of the outputs by the states, shape (N, o, nx)."""
 
 
 class Experiment:
     """The twin on one window: in closed loop if the controller is known, otherwise driven by the recorded u.
 
     The closed-loop twin gets the window's reference from the third sample on, because the first two determine
-    the controller's state; the driven twin starts there, too. The unknowns are parameters and, after them,
-    initial states; all other states start at the plant file's values.
+    the controller's state; the driven twin starts there, too. The unknowns are parameters, then gains of the
+    controller, then initial states; all other states start at the plant file's values.
     """
 
     def __init__(
@@ -64,8 +74,9 @@ class Experiment:
         window: Window,
         *,
         free_starts: Sequence[str] = (),
+        free_gains: Sequence[str] = (),
         gains: LoopGains = FROM_PLANT_FILE,
-        weights: tuple[float, float] = (1.0, 1.0),
+        weights: Sequence[float] | None = None,
         robust: bool = False,
         settle: int = 0,
         coarse: bool = False,
@@ -78,9 +89,12 @@ class Experiment:
             free: names of the unknown parameters of the structure.
             window: recorded samples.
             free_starts: names of the states whose initial value is unknown.
-            gains: gains of the running controller, None for the driven twin; default: the plant file's, at
-                the window's period.
-            weights: weights of the residuals of output and input in the normal equations.
+            free_gains: names of the controller's unknown gains, such as "proportional" of a PID. Its state at
+                the start is that of the given gains.
+            gains: the running controller, None for the driven twin; default: the plant file's, at the
+                window's period.
+            weights: weights of the residuals of outputs and inputs in the normal equations, shape (o + m,);
+                default: 1.
             robust: let large residuals count linearly instead of quadratically.
             settle: number of samples after the start that are ignored.
             coarse: use steps as long as half the fastest time constant, for structures with fast parts; the
@@ -94,24 +108,28 @@ class Experiment:
         if len(window) <= SKIPPED:
             msg = f"{model.title}: the window has {len(window)} samples; the twin starts at the third"
             raise PlantError(msg)
-        for names, known in ((free, model.names), (free_starts, model.states)):
+        loop = gains_for(model.plant, window.period, gains)
+        known_gains = {} if loop is None else loop.GAINS
+        for names, known in ((free, model.names), (free_gains, known_gains), (free_starts, model.states)):
             unknown = [name for name in names if name not in known]
             if unknown:
                 msg = f"{model.title}: {unknown[0]!r} cannot be free; there are {', '.join(known)}"
                 raise PlantError(msg)
         self.model, self.base, self.window = model, base, window
         self.free, self.free_starts = tuple(free), tuple(free_starts)
-        loop = gains_for(model.plant, window.period, gains)
-        self.closed, self.gains = loop is not None, loop or NO_GAINS
-        if self.closed and self.gains.period != window.period:
+        self.free_gains, self.closed = tuple(free_gains), loop is not None
+        if loop is not None and loop.period != window.period:
             raise PlantError(
-                f"{model.title}: the controller runs every {self.gains.period} s but the window's samples "
+                f"{model.title}: the controller runs every {loop.period} s but the window's samples "
                 f"come every {window.period} s; give both the same period"
             )
-        self.controller = controller_state(window, self.gains) if self.closed else PidState()
-        self.measured = np.ascontiguousarray(np.stack([window.output, window.input])[:, SKIPPED:])
+        law, memory = law_of(loop, None if loop is None else loop.state(window))
+        references = window.inputs if loop is None else window.references
+        columns = n_references(model.plant, loop)
+        self.measured = np.concatenate([window.outputs, window.inputs], axis=1)[SKIPPED:].T.copy()
         self._kernels = model.kernels_by(self.free)
-        weighed = np.repeat(np.array(weights, dtype=np.float64)[:, None], self.measured.shape[1], 1)
+        given = np.ones(len(self.measured)) if weights is None else np.array(weights, dtype=np.float64)
+        weighed = np.repeat(given[:, None], self.measured.shape[1], 1)
         weighed[:, :settle] = 0.0
         if window.seen is not None:
             weighed[:, ~window.seen[SKIPPED:]] = 0.0
@@ -124,11 +142,12 @@ class Experiment:
             which=_indices(self._kernels.UNKNOWN, self.free),
             places=_indices(model.names, self.free),
             started=_indices(model.states, self.free_starts),
-            first=float(window.output[SKIPPED]),
-            input_before=float(window.input[SKIPPED - 1]),
-            closed=self.closed,
-            gains=self.gains.constants,
-            reference=np.array(window.reference[SKIPPED:]),
+            first=model.row_of("outputs", window.outputs[SKIPPED]),
+            inputs_before=model.row_of("inputs", window.inputs[SKIPPED - 1]),
+            law=law,
+            tuned=np.array([known_gains[name] for name in self.free_gains], dtype=np.int64),
+            memory=memory,
+            references=signal_rows(model.title, "reference", references[SKIPPED:], columns),
             measured=self.measured,
             weights=weighed,
             robust=bool(robust),
@@ -136,17 +155,16 @@ class Experiment:
             default_disturbances=model.disturbances,
             corners=model.corners,
             drives=model.drives,
-            integral=float(self.controller.integral),
-            previous=float(self.controller.previous),
             period=float(window.period),
             rate_limit=_COARSE if coarse else self._kernels.RATE_LIMIT,
             expected=expected,
             pull=pull,
         )
-        problem = self._problem
-        self._signals = (
-            problem.closed, problem.gains, problem.reference, self.measured[1], problem.disturbances,
-        )  # fmt: skip
+
+    @property
+    def controller(self) -> FloatArray:
+        """State of the controller at the start, shape (q,)."""
+        return self._problem.memory.copy()
 
     @property
     def pull(self) -> FloatArray:
@@ -156,7 +174,7 @@ class Experiment:
     @property
     def size(self) -> int:
         """Number of unknowns."""
-        return len(self.free) + len(self.free_starts)
+        return len(self.free) + len(self.free_gains) + len(self.free_starts)
 
     def parameters_at(self, values: FloatArray) -> Parameters:
         """The plant with these values of the unknowns, shape (n,)."""
@@ -164,23 +182,25 @@ class Experiment:
 
     def starts_at(self, values: FloatArray) -> dict[str, float]:
         """The unknown initial states, by name."""
-        return dict(zip(self.free_starts, values[len(self.free) :].tolist(), strict=True))
+        return dict(zip(self.free_starts, values[self.size - len(self.free_starts) :].tolist(), strict=True))
 
     def values_of(self, parameters: Parameters) -> FloatArray:
-        """The unknowns for given parameters; initial states are the plant file's, shape (n,)."""
+        """The unknowns, shape (n,): given parameters, the given gains, the plant file's initial states."""
         initial, _, _ = self._initial(parameters.vector)
         named = [parameters[name] for name in self.free]
-        return np.array([*named, *initial[self._problem.started]], dtype=np.float64)
+        gains = self._problem.law[self._problem.tuned]
+        return np.array([*named, *gains, *initial[self._problem.started]], dtype=np.float64)
 
     def simulate(self, values: FloatArray) -> Response:
-        """Run without derivatives; output and input have shape (N − 2,)."""
-        vector, states, _, steps = self._start(values)
+        """Run without derivatives, from the third sample on."""
+        vector, law, states, _, steps = self._start(values)
         problem, size = self._problem, self.measured.shape[1]
-        still = np.zeros(size), np.zeros(size, dtype=np.bool_), 0.0
-        output, input_, passed = self._kernels.run(
-            vector, states, *self._signals, *still, problem.integral, problem.previous, problem.period, steps
-        )
-        return Response(output, input_, passed, steps)
+        still = np.zeros((size, problem.first.size)), np.zeros(size, dtype=np.bool_), 0.0
+        outputs, inputs, passed = self._kernels.run(
+            vector, states, law, problem.memory, problem.references, problem.disturbances, *still,
+            problem.period, steps,
+        )  # fmt: skip
+        return Response(outputs, inputs, passed, steps)
 
     def normal(self, values: FloatArray) -> tuple[float, FloatArray, FloatArray]:
         """Cost, gradient Jᵀr, shape (n,), and JᵀJ, shape (n, n), of the weighed residuals.
@@ -207,33 +227,36 @@ class Experiment:
 
     def tangents(self, values: FloatArray) -> Tangents:
         """Run with all derivatives."""
-        vector, states, columns, steps = self._start(values)
+        vector, law, states, columns, steps = self._start(values)
         problem = self._problem
         found: tuple[FloatArray, ...] = self._kernels.run_with_tangents(
-            vector, problem.which, states, columns, *self._signals, problem.integral, problem.previous,
-            problem.period, steps, problem.measured, problem.weights, problem.robust, True, np.inf,
+            vector, problem.which, states, columns, law, problem.tuned, problem.memory, problem.references,
+            problem.disturbances, problem.period, steps, problem.measured, problem.weights, problem.robust,
+            True, np.inf,
         )  # fmt: skip
         return Tangents(*found[:7])
 
     @cached_property
     def start_slope(self) -> FloatArray:
-        """Derivatives of the initial states by the first output, shape (nx,); zero for unknown ones."""
+        """Derivatives of the initial states by the first outputs, shape (nx, o); zero for unknown ones."""
         slope = self._initial(self.base.vector)[1]
         slope[self._problem.started] = 0.0
         return np.asarray(slope, dtype=np.float64)
 
     def _initial(self, vector: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         initial: tuple[FloatArray, FloatArray, FloatArray] = self._kernels.begin(
-            vector, self._problem.first, self._problem.input_before, self._problem.disturbances[0]
+            vector, self._problem.first, self._problem.inputs_before, self._problem.disturbances[0]
         )
         return initial
 
-    def _start(self, values: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, int]:
-        """Parameters, states, their derivatives by the unknowns, and steps per sample."""
-        vector, states, columns, steps = self._kernels.start_at(self._problem, values)
-        if steps > self._kernels.MOST_STEPS:
-            self.model.steps(vector, self.window.period)  # raises the error
-        return vector, states, columns, steps
+    def _start(self, values: FloatArray) -> tuple[FloatArray, LawCode, FloatArray, FloatArray, int]:
+        """Parameters, law, states, their derivatives by the unknowns, and steps per sample."""
+        found: tuple[FloatArray, LawCode, FloatArray, FloatArray, int] = self._kernels.start_at(
+            self._problem, values
+        )
+        if found[-1] > self._kernels.MOST_STEPS:
+            self.model.steps(found[0], self.window.period)  # raises the error
+        return found
 
 
 def _indices(known: Sequence[str], names: Sequence[str]) -> NDArray[np.int64]:

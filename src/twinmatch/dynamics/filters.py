@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 
 from twinmatch.compiled import compiled
 from twinmatch.dynamics.kernels import (
+    N_UNKNOWN,
     OUTPUT_SLOPES,
     OUTPUTS,
     Code,
     Work,
     call,
     prepare,
-    scalar,
     tick_with_tangents,
     work_for,
 )
@@ -71,76 +71,86 @@ class TrackerConstants(NamedTuple):
 
 @compiled
 def correct(
-    code: Code, vector: FloatArray, x: FloatArray, covariance: FloatArray, y: float, d: FloatArray,
-    noise: float, limit: float, which: NDArray[np.int64], bounds: FloatArray,
-) -> tuple[float, float]:  # fmt: skip
-    """Correct by a reading, in place; return the innovation and its expected variance.
+    code: Code, vector: FloatArray, x: FloatArray, covariance: FloatArray, y: FloatArray, d: FloatArray,
+    noise: FloatArray, limit: float, which: NDArray[np.int64], bounds: FloatArray,
+) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+    """Correct by readings, shape (o,), with standard deviations `noise`, in place; return the innovation of
+    each, given those before it, and its expected variance.
 
     `which`, shape (2, m), holds the indices of the estimated parameters among those with tangents and among
     all; `bounds`, shape (2, m), limits them. Innovations are clipped at `limit` standard deviations.
     """
-    size, n = covariance.shape[0], x.size
-    slope, reach, gain = np.zeros(size), np.zeros(size), np.zeros(size)
+    size, n, q, outputs = covariance.shape[0], x.size, code[N_UNKNOWN], y.size
+    slope, reach, gain, moved = np.zeros(size), np.zeros(size), np.zeros(size), np.zeros(size)
     kept, way = np.zeros((size, size)), np.zeros((size, size))
+    innovations, variances = np.zeros(outputs), np.zeros(outputs)
     work = work_for(code, vector)
     call(code[OUTPUTS], x, x, d, work.p, work.b, work.seen)
     call(code[OUTPUT_SLOPES], x, x, d, work.p, work.b, work.shown)
-    innovation = y - work.seen[0]
+    for o in range(outputs):
+        innovation = y[o] - work.seen[o]
+        for i in range(size):
+            slope[i] = work.shown[o * n + i] if i < n else work.shown[outputs * n + o * q + which[0, i - n]]
+            innovation -= slope[i] * moved[i]
+            reach[i] = 0.0
+        variance = noise[o] * noise[o]
+        for i in range(size):
+            for j in range(size):
+                reach[i] += covariance[i, j] * slope[j]
+            variance += slope[i] * reach[i]
+        most = limit * np.sqrt(variance)
+        # With a reduced gain the reading is less informative; Joseph's form is correct for any gain.
+        weight = most / abs(innovation) if abs(innovation) > most else 1.0
+        for i in range(size):
+            gain[i] = weight * reach[i] / variance
+            moved[i] += gain[i] * innovation
+        for i in range(size):
+            for j in range(size):
+                kept[i, j] = (1.0 if i == j else 0.0) - gain[i] * slope[j]
+        for i in range(size):
+            for j in range(size):
+                way[i, j] = 0.0
+                for k in range(size):
+                    way[i, j] += kept[i, k] * covariance[k, j]
+        for i in range(size):
+            for j in range(i + 1):
+                total = noise[o] * noise[o] * gain[i] * gain[j]
+                for k in range(size):
+                    total += way[i, k] * kept[j, k]
+                covariance[i, j] = total
+                covariance[j, i] = total
+        innovations[o], variances[o] = innovation, variance
     for i in range(size):
-        slope[i] = work.shown[i] if i < n else work.shown[n + which[0, i - n]]
-    variance = noise * noise
-    for i in range(size):
-        for j in range(size):
-            reach[i] += covariance[i, j] * slope[j]
-        variance += slope[i] * reach[i]
-    most = limit * np.sqrt(variance)
-    # With a reduced gain the reading is less informative; Joseph's form is correct for any gain.
-    weight = most / abs(innovation) if abs(innovation) > most else 1.0
-    for i in range(size):
-        gain[i] = weight * reach[i] / variance
         if i < n:
-            x[i] += gain[i] * innovation
+            x[i] += moved[i]
         else:
             j = i - n
-            moved = vector[which[1, j]] + gain[i] * innovation
-            vector[which[1, j]] = min(max(moved, bounds[0, j]), bounds[1, j])
-    for i in range(size):
-        for j in range(size):
-            kept[i, j] = (1.0 if i == j else 0.0) - gain[i] * slope[j]
-    for i in range(size):
-        for j in range(size):
-            for q in range(size):
-                way[i, j] += kept[i, q] * covariance[q, j]
-    for i in range(size):
-        for j in range(i + 1):
-            total = noise * noise * gain[i] * gain[j]
-            for q in range(size):
-                total += way[i, q] * kept[j, q]
-            covariance[i, j] = total
-            covariance[j, i] = total
-    return innovation, variance
+            after = vector[which[1, j]] + moved[i]
+            vector[which[1, j]] = min(max(after, bounds[0, j]), bounds[1, j])
+    return innovations, variances
 
 
 @compiled
 def predict(
     code: Code, vector: FloatArray, x: FloatArray, covariance: FloatArray, process_noise: FloatArray,
-    u: float, d: FloatArray, period: float, steps: int, which: NDArray[np.int64], columns: FloatArray,
+    u: FloatArray, d: FloatArray, period: float, steps: int, which: NDArray[np.int64], columns: FloatArray,
 ) -> None:  # fmt: skip
     """Predict states and joint covariance one period ahead; `process_noise`, shape (n + m,), adds to its
     diagonal.
 
-    `columns`, shape (n, m + n + 1), is filled with the derivatives of the states by the m parameters
-    which[0], by the states and by the drive.
+    `columns`, shape (n, m + n + inputs), is filled with the derivatives of the states by the m parameters
+    which[0], by the states and by the inputs.
     """
-    n, m = x.size, which.shape[1]
+    n, m, inputs = x.size, which.shape[1], u.size
     size = n + m
-    du, way = np.zeros((1, size + 1)), np.zeros((size, size))
+    du, way = np.zeros((inputs, size + inputs)), np.zeros((size, size))
     columns[:] = 0.0
     for i in range(n):
         columns[i, m + i] = 1.0
-    du[0, size] = 1.0
+    for i in range(inputs):
+        du[i, size + i] = 1.0
     work = work_for(code, vector)
-    tick_with_tangents(code, x, scalar(u), d, work, period, steps, which[0], columns, du)
+    tick_with_tangents(code, x, u, d, work, period, steps, which[0], columns, du)
     for j in range(size):
         for i in range(n):
             for q in range(size):
@@ -160,11 +170,15 @@ def predict(
 
 
 @compiled
-def adapt(process_noise: FloatArray, factor: FloatArray, innovation: float, variance: float) -> None:
-    """Adapt the process noise, in place, to an innovation; `factor`, shape (1,), is how much it exceeds the
-    one given, or empty to leave it."""
+def adapt(
+    process_noise: FloatArray, factor: FloatArray, innovations: FloatArray, variances: FloatArray
+) -> None:
+    """Adapt the process noise, in place, to the innovations of a sample; `factor`, shape (1,), is how much it
+    exceeds the one given, or empty to leave it."""
     if factor.size:
-        surprise = min(innovation * innovation / variance, SURPRISE)
+        surprise = 0.0
+        for o in range(innovations.size):
+            surprise += min(innovations[o] * innovations[o] / variances[o], SURPRISE) / innovations.size
         after = min(max(factor[0] * math.exp(ADAPTS * (surprise - 1.0)), 1.0), MOST_NOISE)
         for i in range(process_noise.size):
             process_noise[i] *= after / factor[0]
@@ -175,10 +189,10 @@ def adapt(process_noise: FloatArray, factor: FloatArray, innovation: float, vari
 def follow(
     codes: NDArray[np.int64], sizes: NDArray[np.int64], vectors: FloatArray, x: FloatArray,
     covariances: FloatArray, process_noise: FloatArray, factors: FloatArray, rows: FloatArray,
-    steps: NDArray[np.int64], u: float, seen: bool, y: float, d: FloatArray, period: float, noise: float,
-    limit: float,
+    steps: NDArray[np.int64], u: FloatArray, seen: bool, y: FloatArray, d: FloatArray, period: float,
+    noise: FloatArray, limit: float,
 ) -> NDArray[np.bool_]:  # fmt: skip
-    """`predict` under the input and the disturbances `rows` of the sample before, then, if this one was
+    """`predict` under the inputs and the disturbances `rows` of the sample before, then, if this one was
     `seen`, `correct`, for several plants in place, one row of each array per plant; whether the results are
     finite, shape (C,).
 
@@ -192,16 +206,16 @@ def follow(
         covariance = covariances[i, : n * n].reshape((n, n))
         predict(
             code, vector, at, covariance, process_noise[i, :n], u, rows[i], period, steps[i], none,
-            np.zeros((n, n + 1)),
+            np.zeros((n, n + u.size)),
         )  # fmt: skip
         if seen:
             rows[i] = d
-            innovation, variance = correct(
+            innovations, variances = correct(
                 code, vector, at, covariance, y, rows[i], noise, limit, none, unbounded
             )
-            fine[i] = np.isfinite(innovation + variance)
+            fine[i] = np.isfinite(innovations.sum() + variances.sum())
             if fine[i]:
-                adapt(process_noise[i, :n], factors[i], innovation, variance)
+                adapt(process_noise[i, :n], factors[i], innovations, variances)
     return fine
 
 

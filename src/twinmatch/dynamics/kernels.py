@@ -185,36 +185,38 @@ def scalar(u: float) -> FloatArray:
 
 @compiled
 def advance(
-    code: Code, vector: FloatArray, x: FloatArray, u: float, d: FloatArray, period: float, steps: int
+    code: Code, vector: FloatArray, x: FloatArray, u: FloatArray, d: FloatArray, period: float, steps: int
 ) -> FloatArray:
-    """The states one period later under constant inputs and disturbances, shape (n,)."""
+    """The states one period later under constant inputs, shape (m,), and disturbances, shape (n,)."""
     after = x.copy()
-    tick(code, after, scalar(u), d, work_for(code, vector), period, steps)
+    tick(code, after, u, d, work_for(code, vector), period, steps)
     return after
 
 
 @compiled
 def begin(
-    code: Code, vector: FloatArray, y: float, u: float, d: FloatArray
+    code: Code, vector: FloatArray, y: FloatArray, u: FloatArray, d: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Initial states after an input u, and their derivatives by y, shape (n,), and the unknowns, (n, q)."""
-    n, q = code[N], code[N_UNKNOWN]
+    """Initial states, shape (n,), at readings y after inputs u, and their derivatives by y, shape (n, o), and
+    the unknowns, (n, q)."""
+    n, o, q = code[N], code[N_OUTPUTS], code[N_UNKNOWN]
     work = work_for(code, vector)
-    found = np.empty(n * (2 + q))
-    call(code[START], scalar(y), scalar(u), d, work.p, work.b, found)
-    return found[:n].copy(), found[n : 2 * n].copy(), found[2 * n :].copy().reshape((n, q))
+    found = np.empty(n * (1 + o + q))
+    call(code[START], y, u, d, work.p, work.b, found)
+    by_y, by_unknown = found[n : n * (1 + o)].copy(), found[n * (1 + o) :].copy()
+    return found[:n].copy(), by_y.reshape((n, o)), by_unknown.reshape((n, q))
 
 
 @compiled
 def outputs_at(
-    code: Code, vector: FloatArray, x: FloatArray, u: float, d: FloatArray
-) -> tuple[float, FloatArray]:
-    """The output, and the plant's other quantities."""
-    work, found, of_u = work_for(code, vector), np.zeros(code[N_QUANTITIES]), scalar(u)
-    call(code[SWITCHES], x, of_u, d, work.p, work.b, work.b)
-    call(code[QUANTITIES], x, of_u, d, work.p, work.b, found)
-    call(code[OUTPUTS], x, of_u, d, work.p, work.b, work.seen)
-    return work.seen[0], found
+    code: Code, vector: FloatArray, x: FloatArray, u: FloatArray, d: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """The outputs, shape (o,), and the plant's other quantities."""
+    work, found = work_for(code, vector), np.zeros(code[N_QUANTITIES])
+    call(code[SWITCHES], x, u, d, work.p, work.b, work.b)
+    call(code[QUANTITIES], x, u, d, work.p, work.b, found)
+    call(code[OUTPUTS], x, u, d, work.p, work.b, work.seen)
+    return work.seen, found
 
 
 @compiled
@@ -250,18 +252,20 @@ def parts(
 
 @compiled
 def slopes_at(
-    code: Code, vector: FloatArray, x: FloatArray, u: float, d: FloatArray
+    code: Code, vector: FloatArray, x: FloatArray, u: FloatArray, d: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Rates, their derivatives by states, drive and parameters, and the output's by states, parameters."""
-    n, q, m = code[N], code[N_UNKNOWN], code[N_INPUTS]
-    work, of_u, found = work_for(code, vector), scalar(u), np.empty(n * (q + 1 + n + m))
-    call(code[SWITCHES], x, of_u, d, work.p, work.b, work.b)
-    call(code[SLOPES], x, of_u, d, work.p, work.b, found)
-    call(code[OUTPUT_SLOPES], x, of_u, d, work.p, work.b, work.shown)
+    """Rates, their derivatives by states, shape (n, n), inputs, (n, m), and parameters, (n, q); and those of
+    the outputs by states, shape (o, n), and parameters, (o, q)."""
+    n, q, m, o = code[N], code[N_UNKNOWN], code[N_INPUTS], code[N_OUTPUTS]
+    work, found = work_for(code, vector), np.empty(n * (q + 1 + n + m))
+    call(code[SWITCHES], x, u, d, work.p, work.b, work.b)
+    call(code[SLOPES], x, u, d, work.p, work.b, found)
+    call(code[OUTPUT_SLOPES], x, u, d, work.p, work.b, work.shown)
     rates, rest = found[n * q : n * q + n].copy(), found[n * q + n :]
     return (
-        rates, rest[: n * n].copy().reshape((n, n)), rest[n * n :].copy(),
-        found[: n * q].copy().reshape((n, q)), work.shown[:n].copy(), work.shown[n:].copy(),
+        rates, rest[: n * n].copy().reshape((n, n)), rest[n * n :].copy().reshape((n, m)),
+        found[: n * q].copy().reshape((n, q)), work.shown[: o * n].copy().reshape((o, n)),
+        work.shown[o * n :].copy().reshape((o, q)),
     )  # fmt: skip
 
 
@@ -273,19 +277,19 @@ def step_count(
     """Runge–Kutta steps per sample, none longer than `limit` times the fastest time constant; more than
     MOST_STEPS where the plant is too fast.
 
-    The fastest rate decides: the largest over the states `corners`, shape (k, n), the drives, and all
+    The fastest rate decides: the largest over the states `corners`, shape (k, n), the inputs `drives`, shape
+    (k, m), and all
     branches of the kinks, of the least of three norms of df/dx (rows, columns, Frobenius), each of which
     bounds the eigenvalues.
     """
     n, q, switched, fastest = code[N], code[N_UNKNOWN], code[N_SWITCHES], 0.0
-    work, of_u, found = work_for(code, vector), np.empty(1), np.empty(n * (q + 1 + n + code[N_INPUTS]))
+    work, found = work_for(code, vector), np.empty(n * (q + 1 + n + code[N_INPUTS]))
     for k in range(corners.shape[0]):
-        for u in drives:
-            of_u[0] = u
+        for given in range(drives.shape[0]):
             for branch in range(2 ** min(switched, MOST_SWITCHES)):
                 for i in range(switched):
                     work.b[i] = float(branch >> i & 1)
-                call(code[SLOPES], corners[k], of_u, d, work.p, work.b, found)
+                call(code[SLOPES], corners[k], drives[given], d, work.p, work.b, found)
                 fx = found[n * q + n :]
                 rows, columns, squares = 0.0, 0.0, 0.0
                 for i in range(n):

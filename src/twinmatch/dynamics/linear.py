@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from twinmatch.dynamics.declarations import PlantError
 from twinmatch.dynamics.plant import Parameters
-from twinmatch.signals import FloatArray
+from twinmatch.signals import FloatArray, only
 
 MOST_STEPS = 60
 STEADY = 1e-9
@@ -21,7 +21,13 @@ class Rest(NamedTuple):
 
     states: FloatArray
     """States, shape (n,)."""
-    input: float
+    inputs: FloatArray
+    """Shape (m,)."""
+
+    @property
+    def input(self) -> float:
+        """The input of a plant with one."""
+        return float(only("input", self.inputs))
 
 
 class Linear(NamedTuple):
@@ -30,31 +36,37 @@ class Linear(NamedTuple):
     A: FloatArray
     """Shape (n, n)."""
     B: FloatArray
-    """Shape (n, 1)."""
+    """Shape (n, m)."""
     C: FloatArray
-    """Shape (1, n)."""
+    """Shape (o, n)."""
     period: float
     """Sample time, s."""
     rest: Rest
     """The point of linearisation: an equilibrium or, for `linearised_at`, a point that is passed through."""
 
 
-def rest_at(parameters: Parameters, output: float, disturbances: ArrayLike | None = None) -> Rest:
-    """The states and the input of the equilibrium with this output.
+def rest_at(parameters: Parameters, output: ArrayLike, disturbances: ArrayLike | None = None) -> Rest:
+    """The states and the inputs of the equilibrium with these outputs, shape (o,), or a number.
 
     Raises:
-        PlantError: no input within the drive's limits holds it there.
+        PlantError: no inputs within the drives' limits hold it there, or the plant has another number of
+            inputs than of outputs.
     """
     model = parameters.model
-    row, drive = model.disturbance_row(disturbances), model.plant.drive
-    states, _, _ = model.kernels.begin(parameters.vector, float(output), float(drive.rest), row)
+    row, drives, y = model.disturbance_row(disturbances), model.plant.drives, model.row_of("outputs", output)
+    if len(drives) != y.size:
+        raise PlantError(
+            f"{model.title}: it has {len(drives)} inputs and {y.size} outputs; only as many inputs as "
+            "outputs hold it at given outputs"
+        )
+    states, _, _ = model.kernels.begin(parameters.vector, y, model.rest, row)
     low, high = np.array([state.span for state in model.declared_states], dtype=np.float64).T
-    scales = np.append(high - low, drive.limits[1] - drive.limits[0])
-    u = drive.rest
+    least, most = np.array([drive.limits for drive in drives.values()], dtype=np.float64).T
+    scales, n, u = np.append(high - low, most - least), states.size, model.rest
     for _ in range(MOST_STEPS):
         f, fx, fu, _, hx, _ = model.kernels.slopes_at(parameters.vector, states, u, row)
-        off = model.kernels.outputs_at(parameters.vector, states, u, row)[0] - output
-        slopes = np.block([[fx, fu[:, None]], [hx[None, :], np.zeros((1, 1))]]) * scales
+        off = model.kernels.outputs_at(parameters.vector, states, u, row)[0] - y
+        slopes = np.block([[fx, fu], [hx, np.zeros((y.size, y.size))]]) * scales
         size = np.max(np.abs(slopes), axis=1)
         if not (np.isfinite(slopes).all() and (size > 0).all()):
             break
@@ -63,49 +75,53 @@ def rest_at(parameters: Parameters, output: float, disturbances: ArrayLike | Non
             break
         step = np.linalg.solve(slopes, -np.append(f, off) / size) * scales
         # Outside the plant's range its equations may be invalid: move by at most half the range per step.
-        states = np.clip(states + step[:-1], states - 0.5 * scales[:-1], states + 0.5 * scales[:-1])
-        u = float(np.clip(u + step[-1], drive.limits[0] - scales[-1], drive.limits[1] + scales[-1]))
+        states = np.clip(states + step[:n], states - 0.5 * scales[:n], states + 0.5 * scales[:n])
+        u = np.clip(u + step[n:], least - scales[n:], most + scales[n:])
         if np.max(np.abs(step) / scales) <= STEADY:
-            if drive.limits[0] <= u <= drive.limits[1]:
+            if (least <= u).all() and (u <= most).all():
                 return Rest(states, u)
             break
-    unit, name = model.plant.output.unit, drive.unit or drive.name
+    held = ", ".join(f"{v:g} {o.unit}" for v, o in zip(y, model.plant.outputs.values(), strict=True))
+    within = ", ".join(
+        f"{drive.unit or drive.name} between {drive.limits[0]:g} and {drive.limits[1]:g}"
+        for drive in drives.values()
+    )
     raise PlantError(
-        f"{model.title}: no {name} between {drive.limits[0]:g} and {drive.limits[1]:g} holds it at "
-        f"{output:g} {unit}; give an operating point at which it can be held"
+        f"{model.title}: no {within} holds it at {held}; give an operating point at which it can be held"
     )
 
 
 def linearised(
-    parameters: Parameters, output: float, period: float, disturbances: ArrayLike | None = None
+    parameters: Parameters, output: ArrayLike, period: float, disturbances: ArrayLike | None = None
 ) -> Linear:
-    """The plant sampled with a period (s), linearised at the equilibrium with this output.
+    """The plant sampled with a period (s), linearised at the equilibrium with these outputs.
 
     Raises:
         PlantError: as `rest_at`, or the plant is too fast for the period.
     """
     rest = rest_at(parameters, output, disturbances)
-    return linearised_at(parameters, rest.states, rest.input, period, disturbances)
+    return linearised_at(parameters, rest.states, rest.inputs, period, disturbances)
 
 
 def linearised_at(
     parameters: Parameters,
     states: FloatArray,
-    input: float,
+    input: ArrayLike,
     period: float,
     disturbances: ArrayLike | None = None,
 ) -> Linear:
-    """The plant sampled with a period (s), linearised at given states, shape (n,), and input.
+    """The plant sampled with a period (s), linearised at given states, shape (n,), and inputs, shape (m,).
 
     Raises:
         PlantError: the plant is too fast for the period.
     """
     model = parameters.model
     row, steps, n = model.disturbance_row(disturbances), parameters.steps(period), states.size
-    slopes, nowhere = np.zeros((n, n + 1)), np.zeros((2, 0), dtype=np.int64)
+    u = model.row_of("inputs", input)
+    slopes, nowhere = np.zeros((n, n + u.size)), np.zeros((2, 0), dtype=np.int64)
     model.kernels.predict(
-        parameters.vector, states.copy(), np.zeros((n, n)), np.zeros(n), float(input), row, float(period),
-        steps, nowhere, slopes,
+        parameters.vector, states.copy(), np.zeros((n, n)), np.zeros(n), u, row, float(period), steps,
+        nowhere, slopes,
     )  # fmt: skip
-    _, _, _, _, hx, _ = model.kernels.slopes_at(parameters.vector, states, float(input), row)
-    return Linear(slopes[:, :n].copy(), slopes[:, n:].copy(), hx[None, :], period, Rest(states, input))
+    hx = model.kernels.slopes_at(parameters.vector, states, u, row)[4]
+    return Linear(slopes[:, :n].copy(), slopes[:, n:].copy(), hx, period, Rest(states, u))

@@ -1,83 +1,23 @@
-"""The loop around a plant: its PID controller and its sensor, with the compiled arithmetic of one sample.
+"""The loop around a plant as a user declares it: a PID, two levels with hysteresis, or a linear law.
 
-The controller has the parallel form, forward Euler, and back-calculation against windup. The sensor has
-noise, quantisation, and pauses in which it repeats its reading.
+The PID has the parallel form, forward Euler, and back-calculation against windup.
 """
-
-# ruff: noqa: PLR0917 (kernels take arrays in a row)
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from operator import attrgetter
-from typing import NamedTuple
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import ClassVar, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
 
-from twinmatch.compiled import compiled
 from twinmatch.dynamics.declarations import PlantError
+from twinmatch.dynamics.laws import LINEAR, LOW, PID, TWO_LEVEL, LawCode, commands_of
 from twinmatch.signals import FloatArray, Window
 
 _MOST_AMPLIFICATION = 1e3
-
-
-class Gains(NamedTuple):
-    """The values of `PidGains`, for compiled code."""
-
-    proportional: float
-    integral: float
-    derivative: float
-    back_calculation: float
-    period: float
-    low: float
-    high: float
-    on_measurement: bool
-
-
-_NUMBERS = attrgetter(*Gains._fields[:-1])
-
-
-@compiled
-def pid_step(
-    gains: Gains, integral: float, previous: float, reference: float, output: float
-) -> tuple[float, float, float]:
-    """Command u of one sample, and the controller's new state: integral and differentiated signal."""
-    error = reference - output
-    moved = -output if gains.on_measurement else error
-    unlimited = gains.proportional * error + integral + gains.derivative * (moved - previous) / gains.period
-    u = min(max(unlimited, gains.low), gains.high)
-    integral += gains.period * (gains.integral * error + gains.back_calculation * (u - unlimited))
-    return u, integral, moved
-
-
-@compiled(innermost=True)
-def loop_step(
-    gains: Gains, integral: float, previous_error: float, reference: float, y: float, dy: FloatArray,
-    d_integral: FloatArray, d_error: FloatArray, du: FloatArray, n: int,
-) -> tuple[float, float, float, float]:  # fmt: skip
-    """The controller's step with the derivatives of its state; d_error is that of `previous_error`."""
-    u, after, error = pid_step(gains, integral, previous_error, reference, y)
-    per_second = gains.derivative / gains.period
-    free = 1.0 if gains.low < u < gains.high else 0.0
-    for j in range(n):
-        unlimited = d_integral[j] - (gains.proportional + per_second) * dy[j] - per_second * d_error[j]
-        du[j] = free * unlimited
-        d_integral[j] += gains.period * (
-            gains.back_calculation * (du[j] - unlimited) - gains.integral * dy[j]
-        )
-        d_error[j] = -dy[j]
-    return u, after, error, free
-
-
-@compiled
-def reading(seen: float, noise: float, frozen: bool, resolution: float, last: float) -> float:
-    """The reading of a value: noisy and quantised; the last reading while the sensor is frozen."""
-    if frozen:
-        return last
-    value = seen + noise
-    return math.floor(value / resolution + 0.5) * resolution if resolution > 0.0 else value
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,8 +45,19 @@ class PidGains:
     on_measurement: bool = False
     """Whether the derivative is that of −y, which avoids derivative kick at set-point steps."""
 
+    n_states: ClassVar[int] = 2
+    n_outputs: ClassVar[int] = 1
+    n_inputs: ClassVar[int] = 1
+    n_references: ClassVar[int] = 1
+    GAINS: ClassVar[Mapping[str, int]] = {
+        "proportional": 0,
+        "integral": 1,
+        "derivative": 2,
+        "back_calculation": 3,
+    }
+
     def __post_init__(self) -> None:
-        if not all(math.isfinite(value) for value in self.constants):
+        if not all(math.isfinite(getattr(self, each.name)) for each in fields(self)):
             msg = f"PID gains: {self} holds a value that is not finite"
             raise PlantError(msg)
         if self.period <= 0 or not self.low < self.high:
@@ -116,70 +67,44 @@ class PidGains:
             )
 
     @property
-    def constants(self) -> Gains:
+    def law(self) -> LawCode:
         """The same numbers for compiled code."""
-        return Gains._make((*map(float, _NUMBERS(self)), bool(self.on_measurement)))
+        return np.array([
+            PID, self.period, 1, self.low, self.high, self.proportional, self.integral, self.derivative,
+            self.back_calculation, self.on_measurement,
+        ], dtype=np.float64)  # fmt: skip
+
+    def state(self, window: Window) -> FloatArray:
+        """Its state after the window's second sample, shape (2,)."""
+        return np.array(controller_state(window, self))
+
+    def follow(
+        self, state: FloatArray, reference: FloatArray, output: FloatArray, u: FloatArray
+    ) -> FloatArray:
+        """The state after a sample with this command.
+
+        With Kb·Ts = 1 the sample and the one before it determine it. Otherwise they do so if u was not
+        limited; if it was, the integral is updated by the back-calculation, which forgets by the factor
+        1 − Kb·Ts each sample.
+        """
+        error, command = float(reference[0] - output[0]), float(u[0])
+        moved = -float(output[0]) if self.on_measurement else error
+        consistent = _consistent_integral(self, error, moved - float(state[1]), command)
+        before = float(state[0]) if self.saturates(command) else consistent
+        return np.array([_next_integral(self, before, consistent, error), moved])
 
     def saturates(self, u: float) -> bool:
         """Whether a command is on a limit."""
         return not self.low < u < self.high
 
 
-@dataclass(frozen=True, slots=True)
-class PidState:
+class PidState(NamedTuple):
     """State of the controller between two samples."""
 
     integral: float = 0.0
     """Integral part of the next u, in its unit."""
     previous: float = 0.0
     """The differentiated signal at the last sample: e = r − y, or −y."""
-
-
-class Pid:
-    """A controller in operation.
-
-    At each sample e = r − y, v = P·e + x + D·(e − e_prev)/Ts, u = clip(v, low, high), and then
-    x += Ts·(I·e + Kb·(u − v)). It starts with x = 0 and e_prev = 0.
-    """
-
-    def __init__(self, gains: PidGains, state: PidState | None = None) -> None:
-        self.gains = gains
-        self.state = state or PidState()
-        self._constants = self.gains.constants
-
-    def step(self, reference: float, output: float) -> float:
-        """Compute u of one sample from set-point and output.
-
-        Raises:
-            PlantError: reference or output is not finite; the state is unchanged.
-        """
-        _require_finite(reference=reference, output=output)
-        u, integral, previous = pid_step(
-            self._constants,
-            float(self.state.integral),
-            float(self.state.previous),
-            float(reference),
-            float(output),
-        )
-        self.state = PidState(integral, previous)
-        return u
-
-    def follow(self, reference: float, output: float, u: float) -> None:
-        """Adopt the state after a sample whose u was computed by another controller with the same gains.
-
-        With Kb·Ts = 1 the sample and the one before it determine the new state. Otherwise they do so if
-        u was not limited; if it was, this controller's own integral is updated by the back-calculation,
-        which forgets by the factor 1 − Kb·Ts each sample.
-
-        Raises:
-            PlantError: a value is not finite; the state is unchanged.
-        """
-        _require_finite(reference=reference, output=output, input=u)
-        error = reference - output
-        moved = -output if self.gains.on_measurement else error
-        consistent = _consistent_integral(self.gains, error, moved - self.state.previous, u)
-        before = self.state.integral if self.gains.saturates(u) else consistent
-        self.state = PidState(_next_integral(self.gains, before, consistent, error), moved)
 
 
 def controller_state(window: Window, gains: PidGains) -> PidState:
@@ -225,105 +150,247 @@ def _next_integral(gains: PidGains, integral: float, consistent: float, error: f
     return integral + excess + gains.period * gains.integral * error
 
 
-def _require_finite(**signals: float) -> None:
+def _finite(**signals: ArrayLike) -> list[FloatArray]:
+    rows = []
     for name, value in signals.items():
-        if not math.isfinite(value):
-            msg = f"PID: {name} is {value}; the controller takes only finite values"
-            raise PlantError(msg)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SensorRealisation:
-    """One camera over one run, with all its random values drawn in advance.
-
-    Raises:
-        PlantError: the arrays differ in length or the resolution is negative or not finite.
-    """
-
-    noise: FloatArray
-    """Noise of each reading, unit of the output, shape (N,)."""
-    frozen: NDArray[np.bool_]
-    """Where the camera repeats its last reading, shape (N,)."""
-    resolution: float
-    """Step of the reading, unit of the output; 0 for none."""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "noise", np.array(self.noise, dtype=np.float64))
-        object.__setattr__(self, "frozen", np.array(self.frozen, dtype=np.bool_))
-        if self.noise.ndim != 1 or self.noise.shape != self.frozen.shape:
-            raise PlantError(
-                f"sensor realisation: noise has shape {self.noise.shape} and frozen {self.frozen.shape}; "
-                "give one value per sample in both"
-            )
-        if not (np.isfinite(self.noise).all() and math.isfinite(self.resolution) and self.resolution >= 0):
-            msg = "sensor realisation: noise and resolution must be finite, the resolution not negative"
-            raise PlantError(msg)
-        self.noise.flags.writeable = False
-        self.frozen.flags.writeable = False
-
-    def __len__(self) -> int:
-        return int(self.noise.size)
-
-    def reading(self, index: int, seen: float, last: float | None = None) -> float:
-        """The reading at one tick of the value `seen`; `last` is the reading before.
-
-        Without a reading before, a frozen sensor reads the value itself.
-
-        Raises:
-            PlantError: the realisation has no such index.
-        """
-        if not 0 <= index < len(self):
-            msg = f"sensor realisation: reading {index} of {len(self)}; realise more samples"
-            raise PlantError(msg)
-        frozen = bool(self.frozen[index]) and last is not None
-        return reading(float(seen), float(self.noise[index]), frozen, float(self.resolution), last or 0.0)
+        row = np.array(value, dtype=np.float64, ndmin=1)
+        if not np.isfinite(row).all():
+            shown = row.item() if row.size == 1 else row.tolist()
+            raise PlantError(f"controller: {name} is {shown}; the controller takes only finite values")
+        rows.append(row)
+    return rows
 
 
 @dataclass(frozen=True, slots=True)
-class Sensor:
-    """A sensor that may freeze for a moment now and then, like a camera that corrects its flat field.
+class TwoLevel:
+    """Two commands with hysteresis and dwell times: on where the reading falls below r − `below`, off where
+    it rises above r + `above`.
 
     Raises:
-        PlantError: a value is not finite or negative, or a pause lasts as long as its period.
+        PlantError: a value is not finite or negative, or the levels are not in order.
     """
 
-    noise: float = 0.0
-    """Standard deviation of a reading, unit of the output; white."""
-    resolution: float = 0.0
-    """Step of the reading; 0 for none."""
-    pause_period: float | None = None
-    """Time between two pauses, s; None for a sensor that never pauses."""
-    pause_duration: float = 0.9
-    """Duration of a pause, in which the reading repeats, s."""
+    off: float
+    """Command while it is off."""
+    on: float
+    """Command while it is on, above `off`."""
+    below: float
+    """Unit of the output; as `above`."""
+    above: float
+    least_on: float = 0.0
+    """Shortest time that it stays on, s."""
+    least_off: float = 0.0
+    """Shortest time that it stays off, s."""
+    most_on: float = math.inf
+    """Longest time that it stays on, s."""
+    period: float = 1.0
+    """Sample time, s."""
+
+    n_states: ClassVar[int] = 3
+    n_outputs: ClassVar[int] = 1
+    n_inputs: ClassVar[int] = 1
+    n_references: ClassVar[int] = 1
+    GAINS: ClassVar[Mapping[str, int]] = {"below": 5, "above": 6, "least_on": 7, "least_off": 8, "most_on": 9}
 
     def __post_init__(self) -> None:
-        for name in ("noise", "resolution", "pause_duration"):
+        for name in ("off", "on", "below", "above", "least_on", "least_off", "period"):
             value = getattr(self, name)
-            if not (math.isfinite(value) and value >= 0):
-                msg = f"sensor: {name} is {value}; it must be finite and not negative"
-                raise PlantError(msg)
-        period = self.pause_period
-        if period is not None and not (math.isfinite(period) and period > self.pause_duration):
+            if not math.isfinite(value) or (value < 0 and name not in ("off", "on", "below", "above")):
+                raise PlantError(
+                    f"two-level law: {name} is {value}; give a finite number, times not negative"
+                )
+        if not self.off < self.on or not self.below + self.above >= 0 or not self.period > 0:
             raise PlantError(
-                f"sensor: a pause every {period} s leaves no time between pauses of "
-                f"{self.pause_duration} s; make the period longer or None"
+                f"two-level law: {self}: give off below on, limits that do not cross, and a positive period"
             )
+        if not self.most_on > self.least_on:
+            raise PlantError(f"two-level law: most_on is {self.most_on} s; give more than least_on")
 
-    def realise(self, samples: int, period: float, seed: int) -> SensorRealisation:
-        """Draw noise and pauses for `samples` ticks of `period` seconds; the same seed gives the same run.
+    @property
+    def law(self) -> LawCode:
+        """The same numbers for compiled code."""
+        return np.array([
+            TWO_LEVEL, self.period, 1, self.off, self.on, self.below, self.above, self.least_on,
+            self.least_off, self.most_on,
+        ], dtype=np.float64)  # fmt: skip
 
-        The first pause comes at a random moment of the first pause period.
+    def state(self, window: Window) -> FloatArray:
+        """Its state after the window's second sample, shape (3,): whether it is on, for how long (since the
+        first sample, if the command did not change), and the reading."""
+        on = window.inputs[:2, 0] > 0.5 * (self.off + self.on)
+        held = self.least_on + self.least_off if on[0] == on[1] else 0.0
+        return np.array([float(on[1]), held, window.outputs[1, 0]])
+
+    def saturates(self, u: float) -> bool:  # noqa: ARG002 (as of other laws)
+        """Whether a command is on a limit: the two levels are its only commands."""
+        return False
+
+    def follow(
+        self, state: FloatArray, reference: FloatArray, output: FloatArray, u: FloatArray  # noqa: ARG002
+    ) -> FloatArray:  # fmt: skip
+        """The state after a sample with this command."""
+        on = float(u[0] > 0.5 * (self.off + self.on))
+        return np.array([on, state[1] + self.period if on == state[0] else 0.0, output[0]])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LinearLaw:
+    """u = clip(C·x + D·y + E·r + offset), then x ← A·x + B·y + F·r + G·u + shift, with q states x.
+
+    An observer with state feedback is such a law; G is how it takes the limited command into account.
+
+    Raises:
+        PlantError: a shape does not fit, a value is not finite, or the limits are not in order.
+    """
+
+    A: FloatArray
+    """Shape (q, q)."""
+    B: FloatArray
+    """Of the readings, shape (q, p)."""
+    C: FloatArray
+    """Shape (m, q)."""
+    D: FloatArray
+    """Shape (m, p)."""
+    E: FloatArray
+    """Of the set-points, shape (m, r)."""
+    F: FloatArray
+    """Shape (q, r)."""
+    G: FloatArray
+    """Of the commands, shape (q, m)."""
+    offset: FloatArray
+    """Shape (m,)."""
+    shift: FloatArray
+    """Shape (q,)."""
+    low: FloatArray
+    """Least commands, shape (m,)."""
+    high: FloatArray
+    """Greatest commands, shape (m,)."""
+    period: float = 1.0
+    """Sample time, s."""
+
+    def __post_init__(self) -> None:
+        for each in fields(self)[:-1]:
+            object.__setattr__(self, each.name, np.array(getattr(self, each.name), dtype=np.float64))
+        if self.C.ndim != 2 or self.D.ndim != 2 or self.E.ndim != 2:
+            raise PlantError("linear law: C, D and E must be matrices with a row for each command")
+        (m, q), p, r = self.C.shape, self.D.shape[1], self.E.shape[1]
+        shapes = {
+            "A": (q, q), "B": (q, p), "D": (m, p), "E": (m, r), "F": (q, r), "G": (q, m), "offset": (m,),
+            "shift": (q,), "low": (m,), "high": (m,),
+        }  # fmt: skip
+        for name, shape in shapes.items():
+            value = getattr(self, name)
+            if value.shape != shape or np.isnan(value).any():
+                raise PlantError(f"linear law: {name} has shape {value.shape}; give numbers of shape {shape}")
+        if not (self.low < self.high).all() or not (math.isfinite(self.period) and self.period > 0):
+            raise PlantError("linear law: give limits in increasing order, and a positive period")
+
+    @property
+    def GAINS(self) -> Mapping[str, int]:  # noqa: N802 (a constant of the other laws)
+        """Places of the entries of its matrices in its `law`, by names such as "D[0,1]"."""
+        (m, q), p, r = self.C.shape, self.D.shape[1], self.E.shape[1]
+        width, begin, places = q + p + r + 1 + m, LOW + 2 * m, {}
+        for row, first, names in ((0, m, "CDE"), (m, q, "ABF")):
+            for name, column, count in zip(names, (0, q, q + p), (q, p, r), strict=True):
+                for i in range(first):
+                    for j in range(count):
+                        places[f"{name}[{i},{j}]"] = begin + (row + i) * width + column + j
+        return places
+
+    @property
+    def n_states(self) -> int:
+        """Number of states q."""
+        return int(self.C.shape[1])
+
+    @property
+    def n_outputs(self) -> int:
+        """Number of readings p that it takes."""
+        return int(self.D.shape[1])
+
+    @property
+    def n_inputs(self) -> int:
+        """Number of commands m."""
+        return int(self.C.shape[0])
+
+    @property
+    def n_references(self) -> int:
+        """Number of set-points r."""
+        return int(self.E.shape[1])
+
+    @property
+    def law(self) -> LawCode:
+        """The same numbers for compiled code."""
+        m = self.n_inputs
+        numbers = np.block([
+            [self.C, self.D, self.E, self.offset[:, None], np.zeros((m, m))],
+            [self.A, self.B, self.F, self.shift[:, None], self.G],
+        ])  # fmt: skip
+        return np.concatenate([[LINEAR, self.period, m], self.low, self.high, numbers.ravel()])
+
+    def state(self, window: Window) -> FloatArray:
+        """Its state after the window's second sample, shape (q,): the one with which it gives the recorded
+        commands, as far as they are within the limits; of several, the smallest."""
+        q = self.n_states
+        y, r, u = window.outputs, window.references, window.inputs
+        known = y @ self.B.T + r @ self.F.T + u @ self.G.T + self.shift
+        expected = u - y @ self.D.T - r @ self.E.T - self.offset
+        free = (u > self.low) & (u < self.high)
+        at, power = np.zeros(q), np.eye(q)
+        rows, left = [], []
+        for k in range(2, len(window)):
+            rows.append((self.C @ power)[free[k]])
+            left.append((expected[k] - self.C @ at)[free[k]])
+            at, power = self.A @ at + known[k], self.A @ power
+            if len(rows) >= 4 * q + 2:
+                break
+        found: FloatArray = np.linalg.lstsq(np.concatenate(rows), np.concatenate(left), rcond=None)[0]
+        return found
+
+    def follow(
+        self, state: FloatArray, reference: FloatArray, output: FloatArray, u: FloatArray
+    ) -> FloatArray:
+        """The state after a sample with these commands."""
+        return self.A @ state + self.B @ output + self.F @ reference + self.G @ u + self.shift
+
+
+Law = PidGains | TwoLevel | LinearLaw
+"""A law as a plant file declares it: its `period`, its `law` for compiled code, and its `state` after the
+first two samples of a window."""
+
+
+class Controller:
+    """A law in operation, sample by sample, from a given state or zero.
+
+    Raises:
+        PlantError: the state has another size than the law's, or is not finite.
+    """
+
+    def __init__(self, loop: Law, state: ArrayLike | None = None) -> None:
+        self.loop = loop
+        begun = np.zeros(loop.n_states) if state is None else state
+        self.state: FloatArray = np.array(begun, dtype=np.float64)
+        """Shape (q,)."""
+        if self.state.shape != (loop.n_states,) or not np.isfinite(self.state).all():
+            raise PlantError(f"controller: state {begun} given; give {loop.n_states} finite values")
+        self._law = loop.law
+
+    def step(self, reference: ArrayLike, output: ArrayLike) -> FloatArray:
+        """Compute the commands of one sample, shape (m,), from set-points and readings, shape (r,) and (p,);
+        single ones may be numbers.
 
         Raises:
-            PlantError: the number of samples is negative or the period not positive.
+            PlantError: a value is not finite; the state is unchanged.
         """
-        if samples < 0 or not (math.isfinite(period) and period > 0):
-            msg = f"sensor: cannot realise {samples} samples of {period} s; give a positive period"
-            raise PlantError(msg)
-        random = np.random.Generator(np.random.PCG64(seed))
-        noise = self.noise * random.standard_normal(samples)
-        frozen = np.zeros(samples, dtype=np.bool_)
-        if self.pause_period is not None:
-            since = np.arange(samples) * period - random.uniform(0, self.pause_period)
-            frozen = (since >= 0) & (np.mod(since, self.pause_period) < self.pause_duration)
-        return SensorRealisation(noise, frozen, self.resolution)
+        rows = _finite(reference=reference, output=output)
+        u, self.state = commands_of(self._law, self.state, rows[0][None], rows[1][None])
+        return u[0]
+
+    def follow(self, reference: ArrayLike, output: ArrayLike, u: ArrayLike) -> None:
+        """Adopt the state after a sample whose commands another controller with the same law computed.
+
+        Raises:
+            PlantError: a value is not finite; the state is unchanged.
+        """
+        self.state = self.loop.follow(self.state, *_finite(reference=reference, output=output, input=u))
+
+

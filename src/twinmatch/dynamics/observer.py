@@ -41,12 +41,12 @@ class Observer:
     def __init__(
         self,
         parameters: Parameters,
-        output: float | None = None,
+        output: ArrayLike | None = None,
         *,
         period: float,
         drift: ArrayLike,
         start: ArrayLike | None = None,
-        input: float | None = None,
+        input: ArrayLike | None = None,
         disturbances: ArrayLike | None = None,
         states: ArrayLike | None = None,
         covariance: ArrayLike | None = None,
@@ -58,11 +58,11 @@ class Observer:
 
         Args:
             parameters: the plant.
-            output: first reading; not needed if the states are given.
+            output: first readings, shape (o,), or a number; not needed if the states are given.
             period: sample time, s.
             drift: standard deviation of the drift of each state from the equations per second, shape (n,).
             start: initial standard deviation of each state, shape (n,); or give the covariance.
-            input: drive until the first sample; default: at rest.
+            input: inputs until the first sample, shape (i,), or a number; default: at rest.
             disturbances: those at the first sample.
             states: initial states, shape (n,), instead of those computed from the output.
             covariance: that of the states, shape (n, n), or of states and estimated parameters,
@@ -97,7 +97,7 @@ class Observer:
         self._factor = np.ones(int(adaptive))
         if not limit > 0:
             raise PlantError(f"{model.title}: the observer's limit is {limit}; it must be positive")
-        self._limit, self._noise = float(limit), float(model.plant.output.noise)
+        self._limit, self._noise = float(limit), model.noise
         self._row = model.disturbance_row(disturbances)
         if states is None:
             if output is None:
@@ -105,7 +105,7 @@ class Observer:
             states = begin(parameters, output, input=input, disturbances=self._row)
         self.states = states
         self._joint = self._first_covariance(start, covariance, [w.start for w in random_walks.values()])
-        self._columns = np.zeros((n, m + n + 1))
+        self._columns = np.zeros((n, m + n + model.rest.size))
         self.parameters = parameters
 
     @property
@@ -160,42 +160,43 @@ class Observer:
         """Covariance of the states and, after them, of the estimated parameters, shape (n + m, n + m)."""
         return self._joint.copy()
 
-    def correct(self, output: float, disturbances: ArrayLike | None = None) -> tuple[float, float]:
-        """Take a reading; return the innovation and its expected variance.
+    def correct(
+        self, output: ArrayLike, disturbances: ArrayLike | None = None
+    ) -> tuple[FloatArray, FloatArray]:
+        """Take the readings of a sample, shape (o,), or a number; return their innovations, each given the
+        readings before it, and the variances expected of them.
 
         Raises:
             PlantError: the reading or a disturbance is not finite (the observer is then unchanged); or the
                 equations have no finite value at the estimated states, and a new observer is needed.
         """
-        if not math.isfinite(output):
-            raise PlantError(f"{self._title}: the reading is {output}; only finite values can be used")
+        y = self._model.row_of("outputs", output)
         self._row = (
             self._model.disturbances if disturbances is None else self._model.disturbance_row(disturbances)
         )
-        found: tuple[float, float] = self._kernels.correct(
-            self._vector, self._states, self._joint, float(output), self._row, self._noise, self._limit,
+        found: tuple[FloatArray, FloatArray] = self._kernels.correct(
+            self._vector, self._states, self._joint, y, self._row, self._noise, self._limit,
             self._which, self._bounds,
         )  # fmt: skip
-        if not math.isfinite(found[0] + found[1]):
+        if not math.isfinite(found[0].sum() + found[1].sum()):
             msg = f"{self._title}: its equations have no finite value at the observer's states"
             raise PlantError(f"{msg}; start a new observer")
         adapt(self._process_noise, self._factor, *found)
         return found
 
-    def predict(self, input: float) -> None:
-        """Move on by one period under an input.
+    def predict(self, input: ArrayLike) -> None:
+        """Move on by one period under inputs, shape (i,), or a number.
 
         Raises:
             PlantError: the input is not finite; the observer is then unchanged.
         """
-        if not math.isfinite(input):
-            raise PlantError(f"{self._title}: the input is {input}; the plant takes only finite values")
+        u = self._model.row_of("inputs", input)
         if self.estimated:
             self._ticks += 1
             if self._ticks % _STEPS_EVERY == 0:
                 self._steps = self._model.steps(self._vector, self._period)
         self._kernels.predict(
-            self._vector, self._states, self._joint, self._process_noise, float(input), self._row,
+            self._vector, self._states, self._joint, self._process_noise, u, self._row,
             self._period, self._steps, self._which, self._columns,
         )  # fmt: skip
 
@@ -255,15 +256,19 @@ class ObserverBank:
             o._states, o._joint, o._row = states, joint, self._rows[i]
             o._process_noise, o._factor = self._noises[i, :n], self._factors[i]
 
-    def push(self, input: float, output: float | None, disturbances: ArrayLike | None = None) -> list[bool]:
-        """Move on by one period under the input of the sample before, and take a reading unless it is None.
+    def push(
+        self, input: ArrayLike, output: ArrayLike | None, disturbances: ArrayLike | None = None
+    ) -> list[bool]:
+        """Move on by one period under the inputs of the sample before; take readings unless they are None.
 
         Returns:
             Of each observer, whether its equations had finite values; of the others nothing is of use.
         """
         row = self._model.disturbances if disturbances is None else self._model.disturbance_row(disturbances)
+        seen = output is not None
+        y = np.array(output, dtype=np.float64, ndmin=1) if output is not None else self._same[1]
         fine = follow(
             self._codes, self._sizes, self._vectors, self._states, self._joints, self._noises, self._factors,
-            self._rows, self._steps, float(input), output is not None, float(output or 0.0), row, *self._same,
+            self._rows, self._steps, self._model.row_of("inputs", input), seen, y, row, *self._same,
         )  # fmt: skip
         return [bool(one) for one in fine]

@@ -47,8 +47,8 @@ class Plant(PlantDefinition):
         cls.states = cls._of(State)
         cls.parameters = cls._of(Parameter)
         cls.disturbances = cls._of(Disturbance)
-        cls.drive = cls._one(Drive)
-        cls.output = cls._one(Output)
+        cls.drives = cls._of(Drive)
+        cls.outputs = cls._of(Output)
         require_consistent(cls, Plant)
 
     @classmethod
@@ -246,9 +246,35 @@ class Model:
 
     @cached_property
     def drives(self) -> FloatArray:
-        """Limits and rest value of the drive, shape (3,)."""
-        drive = self.plant.drive
-        return np.array([*drive.limits, drive.rest], dtype=np.float64)
+        """Combinations of the drives' limits and rest values, shape (3ᵐ, m)."""
+        each = [(*drive.limits, drive.rest) for drive in self.plant.drives.values()]
+        return np.array(list(itertools.product(*each)), dtype=np.float64)
+
+    @cached_property
+    def rest(self) -> FloatArray:
+        """Rest values of the drives, shape (m,)."""
+        return np.array([drive.rest for drive in self.plant.drives.values()], dtype=np.float64)
+
+    @cached_property
+    def noise(self) -> FloatArray:
+        """Standard deviations of the readings, shape (o,)."""
+        return np.array([output.noise for output in self.plant.outputs.values()], dtype=np.float64)
+
+    def row_of(self, what: str, values: ArrayLike) -> FloatArray:
+        """One value for each of the plant's `what`: "inputs" or "outputs"; a single one may be a number.
+
+        Raises:
+            PlantError: the plant has another number of them, or one is not finite.
+        """
+        row = np.array(values, dtype=np.float64, ndmin=1)
+        names = self.plant.drives if what == "inputs" else self.plant.outputs
+        if row.shape != (len(names),) or not np.isfinite(row).all():
+            shown = row.tolist() if row.size > 1 else row.item() if row.size else row
+            name = "input" if what == "inputs" else "reading"
+            if row.shape == (len(names),):
+                raise PlantError(f"{self.title}: the {name} is {shown}; only finite values can be used")
+            raise PlantError(f"{self.title}: {row.size} {what} given; give {', '.join(names)}")
+        return row
 
 
 class Parameters(Mapping[str, float]):

@@ -8,7 +8,6 @@ import numpy as np
 
 from twinmatch.dynamics.experiment import Experiment
 from twinmatch.dynamics.forecasts import forecast_loop, noise_scores
-from twinmatch.dynamics.loop import PidState
 from twinmatch.dynamics.observer import Observer
 from twinmatch.dynamics.plant import Model, Parameters, Plant
 from twinmatch.dynamics.simulation import (
@@ -52,7 +51,7 @@ def _use(parameters: Parameters) -> None:
     output = read(parameters, begin(parameters, sum(model.plant.output.span) / 2))
     states = begin(parameters, output)
     quantities(parameters, advance(parameters, states, rest, period), rest)
-    model.kernels.slopes_at(parameters.vector, states, float(rest), model.disturbances)
+    model.kernels.slopes_at(parameters.vector, states, model.rest, model.disturbances)
     # The kernel of the energy balance.
     model.kernels.parts(
         parameters.vector, output, states, float(rest), float(rest), model.disturbances, period,
@@ -78,9 +77,9 @@ def _use(parameters: Parameters) -> None:
     )
     run = simulate_driven(parameters, np.full(_SAMPLES, rest), states=states, period=period)
     if gains is not None:
-        run = simulate_closed_loop(parameters, levels, states=states, controller=PidState(), gains=gains)
+        run = simulate_closed_loop(parameters, levels, states=states, gains=gains)
     disturbances = model.disturbance_rows(None, _SAMPLES)
-    window = Window(levels, run.output, run.input, period=period, disturbances=disturbances)
+    window = Window(levels, run.outputs, run.inputs, period=period, disturbances=disturbances)
     structure = model.structure
     experiment = Experiment(parameters, structure.free, window, free_starts=structure.free_starts)
     values = experiment.values_of(parameters)
@@ -88,4 +87,4 @@ def _use(parameters: Parameters) -> None:
     experiment.descend(values, values, values, np.ones(values.size), 1)
     tangents = experiment.tangents(values)
     weighed = np.ones((2, _SAMPLES - 2, experiment.size))
-    noise_scores(experiment, tangents, weighed, (1.0, 1.0))
+    noise_scores(experiment, tangents, weighed, np.ones((1, 2)))

@@ -13,6 +13,9 @@ from twinmatch.compiled import compiled
 from twinmatch.dynamics.descent import Search, update_search
 from twinmatch.dynamics.kernels import (
     MOST_STEPS,
+    N_INPUTS,
+    N_OUTPUTS,
+    N_UNKNOWN,
     OUTPUT_SLOPES,
     OUTPUTS,
     Code,
@@ -23,7 +26,25 @@ from twinmatch.dynamics.kernels import (
     tick_with_tangents,
     work_for,
 )
-from twinmatch.dynamics.loop import Gains, loop_step, pid_step, reading
+from twinmatch.dynamics.laws import (
+    BACK,
+    DERIVATIVE,
+    GIVEN,
+    HIGH,
+    INTEGRAL,
+    KIND,
+    LOW,
+    PERIOD,
+    PID,
+    PROPORTIONAL,
+    LawCode,
+    gain_slopes,
+    law_slopes,
+    law_step,
+    law_tangents,
+    pid_step,
+)
+from twinmatch.dynamics.sensor import reading
 from twinmatch.signals import FloatArray
 
 
@@ -38,96 +59,105 @@ class LeastSquares(NamedTuple):
     """Their indices among all parameters."""
     started: NDArray[np.int64]
     """Indices of the states with unknown initial value."""
-    first: float
-    """Output measured at the start."""
-    input_before: float
-    """Input until the start."""
-    closed: bool
-    gains: Gains
-    reference: FloatArray
+    first: FloatArray
+    """Outputs measured at the start, shape (o,)."""
+    inputs_before: FloatArray
+    """Inputs until the start, shape (inputs,)."""
+    law: LawCode
+    """The controller; if the inputs are given, they are the references, and are not compared."""
+    tuned: NDArray[np.int64]
+    """Places of the unknown gains in it."""
+    memory: FloatArray
+    """The controller's state at the start."""
+    references: FloatArray
+    """Shape (N, r)."""
     measured: FloatArray
-    """Output and input, shape (2, N)."""
+    """Outputs and inputs, shape (o + inputs, N)."""
     weights: FloatArray
-    """Weights of their residuals, shape (2, N)."""
+    """Weights of their residuals, of the same shape."""
     robust: bool
     disturbances: FloatArray
     """Shape (N, number of disturbances)."""
     default_disturbances: FloatArray
     """Defaults of the disturbances."""
     corners: FloatArray
-    """States at which the fastest rate is searched, shape (k, number of states); `drives` likewise."""
+    """States at which the fastest rate is searched, shape (k, number of states); inputs `drives` likewise."""
     drives: FloatArray
-    integral: float
-    previous: float
-    """The controller's state, with `integral`."""
     period: float
     rate_limit: float
     """Longest Runge–Kutta step in units of the fastest time constant."""
     expected: FloatArray
-    """Prior values of the unknowns, shape (m + starts,)."""
+    """Prior values of the unknowns (parameters, gains, states at the start)."""
     pull: FloatArray
     """Weight of their squared distance from it in the cost; zero without prior."""
 
 
 @compiled(innermost=True)
-def add_row(normal: FloatArray, of: FloatArray, weight: float, robust: bool) -> None:
-    """Add one residual, the last entry of `of`, and its derivatives to the lower half of the equations."""
+def add_row(normal: FloatArray, rows: FloatArray, s: int, weight: float, robust: bool) -> None:
+    """Add one residual, the last entry of row s, and its derivatives to the lower half of the equations."""
     if weight == 0.0:
         return
-    n = of.size - 1
+    n = rows.shape[1] - 1
     square = weight * weight
-    left = square * of[n] * of[n]
+    left = square * rows[s, n] * rows[s, n]
     lost = left
     if robust:
         root = np.sqrt(1.0 + left)
         square, lost = square / root, 2.0 * (root - 1.0)
     for i in range(n):
-        scaled = square * of[i]
+        scaled = square * rows[s, i]
         for j in range(i + 1):
-            normal[i, j] += scaled * of[j]
-    scaled = square * of[n]
+            normal[i, j] += scaled * rows[s, j]
+    scaled = square * rows[s, n]
     for j in range(n):
-        normal[n, j] += scaled * of[j]
+        normal[n, j] += scaled * rows[s, j]
     normal[n, n] += lost
 
 
 @compiled
 def run(
-    code: Code, vector: FloatArray, x: FloatArray, closed: bool, gains: Gains, reference: FloatArray,
-    given: FloatArray, disturbances: FloatArray, noise: FloatArray, frozen: Any, resolution: float,
-    integral: float, previous_error: float, period: float, steps: int,
+    code: Code, vector: FloatArray, x: FloatArray, law: LawCode, memory: FloatArray,
+    references: FloatArray, disturbances: FloatArray, noise: FloatArray, frozen: Any, resolution: float,
+    period: float, steps: int,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
-    """Output, input, both shape (N,), and states before each tick, shape (N + 1, nx).
+    """Outputs, shape (N, o), inputs, shape (N, inputs), and states before each tick, shape (N + 1, nx).
 
-    The loop over the reference if `closed`, else the plant under the inputs given.
+    `references`, shape (N, r), are those of the law, `memory` its state; `noise`, shape (N, o), is added to
+    the readings.
     """
-    size = disturbances.shape[0]
-    y, u, states = np.empty(size), np.empty(size), np.empty((size + 1, x.size))
-    work, at, of_u = work_for(code, vector), x.copy(), np.zeros(1)
-    last = 0.0
+    size, outputs = disturbances.shape[0], noise.shape[1]
+    y, u, states = np.empty((size, outputs)), np.empty((size, code[N_INPUTS])), np.empty((size + 1, x.size))
+    work, at, z, after = work_for(code, vector), x.copy(), memory.copy(), memory.copy()
+    last, now, kind = np.zeros(outputs), np.zeros(code[N_INPUTS]), law[KIND]
     for k in range(size):
         d = disturbances[k]
         for i in range(x.size):
             states[k, i] = at[i]
-        call(code[OUTPUTS], at, of_u, d, work.p, work.b, work.seen)
-        last = reading(work.seen[0], noise[k], frozen[k] and k > 0, resolution, last)
-        y[k] = last
-        if closed:
-            u[k], integral, previous_error = pid_step(gains, integral, previous_error, reference[k], last)
+        call(code[OUTPUTS], at, at, d, work.p, work.b, work.seen)
+        for o in range(outputs):
+            last[o] = reading(work.seen[o], noise[k, o], frozen[k] and k > 0, resolution, last[o])
+            y[k, o] = last[o]
+        if kind == PID:
+            now[0], z[0], z[1] = pid_step(law, references[k, 0], last[0], z[0], z[1])
+        elif kind == GIVEN:
+            for i in range(now.size):
+                now[i] = references[k, i]
         else:
-            u[k] = given[k]
-        of_u[0] = u[k]
-        tick(code, at, of_u, d, work, period, steps)
+            law_step(law, z, references, k, last, now, after)
+            z[:] = after
+        for i in range(now.size):
+            u[k, i] = now[i]
+        tick(code, at, now, d, work, period, steps)
     for i in range(x.size):
         states[size, i] = at[i]
     return y, u, states
 
 
 @compiled
-def run_with_tangents(
-    code: Code, vector: FloatArray, which: Any, x: FloatArray, columns: FloatArray, closed: bool,
-    gains: Gains, reference: FloatArray, given: FloatArray, disturbances: FloatArray, integral: float,
-    previous_error: float, period: float, steps: int, measured: FloatArray, weights: FloatArray,
+def run_with_tangents(  # noqa: PLR0915 (one pass over the samples)
+    code: Code, vector: FloatArray, which: NDArray[np.int64], x: FloatArray, columns: FloatArray,
+    law: LawCode, tuned: NDArray[np.int64], memory: FloatArray, references: FloatArray,
+    disturbances: FloatArray, period: float, steps: int, measured: FloatArray, weights: FloatArray,
     robust: bool, stored: bool, limit: float,
 ) -> tuple[
     FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray
@@ -135,111 +165,140 @@ def run_with_tangents(
     """The run with its derivatives; either its arrays are stored, or the normal equations are summed.
 
     `columns`, shape (nx, n), are the derivatives of x by the n unknowns: the parameters `which`,
-    indices into UNKNOWN, then others (initial states) that act only through x. `measured` holds output and
-    input, shape (2, N), and `weights` the weight of every sample of both, shape (2, N). Returns output,
-    input, their derivatives (2, N, n), the derivatives of every tick by state (N, nx, nx) and
-    drive (N, nx), whether the controller was free (N,), the derivatives of the output by state (N,
-    nx), and [J r]ᵀ[J r] of the weighed residuals r = weights·(simulated − measured), shape (n + 1, n +
-    1); its last entry is the sum of r², or of 2(√(1 + r²) − 1) if `robust`, with rows weighted by 1/√(1 +
-    r²). A run ends when its sum exceeds `limit`.
+    indices into UNKNOWN, the law's gains `tuned`, and others (initial states) that act only through x.
+    `measured` holds outputs and inputs, shape (s, N), and `weights` the weights of all of them. Returns
+    outputs, shape (N, o), inputs, shape (N, m), the derivatives of both, (s, N, n), those of every tick by
+    state, (N, nx, nx), and input, (N, nx, m), those of the law's step by its state and the readings,
+    (N, m + q, q + o), those of the outputs by state, (N, o, nx), and [J r]ᵀ[J r] of the weighed residuals
+    r = weights·(simulated − measured), shape (n + 1, n + 1); its last entry is the sum of r², or of
+    2(√(1 + r²) − 1) if `robust`, with rows weighted by 1/√(1 + r²). A run ends when its sum exceeds `limit`.
     """
-    size, n, nx = disturbances.shape[0], columns.shape[1], x.size
+    size, n, nx, q = disturbances.shape[0], columns.shape[1], x.size, memory.size
+    inputs, outputs, unknown = code[N_INPUTS], code[N_OUTPUTS], code[N_UNKNOWN]
+    kind, by_reading, by_change = law[KIND], 0.0, 0.0
+    compared = inputs if kind != GIVEN else 0
+    if kind == PID:
+        by_change = law[DERIVATIVE] / law[PERIOD]
+        by_reading = law[PROPORTIONAL] + by_change
     kept = size if stored else 0
-    extra = nx + 1 if stored else 0
-    m = n + extra
-    y_all, u_all, by = np.empty(kept), np.empty(kept), np.empty((2, kept, n))
-    by_state, by_drive = np.empty((kept, nx, nx)), np.empty((kept, nx))
-    free_all, seen = np.empty(kept), np.empty((kept, nx))
-    normal, dy = np.zeros((n + 1, n + 1)), np.zeros(n + 1)
-    all_columns, by_inputs, of_u = np.zeros((nx, m)), np.zeros((1, m)), np.zeros(n + 1)
+    extra = nx + inputs if stored else 0
+    y_all, u_all = np.empty((kept, outputs)), np.empty((kept, inputs))
+    by = np.zeros((outputs + inputs, kept, n))
+    by_state, by_input = np.empty((kept, nx, nx)), np.empty((kept, nx, inputs))
+    around, seen = np.empty((kept, inputs + q, q + outputs)), np.empty((kept, outputs, nx))
+    normal, of_inputs = np.zeros((n + 1, n + 1)), np.zeros((compared, n + 1))
+    dy, dz, moved = np.zeros((outputs, n + 1)), np.zeros((q, n)), np.zeros((q, n))
+    all_columns, du = np.zeros((nx, n + extra)), np.zeros((inputs, n + extra))
     all_columns[:, :n] = columns
-    du = by_inputs[0]
-    d_integral, d_error = np.zeros(n), np.zeros(n)
-    work, at, inputs = work_for(code, vector), x.copy(), np.zeros(1)
-    hx, hp = work.shown[:nx], work.shown[nx:]
+    slopes, of_gains = np.zeros((inputs + q, q + outputs)), np.zeros((inputs + q, tuned.size))
+    work, at, u = work_for(code, vector), x.copy(), np.zeros(inputs)
+    z, after = memory.copy(), memory.copy()
+    shown, y = work.shown, work.seen
     for k in range(size):
         d = disturbances[k]
-        call(code[OUTPUTS], at, inputs, d, work.p, work.b, work.seen)
-        call(code[OUTPUT_SLOPES], at, inputs, d, work.p, work.b, work.shown)
-        y = work.seen[0]
-        for j in range(n):
-            slope = hp[which[j]] if j < which.size else 0.0
-            for i in range(nx):
-                slope += hx[i] * all_columns[i, j]
-            dy[j] = slope
-        u, free = 0.0, 0.0
-        if closed:
-            u, integral, previous_error, free = loop_step(
-                gains, integral, previous_error, reference[k], y, dy, d_integral, d_error, du, n
-            )
-        else:
-            u = given[k]
-        if stored:
-            y_all[k], u_all[k], free_all[k] = y, u, free
+        call(code[OUTPUTS], at, u, d, work.p, work.b, y)
+        call(code[OUTPUT_SLOPES], at, u, d, work.p, work.b, shown)
+        for o in range(outputs):
             for j in range(n):
-                by[0, k, j], by[1, k, j] = dy[j], du[j]
-            for i in range(nx):
-                seen[k, i] = hx[i]
-                for q in range(extra):
-                    all_columns[i, n + q] = 1.0 if i == q else 0.0
-            du[m - 1] = 1.0
+                slope = shown[outputs * nx + o * unknown + which[j]] if j < which.size else 0.0
+                for i in range(nx):
+                    slope += shown[o * nx + i] * all_columns[i, j]
+                dy[o, j] = slope
+        if kind == GIVEN:
+            for i in range(inputs):
+                u[i] = references[k, i]
+        elif kind == PID and not tuned.size:
+            u[0], after[0], after[1] = pid_step(law, references[k, 0], y[0], z[0], z[1])
+            if stored:
+                law_slopes(law, z, references, k, y, u, slopes)
+            z[0], z[1] = after[0], after[1]
+            free = 1.0 if law[LOW] < u[0] < law[HIGH] else 0.0
+            for j in range(n):
+                unlimited = dz[0, j] - by_reading * dy[0, j] - by_change * dz[1, j]
+                du[0, j] = free * unlimited
+                dz[0, j] += law[PERIOD] * (law[BACK] * (du[0, j] - unlimited) - law[INTEGRAL] * dy[0, j])
+                dz[1, j] = -dy[0, j]
         else:
-            dy[n] = y - measured[0, k]
-            add_row(normal, dy, weights[0, k], robust)
-            if closed:
+            law_step(law, z, references, k, y, u, after)
+            law_slopes(law, z, references, k, y, u, slopes)
+            law_tangents(slopes, dy, dz, du, moved, n)
+            if tuned.size:
+                gain_slopes(law, z, references, k, y, u, tuned, of_gains)
+                for j in range(tuned.size):
+                    for i in range(inputs):
+                        du[i, which.size + j] += of_gains[i, j]
+                    for i in range(q):
+                        dz[i, which.size + j] += of_gains[inputs + i, j]
+            z[:] = after
+        if stored:
+            for i in range(slopes.shape[0]):
+                for j in range(slopes.shape[1]):
+                    around[k, i, j] = slopes[i, j]
+            for o in range(outputs):
+                y_all[k, o] = y[o]
                 for j in range(n):
-                    of_u[j] = du[j]
-                of_u[n] = u - measured[1, k]
-                add_row(normal, of_u, weights[1, k], robust)
+                    by[o, k, j] = dy[o, j]
+                for i in range(nx):
+                    seen[k, o, i] = shown[o * nx + i]
+            for i in range(inputs):
+                u_all[k, i] = u[i]
+                for j in range(n):
+                    by[outputs + i, k, j] = du[i, j]
+                du[i, n + nx + i] = 1.0
+            for i in range(nx):
+                for j in range(extra):
+                    all_columns[i, n + j] = 1.0 if i == j else 0.0
+        else:
+            for o in range(outputs):
+                dy[o, n] = y[o] - measured[o, k]
+                add_row(normal, dy, o, weights[o, k], robust)
+            for i in range(compared):
+                for j in range(n):
+                    of_inputs[i, j] = du[i, j]
+                of_inputs[i, n] = u[i] - measured[outputs + i, k]
+                add_row(normal, of_inputs, i, weights[outputs + i, k], robust)
             if normal[n, n] > limit:
                 break
-        inputs[0] = u
-        tick_with_tangents(code, at, inputs, d, work, period, steps, which, all_columns, by_inputs)
+        tick_with_tangents(code, at, u, d, work, period, steps, which, all_columns, du)
         if stored:
             for i in range(nx):
-                by_drive[k, i] = all_columns[i, m - 1]
-                for q in range(nx):
-                    by_state[k, i, q] = all_columns[i, n + q]
+                for j in range(nx):
+                    by_state[k, i, j] = all_columns[i, n + j]
+                for j in range(inputs):
+                    by_input[k, i, j] = all_columns[i, n + nx + j]
     for i in range(n + 1):
         for j in range(i):
             normal[j, i] = normal[i, j]
-    return y_all, u_all, by, by_state, by_drive, free_all, seen, normal
+    return y_all, u_all, by, by_state, by_input, around, seen, normal
 
 
 @compiled
 def start_at(
     code: Code, problem: LeastSquares, values: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray, int]:
-    """Parameters, states at the start, their derivatives by the unknowns, and steps per sample."""
-    n = problem.which.size
-    p = problem.base.copy()
+) -> tuple[FloatArray, LawCode, FloatArray, FloatArray, int]:
+    """Parameters, law, states at the start, their derivatives by the unknowns, and steps per sample."""
+    n, tuned = problem.which.size, problem.tuned.size
+    p, law = problem.base.copy(), problem.law.copy()
     for j in range(n):
         p[problem.places[j]] = values[j]
+    for j in range(tuned):
+        law[problem.tuned[j]] = values[n + j]
     given = problem.disturbances[0]
-    x, _, by_parameters = begin(code, p, problem.first, problem.input_before, given)
+    x, _, by_parameters = begin(code, p, problem.first, problem.inputs_before, given)
     columns = np.zeros((x.size, values.size))
     for i in range(x.size):
         for j in range(n):
             columns[i, j] = by_parameters[i, problem.which[j]]
     for k in range(problem.started.size):
         i = problem.started[k]
-        x[i] = values[n + k]
+        x[i] = values[n + tuned + k]
         columns[i, :n] = 0.0
-        columns[i, n + k] = 1.0
-    return (
-        p,
-        x,
-        columns,
-        step_count(
-            code,
-            p,
-            problem.corners,
-            problem.drives,
-            problem.default_disturbances,
-            problem.period,
-            problem.rate_limit,
-        ),
-    )
+        columns[i, n + tuned + k] = 1.0
+    steps = step_count(
+        code, p, problem.corners, problem.drives, problem.default_disturbances, problem.period,
+        problem.rate_limit,
+    )  # fmt: skip
+    return p, law, x, columns, steps
 
 
 @compiled
@@ -249,13 +308,13 @@ def normal_at(
     """Sum, gradient Jᵀr and JᵀJ of the weighed residuals, as far as the sum does not come above `limit`; it
     is infinite where the plant is too fast. What is known beforehand counts like so many residuals more."""
     n = values.size
-    p, x, columns, steps = start_at(code, problem, values)
+    p, law, x, columns, steps = start_at(code, problem, values)
     if steps > MOST_STEPS:
         return np.inf, np.zeros(n), np.zeros((n, n))
     normal = run_with_tangents(
-        code, p, problem.which, x, columns, problem.closed, problem.gains, problem.reference,
-        problem.measured[1], problem.disturbances, problem.integral, problem.previous, problem.period,
-        steps, problem.measured, problem.weights, problem.robust, False, limit,
+        code, p, problem.which, x, columns, law, problem.tuned, problem.memory, problem.references,
+        problem.disturbances, problem.period, steps, problem.measured, problem.weights, problem.robust, False,
+        limit,
     )[7]  # fmt: skip
     cost, gradient, hessian = normal[n, n], normal[n, :n].copy(), normal[:n, :n].copy()
     for j in range(n):

@@ -7,7 +7,6 @@ to the last bit.
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
@@ -17,14 +16,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from twinmatch.dynamics.declarations import PlantError
-from twinmatch.dynamics.loop import PidGains, PidState, Sensor, SensorRealisation, controller_state
+from twinmatch.dynamics.laws import NO_LAW, LawCode
+from twinmatch.dynamics.loop import Law, PidGains
 from twinmatch.dynamics.plant import Parameters, Plant
-from twinmatch.signals import FloatArray, Window
+from twinmatch.dynamics.sensor import Sensor, SensorRealisation
+from twinmatch.signals import FloatArray, Window, only
 
 SKIPPED = 2
 """A closed-loop twin starts at a window's third sample, where the controller's state is known."""
-NO_GAINS = PidGains(0.0, 0.0, 0.0, 0.0, -1.0, 1.0)
-"""Placeholder where a compiled run takes gains that it will not use."""
 
 
 class FromPlantFile(Enum):
@@ -35,11 +34,11 @@ class FromPlantFile(Enum):
 
 FROM_PLANT_FILE: Final = FromPlantFile.LOOP
 
-LoopGains = PidGains | FromPlantFile | None
+LoopGains = Law | FromPlantFile | None
 """A controller; `FROM_PLANT_FILE`; or None if the loop is not known: the recorded input drives the twin."""
 
 
-def gains_for(plant: type[Plant], period: float, gains: LoopGains = FROM_PLANT_FILE) -> PidGains | None:
+def gains_for(plant: type[Plant], period: float, gains: LoopGains = FROM_PLANT_FILE) -> Law | None:
     """The controller of a closed-loop twin at a sample time, s; None for a driven twin."""
     if not isinstance(gains, FromPlantFile):
         return gains
@@ -47,7 +46,7 @@ def gains_for(plant: type[Plant], period: float, gains: LoopGains = FROM_PLANT_F
     return loop if loop is None or loop.period == period else dataclasses.replace(loop, period=period)
 
 
-def gains_of(plant: type[Plant], period: float) -> PidGains:
+def gains_of(plant: type[Plant], period: float) -> Law:
     """The plant's controller at a sample time, s.
 
     Raises:
@@ -60,38 +59,91 @@ def gains_of(plant: type[Plant], period: float) -> PidGains:
     return gains
 
 
+def law_of(loop: Law | None, state: ArrayLike | None = None) -> tuple[LawCode, FloatArray]:
+    """The law for compiled code (without a loop: the references are the commands), and its state, by default
+    zero."""
+    if loop is None:
+        return NO_LAW, np.zeros(0)
+    memory = np.zeros(loop.n_states) if state is None else np.array(state, dtype=np.float64)
+    if memory.shape != (loop.n_states,) or not np.isfinite(memory).all():
+        raise PlantError(f"controller: state {memory.tolist()} given; give {loop.n_states} finite values")
+    return loop.law, memory
+
+
+def n_references(plant: type[Plant], loop: Law | None) -> int:
+    """Number of set-points of a loop around a plant; of a driven plant, its inputs.
+
+    Raises:
+        PlantError: the controller is one for another number of outputs or inputs.
+    """
+    if loop is None:
+        return len(plant.drives)
+    sizes = loop.n_outputs, loop.n_inputs
+    if sizes != (len(plant.outputs), len(plant.drives)):
+        raise PlantError(
+            f"plant {plant.name}: a controller for {sizes[0]} outputs and {sizes[1]} inputs is given; the "
+            f"plant has {len(plant.outputs)} and {len(plant.drives)}"
+        )
+    return loop.n_references
+
+
+def pid_of(plant: type[Plant], loop: Law | None = None, period: float = 1.0) -> PidGains:
+    """The plant's controller, or the given one, where only a PID will do.
+
+    Raises:
+        PlantError: it is not known, or another law.
+    """
+    found = loop or gains_of(plant, period)
+    if not isinstance(found, PidGains):
+        raise PlantError(f"plant {plant.name}: its controller is a {type(found).__name__}; this needs a PID")
+    return found
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Response:
     """Result of a simulation, sample by sample."""
 
-    output: FloatArray
-    """y, shape (N,); the sensor's readings, if there is one."""
-    input: FloatArray
-    """u, shape (N,)."""
+    outputs: FloatArray
+    """y, shape (N, o); the sensor's readings, if there is one."""
+    inputs: FloatArray
+    """u, shape (N, m)."""
     states: FloatArray
     """States at every sample and one period after the last, shape (N + 1, n)."""
     steps: int
     """Runge–Kutta steps per sample."""
 
+    @property
+    def output(self) -> FloatArray:
+        """y of a plant with one output, shape (N,)."""
+        return only("output", self.outputs)
+
+    @property
+    def input(self) -> FloatArray:
+        """u of a plant with one input, shape (N,)."""
+        return only("input", self.inputs)
+
 
 def begin(
     parameters: Parameters,
-    output: float,
+    output: ArrayLike,
     *,
-    input: float | None = None,
+    input: ArrayLike | None = None,
     disturbances: FloatArray | None = None,
     starts: Mapping[str, float] | None = None,
 ) -> FloatArray:
-    """Initial states, shape (n,), of a plant of which only the output, the input until then (default: the
-    drive at rest) and `starts` are known.
+    """Initial states, shape (n,), of a plant of which only the outputs, shape (o,), the inputs until then
+    (default: the drives at rest), shape (m,), and `starts` are known. A single value may be a number.
 
     Raises:
         PlantError: a name in `starts` is not a state, or a value is not finite.
     """
     model = parameters.model
-    before = model.plant.drive.rest if input is None else input
+    y, before = (
+        model.row_of("outputs", output),
+        model.row_of("inputs", model.rest if input is None else input),
+    )
     row = model.disturbance_row(disturbances)
-    states, _, _ = model.kernels.begin(parameters.vector, float(output), float(before), row)
+    states, _, _ = model.kernels.begin(parameters.vector, y, before, row)
     for name, value in (starts or {}).items():
         if name not in model.states:
             msg = f"{model.title}: no state {name!r}; it has {', '.join(model.states)}"
@@ -114,8 +166,8 @@ def begin_window(
     """
     return begin(
         parameters,
-        float(window.output[SKIPPED]),
-        input=float(window.input[SKIPPED - 1]),
+        window.outputs[SKIPPED],
+        input=window.inputs[SKIPPED - 1],
         disturbances=window.disturbances[SKIPPED],
         starts=starts,
     )
@@ -124,39 +176,35 @@ def begin_window(
 def advance(
     parameters: Parameters,
     states: FloatArray,
-    input: float,
+    input: ArrayLike,
     period: float,
     disturbances: FloatArray | None = None,
 ) -> FloatArray:
-    """States, shape (n,), one period (s) later, bit for bit as in the simulations.
+    """States, shape (n,), one period (s) later under inputs, shape (m,), bit for bit as in the simulations.
 
     Raises:
-        PlantError: the input is not finite, the period invalid, or the plant too fast for it.
+        PlantError: an input is not finite, the period invalid, or the plant too fast for it.
     """
     model = parameters.model
-    if not math.isfinite(input):
-        raise PlantError(f"{model.title}: the input is {input}; the plant takes only finite values")
-    row = model.disturbance_row(disturbances)
-    after = model.kernels.advance(
-        parameters.vector, states, float(input), row, float(period), parameters.steps(period)
-    )
+    u, row = model.row_of("inputs", input), model.disturbance_row(disturbances)
+    after = model.kernels.advance(parameters.vector, states, u, row, float(period), parameters.steps(period))
     return np.asarray(after, dtype=np.float64)
 
 
 def read(parameters: Parameters, states: FloatArray, disturbances: FloatArray | None = None) -> float:
-    """The output y at some states, shape (n,)."""
+    """The output y of a plant with one output, at some states, shape (n,)."""
     model = parameters.model
     row = model.disturbance_row(disturbances)
-    return float(model.kernels.outputs_at(parameters.vector, states, model.plant.drive.rest, row)[0])
+    return float(only("output", model.kernels.outputs_at(parameters.vector, states, model.rest, row)[0]))
 
 
 def quantities(
-    parameters: Parameters, states: FloatArray, input: float, disturbances: FloatArray | None = None
+    parameters: Parameters, states: FloatArray, input: ArrayLike, disturbances: FloatArray | None = None
 ) -> dict[str, float]:
     """The plant's other quantities (currents, heat flows) at some states and input, by name."""
     model = parameters.model
     row = model.disturbance_row(disturbances)
-    values = model.kernels.outputs_at(parameters.vector, states, float(input), row)[1]
+    values = model.kernels.outputs_at(parameters.vector, states, model.row_of("inputs", input), row)[1]
     return dict(zip(model.kernels.QUANTITIES, values.tolist(), strict=True))
 
 
@@ -165,30 +213,22 @@ def simulate_closed_loop(
     reference: ArrayLike,
     *,
     states: FloatArray,
-    controller: PidState | None = None,
-    gains: PidGains | None = None,
+    controller: ArrayLike | None = None,
+    gains: Law | None = None,
     disturbances: ArrayLike | None = None,
     sensor: SensorRealisation | None = None,
 ) -> Response:
-    """Run plant, sensor and controller over a reference, shape (N,), from `states` on.
+    """Run plant, sensor and controller over set-points, shape (N,) or (N, r), from `states` on.
 
-    `controller` is the PID's state before the first sample; default `gains` are those of the plant file, at
-    1 s. Disturbances have shape (N, m). Without a sensor the controller gets the output itself.
+    `controller` is the controller's state before the first sample; default `gains` are those of the plant
+    file, at 1 s. Disturbances have shape (N, d). Without a sensor the controller gets the outputs themselves.
 
     Raises:
         PlantError: a signal is invalid, or the plant is too fast for the period.
     """
-    model = parameters.model
-    gains = gains or gains_of(model.plant, 1.0)
-    values = _signal(model.title, "reference", reference)
+    gains = gains or gains_of(parameters.model.plant, 1.0)
     return _run(
-        parameters,
-        values,
-        states,
-        controller=controller,
-        gains=gains,
-        disturbances=disturbances,
-        sensor=sensor,
+        parameters, "reference", reference, states, gains, controller, disturbances, sensor, gains.period
     )
 
 
@@ -201,13 +241,12 @@ def simulate_driven(
     disturbances: ArrayLike | None = None,
     sensor: SensorRealisation | None = None,
 ) -> Response:
-    """Run the plant under a given input, shape (N,), each value held for `period` seconds.
+    """Run the plant under given inputs, shape (N,) or (N, m), each held for `period` seconds.
 
     Raises:
         PlantError: as `simulate_closed_loop`.
     """
-    values = _signal(parameters.model.title, "input", input)
-    return _run(parameters, values, states, disturbances=disturbances, sensor=sensor, period=period)
+    return _run(parameters, "input", input, states, None, None, disturbances, sensor, period)
 
 
 def simulate_window(
@@ -231,14 +270,14 @@ def simulate_window(
     if len(window) <= SKIPPED:
         msg = f"window: it has {len(window)} samples; the twin starts at the third, give at least three"
         raise PlantError(msg)
-    reference, disturbances = window.reference[SKIPPED:], window.disturbances[SKIPPED:]
+    references, disturbances = window.references[SKIPPED:], window.disturbances[SKIPPED:]
     loop = gains_for(parameters.model.plant, window.period, gains)
     states = begin_window(parameters, window, starts)
-    seen = None if sensor is None else sensor.realise(reference.size, window.period, seed)
+    seen = None if sensor is None else sensor.realise(len(references), window.period, seed)
     if loop is None:
         return simulate_driven(
             parameters,
-            window.input[SKIPPED:],
+            window.inputs[SKIPPED:],
             states=states,
             period=window.period,
             disturbances=disturbances,
@@ -246,55 +285,54 @@ def simulate_window(
         )
     return simulate_closed_loop(
         parameters,
-        reference,
+        references,
         states=states,
-        controller=controller_state(window, loop),
+        controller=loop.state(window),
         gains=loop,
         disturbances=disturbances,
         sensor=seen,
     )
 
 
-def _run(
-    parameters: Parameters,
-    signal: FloatArray,
-    states: FloatArray,
-    *,
-    controller: PidState | None = None,
-    gains: PidGains | None = None,
-    disturbances: ArrayLike | None,
-    sensor: SensorRealisation | None,
-    period: float = 1.0,
-) -> Response:
-    """Simulate the loop on a reference if there are gains, otherwise the plant under an input."""
+def _run(  # noqa: PLR0917 (what a run needs)
+    parameters: Parameters, name: str, signal: ArrayLike, states: FloatArray, loop: Law | None,
+    controller: ArrayLike | None, disturbances: ArrayLike | None, sensor: SensorRealisation | None,
+    period: float,
+) -> Response:  # fmt: skip
+    """Simulate the loop on set-points or, without one, the plant under its inputs."""
     model = parameters.model
-    size, controller = signal.size, controller or PidState()
-    closed = gains is not None
-    gains = gains or NO_GAINS
-    period = gains.period if closed else period
-    if sensor is None:
-        noise, frozen, resolution = np.zeros(size), np.zeros(size, dtype=np.bool_), 0.0
-    elif len(sensor) == size:
-        noise, frozen, resolution = np.array(sensor.noise), np.array(sensor.frozen), float(sensor.resolution)
-    else:
-        msg = f"{model.title}: the sensor is realised for {len(sensor)} samples; realise it for {size}"
-        raise PlantError(msg)
+    references = signal_rows(model.title, name, signal, n_references(model.plant, loop))
+    size, measured = len(references), len(model.plant.outputs)
+    law, memory = law_of(loop, controller)
+    noise, frozen, resolution = np.zeros((size, measured)), np.zeros(size, dtype=np.bool_), 0.0
+    if sensor is not None:
+        if len(sensor) != size:
+            msg = f"{model.title}: the sensor is realised for {len(sensor)} samples; realise it for {size}"
+            raise PlantError(msg)
+        noise[:] = sensor.noise[:, None]
+        frozen, resolution = np.array(sensor.frozen), float(sensor.resolution)
     steps = parameters.steps(period)
-    output, input_, passed = model.kernels.run(
-        parameters.vector, np.array(states, dtype=np.float64), closed, gains.constants, signal, signal,
-        model.disturbance_rows(disturbances, size), noise, frozen, resolution, float(controller.integral),
-        float(controller.previous), float(period), steps,
+    outputs, inputs, passed = model.kernels.run(
+        parameters.vector, np.array(states, dtype=np.float64), law, memory, references,
+        model.disturbance_rows(disturbances, size), noise, frozen, resolution, float(period), steps,
     )  # fmt: skip
-    return Response(output, input_, passed, steps)
+    return Response(outputs, inputs, passed, steps)
 
 
-def _signal(title: str, name: str, values: ArrayLike) -> FloatArray:
+def signal_rows(title: str, name: str, values: ArrayLike | None, columns: int) -> FloatArray:
+    """A signal as rows of a sample each, shape (N, columns); of one column also given as shape (N,).
+
+    Raises:
+        PlantError: it has another shape, or a value is not finite.
+    """
     array = np.array(values, dtype=np.float64)
-    if array.ndim != 1:
-        raise PlantError(f"{title}: {name} has shape {array.shape}; give one value per sample")
-    finite = np.isfinite(array)
+    rows = array[:, None] if array.ndim == 1 and columns == 1 else array
+    if rows.ndim != 2 or rows.shape[1] != columns:
+        each = "one value" if columns == 1 else f"{columns} values"
+        raise PlantError(f"{title}: {name} has shape {array.shape}; give {each} per sample")
+    finite = np.isfinite(rows).all(axis=1)
     if not finite.all():
         bad = int(np.argmin(finite))
-        msg = f"{title}: {name} is {array[bad]} at sample {bad}; only finite values can be used"
-        raise PlantError(msg)
-    return array
+        shown = rows[bad, 0] if columns == 1 else rows[bad]
+        raise PlantError(f"{title}: {name} is {shown} at sample {bad}; only finite values can be used")
+    return np.ascontiguousarray(rows)

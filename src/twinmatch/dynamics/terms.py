@@ -138,8 +138,8 @@ class Roots:
     def __init__(self, plant: PlantDefinition) -> None:
         kind = type(plant)  # an instance gives symbols, its class the declarations
         ranges: dict[str, tuple[float, ...]] = {name: state.span for name, state in kind.states.items()}
-        ranges[kind.drive.name] = kind.drive.limits
-        ranges[kind.output.name] = kind.output.span
+        ranges |= {name: drive.limits for name, drive in kind.drives.items()}
+        ranges |= {name: output.span for name, output in kind.outputs.items()}
         ranges |= {name: (disturbance.default,) for name, disturbance in kind.disturbances.items()}
         self._ranges: Mapping[Expression, tuple[float, ...]] = {
             getattr(plant, name): ends for name, ends in ranges.items()

@@ -133,9 +133,9 @@ class Tracker:
         self._track = kernels.track
         noise = model.plant.output.noise
         scales = np.array([state.scale for state in model.declared_states])
-        slope = kernels.slopes_at(
-            parameters.vector, begin(parameters, 0.0), float(model.plant.drive.rest), model.disturbances
-        )[4]
+        slope = kernels.slopes_at(parameters.vector, begin(parameters, 0.0), model.rest, model.disturbances)[
+            4
+        ][0]
         self._shown = slope != 0.0
         seen = np.where(self._shown, noise / np.where(self._shown, np.abs(slope), 1.0), 0.0)
         self._first = np.concatenate([

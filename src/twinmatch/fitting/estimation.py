@@ -45,7 +45,7 @@ class Estimate:
     @cached_property
     def residuals(self) -> FloatArray:
         """Weighted residuals of the compared signals, shape (outputs, N − 2)."""
-        return self.problem.residuals(self.values).reshape(self.problem.outputs, -1)
+        return self.problem.residuals(self.values).reshape(self.problem.compared, -1)
 
     @property
     def chi2(self) -> float:

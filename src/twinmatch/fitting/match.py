@@ -18,7 +18,8 @@ from twinmatch.signals import FloatArray, Window
 
 
 class Fit(NamedTuple):
-    """NRMSE 1 − ‖measured − simulated‖/‖measured − mean‖: 1 is perfect, 0 no better than the mean."""
+    """NRMSE 1 − ‖measured − simulated‖/‖measured − mean‖: 1 is perfect, 0 no better than the mean; of several
+    outputs or inputs their mean."""
 
     y: float
     """Fit of the output."""
@@ -189,13 +190,15 @@ def match(
 def _split(problem: Problem, min_step: float | None, limits: GateLimits) -> tuple[int, str]:
     """Number of samples for the test fit, or the reason why none can be made."""
     window, plant = problem.window, problem.base.model.plant
-    what, signal, unit, usual = "set-point", window.reference, plant.output.unit, plant.output.least_step
-    if problem.gains is None:
-        what, signal, unit, usual = "input", window.input, plant.drive.unit, plant.drive.least_step
-    least = usual if min_step is None else min_step
-    excited = first_excited(signal, least)
+    driven = problem.gains is None
+    what, signals = ("input", window.inputs) if driven else ("set-point", window.references)
+    declared = list(plant.drives.values() if driven else plant.outputs.values())[: signals.shape[1]]
+    least = [signal.least_step if min_step is None else min_step for signal in declared]
+    moved = [first_excited(column, step) for column, step in zip(signals.T, least, strict=True)]
+    excited = min((at for at in moved if at is not None), default=None)
     if excited is None:
-        return 0, f"the {what} did not move by {least:g} {unit} within the window's {len(window)} samples"
+        steps = " or ".join(f"{step:g} {signal.unit}" for step, signal in zip(least, declared, strict=True))
+        return 0, f"the {what} did not move by {steps} within the window's {len(window)} samples"
     split = max(int((1.0 - limits.held_back) * len(window)), excited + limits.least_samples)
     if len(window) - split < limits.least_samples:
         return 0, (
@@ -220,7 +223,7 @@ def _with_fit(problem: Problem, split: int, rival: Parameters, limits: GateLimit
 
     found = identify(problem, best, rival, stands) if explained else unidentified(problem, best)
     held = split - (len(window) - problem.measured.shape[1])
-    tested = problem.residuals(test.values).reshape(problem.outputs, -1)[:, held:]
+    tested = problem.residuals(test.values).reshape(problem.compared, -1)[:, held:]
     standing = _residuals_of(problem, seen, rival)[:, held:]
     final, known, fit = found.estimate, found.known, _fit(problem, found.estimate.residuals)
     free = [i for i, name in enumerate(problem.names) if name != found.kept]
@@ -288,4 +291,7 @@ def _fit(problem: Problem, residuals: FloatArray) -> Fit:
         spread = float(np.linalg.norm(values - np.mean(values)))
         found = 1.0 - np.linalg.norm(left) / weight / spread if spread > 0 else math.nan
         figures.append(float(found))
-    return Fit(*figures, *[float("nan")] * (2 - len(figures)))
+    outputs = len(problem.base.model.plant.outputs)
+    return Fit(
+        *(float(np.mean(part)) if part else math.nan for part in (figures[:outputs], figures[outputs:]))
+    )

@@ -14,10 +14,10 @@ from twinmatch.dynamics import (
     SKIPPED,
     Descended,
     Experiment,
+    Law,
     LoopGains,
     Model,
     Parameters,
-    PidGains,
     Plant,
     PlantError,
     Response,
@@ -26,7 +26,7 @@ from twinmatch.dynamics import (
     noise_scores,
 )
 from twinmatch.fitting.data import FittingError
-from twinmatch.signals import FloatArray, Window
+from twinmatch.signals import FloatArray, Window, only
 
 Bounds = Mapping[str, tuple[float, float]]
 
@@ -105,30 +105,49 @@ def unknown_starts(model: Model, bounds: Bounds | None = None) -> tuple[Unknown,
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """Standard deviations that weight the residuals.
+    """Standard deviations that weight the residuals; of a single signal given as a number.
 
     Raises:
         FittingError: one is not finite and positive.
     """
 
-    output: float
-    """Standard deviation of the output, in its unit."""
-    input: float
-    """Standard deviation of the input in steady closed loop, in its unit."""
+    outputs: tuple[float, ...] | float
+    """Standard deviation of each output, in its unit."""
+    inputs: tuple[float, ...] | float
+    """Standard deviation of each input in steady closed loop, in its unit."""
 
     def __post_init__(self) -> None:
-        for name, value in (("output", self.output), ("input", self.input)):
-            if not (math.isfinite(value) and value > 0):
-                msg = f"noise: {name} is {value}; it must be finite and positive"
-                raise FittingError(msg)
+        for name in ("outputs", "inputs"):
+            values = tuple(np.atleast_1d(getattr(self, name)).tolist())
+            for value in values:
+                if not (math.isfinite(value) and value > 0):
+                    msg = f"noise: {name[:-1]} is {value}; it must be finite and positive"
+                    raise FittingError(msg)
+            object.__setattr__(self, name, values)
 
     @classmethod
     def of(cls, plant: type[Plant]) -> Noise:
         """The noise that the plant file declares."""
-        return cls(plant.output.noise, plant.drive.noise)
+        signals = (plant.outputs, plant.drives)
+        return cls(*(tuple(signal.noise for signal in each.values()) for each in signals))
+
+    @property
+    def all(self) -> FloatArray:
+        """Those of the outputs and then of the inputs, shape (o + m,)."""
+        return np.concatenate([np.atleast_1d(self.outputs), np.atleast_1d(self.inputs)])
+
+    @property
+    def output(self) -> float:
+        """That of a single output."""
+        return float(only("output", np.atleast_1d(self.outputs)))
+
+    @property
+    def input(self) -> float:
+        """That of a single input."""
+        return float(only("input", np.atleast_1d(self.inputs)))
 
 
-def checked_gains(model: Model, window: Window, gains: LoopGains = FROM_PLANT_FILE) -> PidGains | None:
+def checked_gains(model: Model, window: Window, gains: LoopGains = FROM_PLANT_FILE) -> Law | None:
     """The controller of the closed-loop twin; None if the loop is not known.
 
     Raises:
@@ -158,7 +177,7 @@ class Problem:
     base: Parameters
     """Values of all other parameters."""
     noise: Noise
-    gains: PidGains | None
+    gains: Law | None
     bounds: Bounds | None = None
     """Replacements for some of the plant's bounds."""
 
@@ -197,18 +216,19 @@ class Problem:
             self.window,
             free_starts=self.base.model.structure.free_starts,
             gains=self.gains,
-            weights=(1.0 / self.noise.output, 1.0 / self.noise.input),
+            weights=tuple(1.0 / self.noise.all),
         )
 
     @property
-    def outputs(self) -> int:
-        """Number of compared signals: output and input in closed loop, otherwise only the output."""
-        return 1 if self.gains is None else 2
+    def compared(self) -> int:
+        """Number of compared signals: outputs and, in closed loop, inputs."""
+        plant = self.base.model.plant
+        return len(plant.outputs) + (0 if self.gains is None else len(plant.drives))
 
     @property
     def weights(self) -> FloatArray:
-        """Weights of the compared signals, shape (outputs, 1)."""
-        return np.array([[1.0 / self.noise.output], [1.0 / self.noise.input]])[: self.outputs]
+        """Weights of the compared signals, shape (compared, 1)."""
+        return (1.0 / self.noise.all)[: self.compared, None]
 
     @property
     def seen(self) -> FloatArray:
@@ -218,8 +238,8 @@ class Problem:
 
     @property
     def measured(self) -> FloatArray:
-        """The compared signals as recorded, shape (outputs, N − 2)."""
-        return self.experiment.measured[: self.outputs]
+        """The compared signals as recorded, shape (compared, N − 2)."""
+        return self.experiment.measured[: self.compared]
 
     def values_of(self, parameters: Parameters) -> FloatArray:
         """The unknowns of a plant as an array, clipped to the bounds; initial states are the plant file's."""
@@ -234,8 +254,8 @@ class Problem:
         return self.experiment.starts_at(values)
 
     def weigh(self, response: Response | Tangents) -> FloatArray:
-        """Measured minus simulated in units of the noise, shape (outputs, N − 2)."""
-        simulated = np.stack([response.output, response.input][: self.outputs])
+        """Measured minus simulated in units of the noise, shape (compared, N − 2)."""
+        simulated = np.concatenate([response.outputs, response.inputs], axis=1).T[: self.compared]
         return np.asarray((self.measured - simulated) * (self.weights * self.seen), dtype=np.float64)
 
     def evaluate(self, values: FloatArray) -> Evaluation:
@@ -248,11 +268,11 @@ class Problem:
         return float(np.mean(np.square(residuals))) / counted if counted else math.nan
 
     def residuals(self, values: FloatArray) -> FloatArray:
-        """Weighted residuals of all signals in one row, shape (outputs·(N − 2),)."""
+        """Weighted residuals of all signals in one row, shape (compared·(N − 2),)."""
         return self.weigh(self.experiment.simulate(values)).ravel()
 
     def jacobian(self, values: FloatArray) -> FloatArray:
-        """Derivatives of the residuals, shape (outputs·(N − 2), n)."""
+        """Derivatives of the residuals, shape (compared·(N − 2), n)."""
         return self.evaluate(values).jacobian
 
     def descend(self, start: FloatArray, most_evaluations: int, found: Descended | None = None) -> Descended:
@@ -283,22 +303,23 @@ class Evaluation:
 
     @cached_property
     def residuals(self) -> FloatArray:
-        """Weighted residuals, shape (outputs·(N − 2),)."""
+        """Weighted residuals, shape (compared·(N − 2),)."""
         return self.problem.weigh(self.tangents).ravel()
 
     @cached_property
     def jacobian(self) -> FloatArray:
-        """Derivatives of the residuals, shape (outputs·(N − 2), n)."""
+        """Derivatives of the residuals, shape (compared·(N − 2), n)."""
         weights = self.problem.weights * self.problem.seen
-        derivative = self.tangents.by[: self.problem.outputs] * -weights[:, :, None]
+        derivative = self.tangents.by[: self.problem.compared] * -weights[:, :, None]
         return derivative.reshape(-1, derivative.shape[2])
 
     @cached_property
     def noise_scores(self) -> tuple[FloatArray, float]:
-        """Jᵀ times the residuals caused by the nominal noise of each sample alone, shape (N − 2, n), and the
-        mean squared residual caused by all of it."""
-        noise = self.problem.noise
+        """Jᵀ times the residuals caused by the nominal noise of each reading alone, shape ((N − 2)·o, n), and
+        the mean squared residual caused by all of it."""
+        noise = self.problem.noise.all
         by = self.tangents.by * self.problem.seen[:, None]
-        weighed = by * -np.array([1.0 / noise.output, 1.0 / noise.input])[:, None, None]
-        weights = (1.0, noise.output / noise.input)
-        return noise_scores(self.problem.experiment, self.tangents, weighed, weights)
+        weights = noise[: self.tangents.outputs.shape[1], None] / noise
+        return noise_scores(
+            self.problem.experiment, self.tangents, by * -(1.0 / noise)[:, None, None], weights
+        )

@@ -162,7 +162,7 @@ def _runs(
                 window,
                 free_starts=model.structure.free_starts,
                 gains=own,
-                weights=(1.0 / noise.output, 1.0 / noise.input),
+                weights=tuple(1.0 / noise.all),
                 robust=True,
                 settle=SETTLE,
                 coarse=True,

@@ -31,6 +31,7 @@ from twinmatch.dynamics.kernels import (
     step_count,
 )
 from twinmatch.dynamics.kernels import SIZES as NUMBERS
+from twinmatch.dynamics.laws import GIVEN, KIND
 from twinmatch.dynamics.machine import FUNCTIONS, linked
 from twinmatch.dynamics.runs import LeastSquares, add_row, run
 from twinmatch.fmu.machine import (
@@ -225,11 +226,11 @@ def normal_at(
     `code` has no unknowns: no derivatives of single samples are needed.
     """
     n, free, m = values.size, problem.places.size, at[N_PARAMETERS]
-    size, signals = problem.disturbances.shape[0], 2 if problem.closed else 1
+    size, signals = problem.disturbances.shape[0], 1 if problem.law[KIND] == GIVEN else 2
     nowhere = np.inf, np.zeros(n), np.zeros((n, n))
-    still, never = np.zeros(size), np.zeros(size, dtype=np.bool_)
+    still, never = np.zeros((size, 1)), np.zeros(size, dtype=np.bool_)
     simulated, ends = np.empty((1 + 2 * n, 2, size)), np.empty((n, 2))
-    normal, row, steps = np.zeros((n + 1, n + 1)), np.empty(n + 1), 0
+    normal, row, steps = np.zeros((n + 1, n + 1)), np.empty((1, n + 1)), 0
     for i in range(1 + 2 * n):
         moved, j = values.copy(), (i - 1) // 2
         if i > 0:
@@ -238,7 +239,7 @@ def normal_at(
             moved[j] = ends[j, (i - 1) % 2]
         vector = problem.base.copy()
         vector[problem.places] = moved[:free]
-        x, _, _ = begin(code, vector, problem.first, problem.input_before, problem.disturbances[0])
+        x, _, _ = begin(code, vector, problem.first, problem.inputs_before, problem.disturbances[0])
         x[problem.started] = moved[free:]
         if i == 0:
             steps = step_count(
@@ -247,20 +248,20 @@ def normal_at(
             )  # fmt: skip
             if steps > MOST_STEPS:
                 return nowhere
-        simulated[i, 0], simulated[i, 1], _ = run(
-            code, vector, x, problem.closed, problem.gains, problem.reference, problem.measured[1],
-            problem.disturbances, still, never, 0.0, problem.integral, problem.previous, problem.period,
-            steps,
+        y, u, _ = run(
+            code, vector, x, problem.law, problem.memory, problem.references, problem.disturbances, still,
+            never, 0.0, problem.period, steps,
         )  # fmt: skip
+        simulated[i, 0], simulated[i, 1] = y[:, 0], u[:, 0]
         if i == 0 or i == 2 * n:
             normal[:] = 0.0
             for k in range(size):
                 for s in range(signals):
                     for j in range(n):
                         rise = simulated[1 + 2 * j, s, k] - simulated[2 + 2 * j, s, k]
-                        row[j] = rise / (ends[j, 0] - ends[j, 1]) if i > 0 else 0.0
-                    row[n] = simulated[0, s, k] - problem.measured[s, k]
-                    add_row(normal, row, problem.weights[s, k], problem.robust)
+                        row[0, j] = rise / (ends[j, 0] - ends[j, 1]) if i > 0 else 0.0
+                    row[0, n] = simulated[0, s, k] - problem.measured[s, k]
+                    add_row(normal, row, 0, problem.weights[s, k], problem.robust)
         if i == 0 and normal[n, n] > limit:
             break
     if not np.isfinite(normal).all():

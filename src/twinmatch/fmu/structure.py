@@ -69,8 +69,9 @@ def check_restart(model: Model) -> None:
     run = simulate_driven(parameters, drive, states=begin(parameters, y), period=period)
     spans = np.array([state.span[1] - state.span[0] for state in model.declared_states])
     for k, u in enumerate(drive.tolist()):
-        after = kernels.advance(parameters.vector, run.states[k], u, model.disturbances, period, run.steps)
-        seen, _ = kernels.outputs_at(parameters.vector, run.states[k], plant.drive.rest, model.disturbances)
+        given = np.array([u]), model.disturbances, period, run.steps
+        after = kernels.advance(parameters.vector, run.states[k], *given)
+        seen = read(parameters, run.states[k])
         off = np.abs(after - run.states[k + 1]) / spans if spans.size else np.zeros(1)
         if abs(seen - run.output[k]) > plant.output.noise or off.max() > _STATE:
             what = f"its output {seen:g} instead of {run.output[k]:g}"
@@ -90,12 +91,12 @@ def _hidden(model: Model) -> frozenset[int]:
     """
     output, free = model.plant.output, model.structure.free
     states = begin(model.parameters(), float(np.mean(output.set_points or output.span)))
-    given = model.parameters().vector, states, float(model.plant.drive.rest), model.disturbances
+    given = model.parameters().vector, states, model.rest, model.disturbances
     try:
         by_parameters = model.kernels_by(free).slopes_at(*given)[5]
     except FmuError:  # a match will tell
         return frozenset()
-    none = np.flatnonzero(by_parameters == 0.0).tolist()
+    none = np.flatnonzero((by_parameters == 0.0).all(axis=0)).tolist()
     return frozenset(model.names.index(free[k]) for k in none)
 
 

@@ -18,9 +18,9 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from twinmatch.compiled import compiled
-from twinmatch.dynamics import PidGains, PidState
-from twinmatch.dynamics.loop import Gains, pid_step
-from twinmatch.dynamics.simulation import NO_GAINS
+from twinmatch.dynamics import Law
+from twinmatch.dynamics.laws import LawCode, law_step
+from twinmatch.dynamics.simulation import law_of
 from twinmatch.signals import FloatArray, Sample
 
 _ROWS: Final = 3
@@ -33,12 +33,13 @@ _NONE: Final = Sample(-9, 0, 0.0, 0.0, 0.0)
 
 @compiled
 def _simulated(
-    coefficients: FloatArray, start: FloatArray, rows: FloatArray, closed: bool, gains: Gains,
-    integral: float, previous: float, ahead: FloatArray, low: float, high: float,
+    coefficients: FloatArray, start: FloatArray, rows: FloatArray, law: LawCode, memory: FloatArray,
+    ahead: FloatArray, low: float, high: float,
 ) -> FloatArray:  # fmt: skip
     """Outputs and inputs, shape (2, N); `start` holds y, y before, u, u before."""
     found = np.empty((2, ahead.size))
     y, y_before, u, u_before = start
+    z, after, signals = memory.copy(), memory.copy(), np.empty((3, 1))
     for k in range(ahead.size):
         c = coefficients
         rate = c[0] + c[1] * y + c[2] * (y - y_before) + c[3] * u + c[4] * u_before
@@ -46,10 +47,9 @@ def _simulated(
             rate += c[5 + j] * rows[k, j]
         y_before, u_before = y, u
         y = min(max(y + rate, low), high)
-        if closed:
-            u, integral, previous = pid_step(gains, integral, previous, ahead[k], y)
-        else:
-            u = ahead[k]
+        signals[0, 0], signals[1, 0] = ahead[k], y
+        law_step(law, z, signals, 0, signals[1], signals[2], after)
+        z[:], u = after, signals[2, 0]
         found[0, k], found[1, k] = y, u
     return found
 
@@ -63,8 +63,8 @@ class ArxForecast(NamedTuple):
     """y, y before, u and u before, shape (4,)."""
     span: tuple[float, float]
     """Limits of the forecast output: one width beyond what was visited."""
-    gains: PidGains | None
-    controller: PidState
+    gains: Law | None
+    controller: FloatArray
 
     def forecast(self, ahead: FloatArray, rows: FloatArray | None) -> FloatArray:
         """Output and input under these set-points, or inputs if the loop is not known, shape (2, N).
@@ -75,8 +75,7 @@ class ArxForecast(NamedTuple):
             return np.repeat(self.start[[0, 2], None], ahead.size, axis=1)
         found: FloatArray = _simulated(
             self.coefficients, self.start, np.zeros((ahead.size, 0)) if rows is None else rows,
-            self.gains is not None, (self.gains or NO_GAINS).constants, self.controller.integral,
-            self.controller.previous, ahead, *self.span,
+            *law_of(self.gains, self.controller), ahead, *self.span,
         )  # fmt: skip
         return found
 
@@ -84,7 +83,7 @@ class ArxForecast(NamedTuple):
 class Arx:
     """The ARX model of one plant, sample by sample."""
 
-    def __init__(self, gains: PidGains | None, kept: float) -> None:
+    def __init__(self, gains: Law | None, kept: float) -> None:
         """Begin without samples; `kept` is the factor on past weights per sample."""
         self._gains, self._kept = gains, kept
         self._normal, self._count = np.zeros((0, 0)), 0
@@ -104,7 +103,7 @@ class Arx:
         self._low, self._high = min(self._low, sample.output), max(self._high, sample.output)
         self._before, self._now = now if now.index + 1 == sample.index else sample, sample
 
-    def departure(self, controller: PidState) -> ArxForecast:
+    def departure(self, controller: FloatArray) -> ArxForecast:
         """The model at the newest sample, with the controller's state after it."""
         self._learn()
         size, normal = len(self._normal), self._normal

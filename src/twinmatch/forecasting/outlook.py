@@ -12,17 +12,17 @@ from numpy.typing import ArrayLike
 
 from twinmatch.dynamics import (
     Drive,
+    Law,
     LoopForecast,
     Model,
     Observer,
     ObserverBank,
     Output,
     Parameters,
-    PidGains,
-    PidState,
     PlantError,
     forecast_loop,
 )
+from twinmatch.dynamics.laws import HIGH, LOW
 from twinmatch.forecasting.forecast import CONFIDENCE, Band, Forecast, ForecastError
 from twinmatch.signals import FloatArray, Sample
 
@@ -179,9 +179,9 @@ class Outlook:
     covariance: FloatArray
     """Covariance of the states and of the parameters `unsure`, shape (n + m, n + m)."""
     unsure: tuple[str, ...]
-    controller: PidState
+    controller: FloatArray
     """State of the controller after that sample."""
-    gains: PidGains | None
+    gains: Law | None
     """Gains of the controller; None if the loop is not known: forecasts then take future inputs."""
     period: float
     """Sample time, s."""
@@ -239,7 +239,8 @@ class Outlook:
     def deviations(self, predicted: LoopForecast) -> FloatArray:
         """Standard deviations of output and input expected by the twin, shape (2, N)."""
         least = (_LEAST * self.parameters.model.plant.drive.noise) ** 2
-        return np.sqrt(np.stack([predicted.output_variance, predicted.input_variance + least]))
+        deviations: FloatArray = np.sqrt(predicted.variances + np.array([[0.0], [least]]))
+        return deviations
 
     def forecast(self, ahead: ArrayLike, disturbances: ArrayLike | None = None) -> Forecast:
         """Forecast under these set-points, or inputs if the loop is not known, shape (N,), from the next
@@ -255,6 +256,7 @@ class Outlook:
             raise ForecastError(msg)
         predicted = self.predicted(values, disturbances)
         half = self.deviations(predicted)[: len(self.widths)] * self._widths(values.size)
+        y, u = predicted.means
         return Forecast(
             sample=self.sample.index,
             candidate=self.candidate,
@@ -262,9 +264,9 @@ class Outlook:
             confidence=CONFIDENCE,
             time=np.arange(1, values.size + 1, dtype=np.float64) * self.period,
             reference=values if self.closed else np.full(values.size, np.nan),
-            output=Band(predicted.output, predicted.output - half[0], predicted.output + half[0]),
-            input=self._input_band(predicted.input, half[1:]),
-            notes=self.notes + self._assumptions(values, disturbances) + self._unvisited(predicted.output),
+            output=Band(y, y - half[0], y + half[0]),
+            input=self._input_band(u, half[1:]),
+            notes=self.notes + self._assumptions(values, disturbances) + self._unvisited(y),
         )
 
     def _assumptions(self, ahead: FloatArray, disturbances: ArrayLike | None) -> tuple[str, ...]:
@@ -285,7 +287,8 @@ class Outlook:
         if self.gains is None:
             return Band(mean, mean, mean)
         limits = self.parameters.model.plant.drive.limits
-        low, high = max(self.gains.low, limits[0]), min(self.gains.high, limits[1])
+        law = self.gains.law
+        low, high = max(float(law[LOW]), limits[0]), min(float(law[HIGH]), limits[1])
         return Band(mean, np.clip(mean - half[0], low, high), np.clip(mean + half[0], low, high))
 
     def _widths(self, samples: int) -> FloatArray:

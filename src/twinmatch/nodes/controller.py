@@ -14,7 +14,7 @@ from sensor_msgs.msg import Temperature
 from std_msgs.msg import Float64
 
 from twinmatch.control import ControlError, Loop, Profile
-from twinmatch.dynamics import Pid, Plant, PlantError
+from twinmatch.dynamics import Controller, Plant, PlantError
 from twinmatch.nodes.health import Level, Report
 from twinmatch.nodes.messages import sample_message, time_message
 from twinmatch.nodes.node import READERS, Missed, Readers, TwinmatchNode
@@ -177,7 +177,7 @@ class ControllerNode(TwinmatchNode):
     def open(self) -> None:
         """Subscribe to readings and start to tick."""
         # Loading the compiled step takes a quarter of a second: too long for the first tick.
-        Pid(self._gains).step(0.0, 0.0)
+        Controller(self._gains).step(0.0, 0.0)
         wiring = self._wiring
         self.create_subscription(wiring.reading_type, wiring.reading, self._on_reading, NEWEST)
         self.create_subscription(wiring.applied_type, wiring.applied, self._on_applied, RELIABLE)

@@ -213,15 +213,14 @@ def request_from(message: messages.MatchRequest) -> MatchRequest:
     if not samples or disturbances % samples:
         msg = f"match request: {disturbances} disturbance values do not divide evenly among {samples} samples"
         raise SignalError(msg)
-    arrays = {name: np.array(getattr(message, name)) for name in _SAMPLED}
-    arrays["disturbances"] = arrays["disturbances"].reshape(samples, -1)
+    reference, output, entry, rows = (np.array(getattr(message, name)) for name in _SAMPLED)
     lost = np.array(message.lost, dtype=np.int64) - message.first
     if lost.size and not (lost.min() >= 0 and lost.max() < samples):
         msg = f"match request: lost samples {list(message.lost)} lie outside its window of {samples} samples"
         raise SignalError(msg)
     seen = np.ones(samples, dtype=np.bool_)
     seen[lost] = False
-    window = Window(**arrays, first=message.first, period=message.period, seen=seen)
+    window = Window(reference, output, entry, message.first, message.period, rows.reshape(samples, -1), seen)
     start, incumbent = parameters_from(message.start), parameters_of(tree_of_message(message.incumbent))
     return MatchRequest(message.sample, message.operating_point, window, start, incumbent)
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from twinmatch.comparing import REFUSED, CandidateScore, TrustLevel, Verdict, beaten_words
-from twinmatch.dynamics import Output, Parameters, PidGains
+from twinmatch.dynamics import Law, Output, Parameters
 from twinmatch.signals import Sample, Window, unbroken
 from twinmatch.twin import window_fit
 
@@ -134,7 +134,7 @@ class Tally:
 def summarise(
     samples: Sequence[Sample],
     verdicts: Sequence[Verdict],
-    gains: PidGains | None,
+    gains: Law | None,
     notes: Sequence[str] = (),
     period: float = 1.0,
 ) -> SessionSummary:
@@ -150,7 +150,7 @@ def summarise(
 def conclude(
     tally: Tally,
     longest: Callable[[float], tuple[Window, int]],
-    gains: PidGains | None,
+    gains: Law | None,
     notes: Sequence[str] = (),
     period: float = 1.0,
 ) -> SessionSummary:

@@ -16,6 +16,7 @@ from twinmatch.dynamics import (
     FROM_PLANT_FILE,
     Drive,
     FromPlantFile,
+    Law,
     LoopGains,
     Model,
     PidGains,
@@ -63,7 +64,7 @@ def loop_parameters(plant: type[Plant], closing: LoopGains = FROM_PLANT_FILE) ->
     usual = plant.loop.period if plant.loop else 1.0
     has = gains_for(plant, usual, closing)
     period = Setting("period", usual, "Sampling period of the loop.", "s", 0.01, 60.0)
-    if has is None:
+    if not isinstance(has, PidGains):
         return (period,)
     u, y = unit_of(plant.drive), plant.output.unit
     low, high = plant.drive.limits
@@ -87,6 +88,11 @@ def loop_parameters(plant: type[Plant], closing: LoopGains = FROM_PLANT_FILE) ->
             "Derivative of the measurement instead of the error: no kick at set-point steps.",
         ),
     )
+
+
+def running(usual: Law | None, values: Mapping[str, Any]) -> Law | None:
+    """The controller from checked parameter values: those of a PID, or another law at their period."""
+    return pid_gains(values) if isinstance(usual, PidGains) else usual
 
 
 def pid_gains(values: Mapping[str, Any]) -> PidGains:
@@ -200,8 +206,8 @@ def settings_from(values: Mapping[str, Any]) -> TwinSettings:
         schedule=replace(usual.schedule, **group(values, "schedule.")),
         free=tuple(values["free"]),
         start=usual.start.replace(**group(values, "start.")),
-        noise=Noise(**group(values, "noise.")),
-        gains=None if usual.gains is None else pid_gains(values),
+        noise=Noise(values["noise.output"], values["noise.input"]),
+        gains=running(usual.gains, values),
         sensor=Sensor(**sensor),
         seed=values["seed"],
         decimals=values["decimals"],

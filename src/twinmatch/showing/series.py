@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twinmatch.dynamics import Parameters, PidGains, Response, begin_window, simulate_driven
+from twinmatch.dynamics import Law, Parameters, Response, begin_window, simulate_driven
 from twinmatch.dynamics.simulation import SKIPPED
 from twinmatch.forecasting import Band, Forecast
 from twinmatch.signals import FloatArray, Sample, Window, unbroken
@@ -52,7 +52,7 @@ class Comparison:
 
 
 def compare(
-    samples: Sequence[Sample], parameters: Parameters, gains: PidGains | None, period: float = 1.0
+    samples: Sequence[Sample], parameters: Parameters, gains: Law | None, period: float = 1.0
 ) -> tuple[Comparison, ...]:
     """Run the twins over every unbroken stretch of at least four samples, from its measured initial values,
     or, where the loop is not known, from estimated ones.

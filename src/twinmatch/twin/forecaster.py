@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from twinmatch.comparing import BASELINES, Candidate, ForecastScore, beaten_words
-from twinmatch.dynamics import Pid, PidGains, PidState, PlantError
+from twinmatch.dynamics import Controller, Law, PlantError
 from twinmatch.dynamics.pace import time_scale
 from twinmatch.forecasting import (
     HORIZONS,
@@ -110,7 +110,7 @@ class Forecaster:
 
     def __init__(
         self,
-        gains: PidGains | None,
+        gains: Law | None,
         settings: ForecastSettings | None = None,
         spoilt: Callable[[int, int], bool] = lambda _first, _last: False,
         period: float = 1.0,
@@ -141,7 +141,7 @@ class Forecaster:
         self._run_in = tuple(round(stretch * time_scale(period) / period) for stretch in _RUN_IN)
         self._recent: deque[Sample] = deque(maxlen=max(self._longest + self._stride, *self._run_in) + 1)
         self._visited = (np.inf, -np.inf)
-        self._pid = None if gains is None else Pid(gains)
+        self._pid = None if gains is None else Controller(gains)
         self._followers = Followers()
         self._arx = Arx(gains, float(np.exp(-period / self.settings.memory)))
         self.notes: tuple[str, ...] = ()
@@ -288,8 +288,8 @@ class Forecaster:
         return self._outlook(_checked(self.leader if name is None else name, known))
 
     @property
-    def _controller(self) -> PidState:
-        return PidState() if self._pid is None else self._pid.state
+    def _controller(self) -> FloatArray:
+        return np.zeros(0) if self._pid is None else self._pid.state
 
     def _outlook(self, name: str, *, banded: bool = True) -> Outlook:
         """The outlook of a candidate; `banded=False` if only the mean will be used."""
@@ -358,7 +358,7 @@ class Forecaster:
         """Start over from readings after a gap; what was learned stays."""
         self._recent.clear()
         self._departures.clear()
-        self._pid = None if self._gains is None else Pid(self._gains)
+        self._pid = None if self._gains is None else Controller(self._gains)
         for twin in self._twins.values():
             twin.state_filter.restart()
 
@@ -406,7 +406,7 @@ class Forecaster:
             banded = not skipped or name == leader
             with self._removing_lost(name):
                 predicted = outlook.predicted(given, rows, banded=banded)
-                off[name] = measured - np.array(predicted[:signals])
+                off[name] = measured - predicted.means[:signals]
                 if banded:
                     quotients = np.abs(off[name]) / outlook.deviations(predicted)[:signals]
                     if seen is not None:

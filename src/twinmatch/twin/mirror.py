@@ -12,11 +12,11 @@ import numpy as np
 from twinmatch.dynamics import (
     FROM_PLANT_FILE,
     SKIPPED,
+    Controller,
     Experiment,
+    Law,
     LoopGains,
     Parameters,
-    Pid,
-    PidGains,
     Response,
     advance,
     begin,
@@ -28,7 +28,7 @@ from twinmatch.dynamics import (
 )
 from twinmatch.fitting.problem import unknown_starts
 from twinmatch.forecasting import StateFilter
-from twinmatch.signals import FloatArray, Sample, Window, bridge
+from twinmatch.signals import FloatArray, Sample, Window, bridge, only
 
 _ESTIMATED_OVER: Final = 300.0
 """Newest stretch over which the states of a new structure are estimated, s."""
@@ -74,7 +74,7 @@ class Mirror:
 
     _closed: FloatArray
     _driven: FloatArray
-    _pid: Pid | None
+    _pid: Controller | None
 
     def __init__(
         self,
@@ -135,7 +135,7 @@ class Mirror:
         """The driven twin alone."""
         return self._observe(sample, float("nan"), float("nan"), row)
 
-    def _looped(self, sample: Sample, pid: Pid, row: FloatArray | None) -> MirrorState:
+    def _looped(self, sample: Sample, pid: Controller, row: FloatArray | None) -> MirrorState:
         """Both twins; advances the closed-loop one to the next tick."""
         closed = read(self._parameters, self._closed, row)
         if self._started < 2:
@@ -144,7 +144,8 @@ class Mirror:
             pid.follow(sample.reference, sample.output, sample.input)
             self._started += 1
         else:
-            state = self._observe(sample, closed, pid.step(sample.reference, closed), row)
+            u = float(only("input", pid.step(sample.reference, closed)))
+            state = self._observe(sample, closed, u, row)
         self._closed = advance(self._parameters, self._closed, state.closed_input, self._period, row)
         return state
 
@@ -153,7 +154,7 @@ class Mirror:
         start = begin(self._parameters, sample.output, input=sample.input, disturbances=row)
         self._closed = start if self._gains is not None else np.full(start.size, np.nan)
         self._driven = start
-        self._pid = None if self._gains is None else Pid(self._gains)
+        self._pid = None if self._gains is None else Controller(self._gains)
         self._recent.clear()
         self._samples.clear()
         self._started = 0
@@ -214,7 +215,7 @@ class Residuals(NamedTuple):
     """Input residual of the closed-loop twin, which gets the set-point; NaN if the loop is not known."""
 
 
-def residuals(parameters: Parameters, window: Window, gains: PidGains | None) -> Residuals:
+def residuals(parameters: Parameters, window: Window, gains: Law | None) -> Residuals:
     """Run both twins over a window from its measured start (NaN if it has fewer than four samples)."""
     if len(window) < 4:
         return Residuals(float("nan"), float("nan"))
@@ -230,7 +231,7 @@ def residuals(parameters: Parameters, window: Window, gains: PidGains | None) ->
     return Residuals(off, _rms(_received(window, window.input[SKIPPED:] - closed.input)))
 
 
-def window_fit(parameters: Parameters, window: Window, gains: PidGains | None) -> tuple[float, float]:
+def window_fit(parameters: Parameters, window: Window, gains: Law | None) -> tuple[float, float]:
     """NRMSE fit of output and input of the closed-loop twin over a window; 1 is perfect.
 
     Without gains: that of the driven twin's output, and NaN.
@@ -240,7 +241,7 @@ def window_fit(parameters: Parameters, window: Window, gains: PidGains | None) -
     return of_output, float("nan") if gains is None else nrmse(window.input[SKIPPED:], twin.input)
 
 
-def response_on(parameters: Parameters, window: Window, gains: PidGains | None) -> Response:
+def response_on(parameters: Parameters, window: Window, gains: Law | None) -> Response:
     """The twin over a whole window, from its third sample on, as it is shown beside the measurements.
 
     A driven twin has no controller that brings it back to the measurements, so initial states that no sensor

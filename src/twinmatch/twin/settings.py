@@ -8,13 +8,13 @@ from typing import Final
 from twinmatch.comparing import spans_of
 from twinmatch.dynamics import (
     FROM_PLANT_FILE,
+    Law,
     LoopGains,
     Parameters,
-    PidGains,
     Plant,
     Sensor,
     gains_for,
-    gains_of,
+    pid_of,
 )
 from twinmatch.errors import TwinmatchError
 from twinmatch.fitting import Noise
@@ -54,8 +54,8 @@ def _start() -> Parameters:
     return Peltier.model().parameters()
 
 
-def _gains() -> PidGains:
-    return gains_of(Peltier, 1.0)
+def _gains() -> Law:
+    return pid_of(Peltier)
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class TwinSettings:
     start: Parameters = field(default_factory=_start)
     """Start values, and values of the parameters not free; their structure is the one that is matched."""
     noise: Noise = Noise.of(Peltier)  # noqa: RUF009 (immutable)
-    gains: PidGains | None = field(default_factory=_gains)
+    gains: Law | None = field(default_factory=_gains)
     """Gains of the running controller; None if the loop is not known: twins then get the recorded input."""
     sensor: Sensor = Peltier.sensor
     """Sensor model applied to the twin's response before its models are identified."""

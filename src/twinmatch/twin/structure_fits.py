@@ -17,7 +17,7 @@ from typing import Final
 import numpy as np
 
 from twinmatch.comparing import Candidate
-from twinmatch.dynamics import Model, Parameters, PidGains, Plant
+from twinmatch.dynamics import Law, Model, Parameters, Plant
 from twinmatch.dynamics.pace import time_scale
 from twinmatch.errors import TwinmatchError
 from twinmatch.fitting import Noise, StructureFit, fit_structure
@@ -67,9 +67,9 @@ class NewestSamples:
 
 def _continued(window: Window, newer: Window) -> Window:
     return Window(
-        reference=np.concatenate([window.reference, newer.reference]),
-        output=np.concatenate([window.output, newer.output]),
-        input=np.concatenate([window.input, newer.input]),
+        references=np.concatenate([window.references, newer.references]),
+        outputs=np.concatenate([window.outputs, newer.outputs]),
+        inputs=np.concatenate([window.inputs, newer.inputs]),
         first=window.first,
         period=window.period,
         disturbances=np.concatenate([window.disturbances, newer.disturbances]),
@@ -87,7 +87,7 @@ class StructureFits:
         self,
         models: Sequence[Model],
         noise: Noise,
-        gains: PidGains | None,
+        gains: Law | None,
         period: float = 1.0,
         *,
         matched: Model | None = None,

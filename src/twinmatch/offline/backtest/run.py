@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from twinmatch.dynamics import SKIPPED, Parameters, PidGains, Plant
+from twinmatch.dynamics import SKIPPED, Law, Parameters, Plant
 from twinmatch.forecasting import CONFIDENCE, Band, Forecast, ForecastError, Outlook, horizons_for
 from twinmatch.offline.backtest.peer import BacktestError, Peer
 from twinmatch.offline.backtest.peers import PEERS, peers
@@ -177,7 +177,7 @@ class Choices:
 
 
 def with_constant_band(
-    forecast: Forecast, parameters: Parameters, past: Window, gains: PidGains | None
+    forecast: Forecast, parameters: Parameters, past: Window, gains: Law | None
 ) -> Forecast:
     """The same means with a band of one width at all horizons.
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from twinmatch.comparing import Verdict
 from twinmatch.description import UNDESCRIBED, Description
-from twinmatch.dynamics import PidGains
+from twinmatch.dynamics import Law
 from twinmatch.errors import TwinmatchError
 from twinmatch.forecasting import Forecast
 from twinmatch.offline.summary import summarise
@@ -344,7 +344,7 @@ class DashboardState:
         self.event_count += 1
 
 
-def update_sentence(state: DashboardState, gains: PidGains | None) -> None:
+def update_sentence(state: DashboardState, gains: Law | None) -> None:
     """Summarise the samples that are kept, with the newest verdict, into `state.sentence`.
 
     Takes a few milliseconds; call it for a new verdict, not for every sample. `gains` are those of the

@@ -1,0 +1,238 @@
+"""Uncertainty around the loop: variances of a forecast, and the effect of the sensors' noise on a fit."""
+
+# ruff: noqa: PLR0912, PLR0917 (kernels are long and take arrays in a row)
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twinmatch.compiled import compiled
+from twinmatch.dynamics.filters import predict
+from twinmatch.dynamics.kernels import Code, advance
+from twinmatch.dynamics.laws import LawCode
+from twinmatch.dynamics.runs import run, run_with_tangents
+from twinmatch.signals import FloatArray
+
+
+@compiled
+def foresee(
+    code: Code, vector: FloatArray, which: NDArray[np.int64], x: FloatArray, joint: FloatArray,
+    process_noise: FloatArray, u: FloatArray, law: LawCode, memory: FloatArray, references: FloatArray,
+    disturbances: FloatArray, period: float, steps: int, noise: FloatArray, banded: bool,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:  # fmt: skip
+    """Outputs, inputs and their variances; `x` and `joint` are those at the newest sample, and are changed;
+    `noise` holds variances, shape (o,)."""
+    size, n, k, m, d = len(references), x.size, which.shape[1], u.size, disturbances[1:]
+    begun = advance(code, vector, x, u, disturbances[0], period, steps)
+    still, never = np.zeros((size, noise.size)), np.zeros(size, dtype=np.bool_)
+    # The mean is simulated without derivatives, like every simulation: derivatives share subexpressions with
+    # the rates, which then round differently.
+    outputs, inputs, _ = run(
+        code, vector, begun, law, memory, references, d, still, never, 0.0, period, steps
+    )
+    if not banded:
+        return outputs, inputs, np.zeros((0, noise.size)), np.zeros((0, m))
+    columns, compared = np.zeros((n, k + n + m)), np.zeros((noise.size + m, size))
+    predict(code, vector, x, joint, process_noise, u, disturbances[0], period, steps, which, columns)
+    _, _, by, by_state, by_input, around, seen, _ = run_with_tangents(
+        code, vector, which[0], begun, np.eye(n, k + n, k), law, np.zeros(0, dtype=np.int64), memory,
+        references, d, period, steps, compared, compared, False, True, np.inf,
+    )  # fmt: skip
+    of_outputs, of_inputs = _variances(joint, by, by_state, by_input, around, seen, noise, process_noise)
+    return outputs, inputs, of_outputs, of_inputs
+
+
+@compiled
+def _variances(
+    joint: FloatArray, by: FloatArray, by_state: FloatArray, by_input: FloatArray, around: FloatArray,
+    seen: FloatArray, noise: FloatArray, process_noise: FloatArray,
+) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+    """Variances of outputs, shape (N, o), and inputs, shape (N, m).
+
+    `by`, shape (o + m, N, k + n), holds their derivatives by parameters and states at the first sample,
+    `joint` the covariance of states and parameters there, and `noise` the variances of the readings. Later
+    noise and drift enter the covariance of the loop's own state: those of the plant, then the law's.
+    """
+    size, outputs, nx = seen.shape
+    inputs = by_input.shape[2]
+    both, m = joint.shape[0], nx + around.shape[1] - inputs
+    of_outputs, of_inputs = np.zeros((size, outputs)), np.zeros((size, inputs))
+    a, b, of_u = np.zeros((m, m)), np.zeros((m, outputs)), np.zeros((inputs, m))
+    later, way, of_y = np.zeros((m, m)), np.zeros((m, m)), np.zeros(m)
+    first = np.zeros((both, both))  # in the order of `by`
+    for i in range(both):
+        for j in range(both):
+            first[i, j] = joint[(i + nx) % both, (j + nx) % both]
+    for k in range(size):
+        _around_loop(around, seen, by_state, by_input, k, a, b, of_u)
+        for o in range(outputs):
+            for i in range(nx):
+                of_y[i] = seen[k, o, i]
+            of_outputs[k, o] = max(noise[o] + _form(first, by[o, k]) + _form(later, of_y), 0.0)
+        for i in range(inputs):
+            total = _form(first, by[outputs + i, k]) + _form(later, of_u[i])
+            for o in range(outputs):
+                total += around[k, i, m - nx + o] ** 2 * noise[o]
+            of_inputs[k, i] = max(total, 0.0)
+        for i in range(m):
+            for j in range(m):
+                total = 0.0
+                for q in range(m):
+                    total += a[i, q] * later[q, j]
+                way[i, j] = total
+        for i in range(m):
+            for j in range(i + 1):
+                total = process_noise[i] if i == j and i < nx else 0.0
+                for o in range(outputs):
+                    total += noise[o] * b[i, o] * b[j, o]
+                for q in range(m):
+                    total += way[i, q] * a[j, q]
+                later[i, j] = total
+                later[j, i] = total
+    return of_outputs, of_inputs
+
+
+@compiled(innermost=True)
+def _form(of: FloatArray, b: FloatArray) -> float:
+    """bᵀ·of·b for a symmetric matrix `of`."""
+    total = 0.0
+    for i in range(b.size):
+        side = 0.0
+        for j in range(i):
+            side += of[i, j] * b[j]
+        total += b[i] * (2.0 * side + of[i, i] * b[i])
+    return total
+
+
+@compiled
+def noise_effects(
+    by_state: FloatArray, by_input: FloatArray, around: FloatArray, seen: FloatArray, started: FloatArray,
+    weighed: FloatArray, weights: FloatArray, closed: bool,
+) -> tuple[FloatArray, float]:  # fmt: skip
+    """Backwards through the linearised loop, whose state holds those of the plant and the law.
+
+    For the readings of each output apart, `ahead` holds the gradients of the sums by the state one sample
+    later, `power` the quadratic form of a disturbed state that gives the sum of the squared residuals from
+    then on.
+    """
+    size, outputs, nx = seen.shape
+    n, inputs = weighed.shape[2], by_input.shape[2]
+    m = nx + around.shape[1] - inputs
+    scores, squares = np.empty((size * outputs, n)), 0.0
+    a, all_b, of_u, b = np.zeros((m, m)), np.zeros((m, outputs)), np.zeros((inputs, m)), np.zeros(m)
+    compared = inputs if closed else 0
+    for of in range(outputs):
+        ahead, power = np.zeros((m, n)), np.zeros((m, m))
+        w = weights[of]
+        for k in range(size - 1, -1, -1):
+            _around_loop(around, seen, by_state, by_input, k, a, all_b, of_u)
+            out_y = w[of]
+            for i in range(m):
+                b[i] = all_b[i, of]
+            if k == 0:
+                # The twin starts at the first readings, so their noise shifts both, and only the plant's own
+                # movement afterwards differs.
+                out_y = 0.0
+                for i in range(m):
+                    b[i] = 0.0
+                    if i < nx:
+                        for j in range(nx):
+                            b[i] -= by_state[k, i, j] * started[j, of]
+            for p in range(n):
+                score = out_y * weighed[of, k, p]
+                for i in range(compared if k > 0 else 0):
+                    score += w[outputs + i] * around[k, i, m - nx + of] * weighed[outputs + i, k, p]
+                for i in range(m):
+                    score += b[i] * ahead[i, p]
+                scores[k * outputs + of, p] = score
+            squares += out_y * out_y + _power_form(power, b)
+            for i in range(compared if k > 0 else 0):
+                squares += (w[outputs + i] * around[k, i, m - nx + of]) ** 2
+            moved = np.zeros((m, n))
+            for p in range(n):
+                for j in range(m):
+                    total = 0.0
+                    for i in range(compared):
+                        total += w[outputs + i] * weighed[outputs + i, k, p] * of_u[i, j]
+                    if j < nx:
+                        for o in range(outputs):
+                            total += w[o] * weighed[o, k, p] * seen[k, o, j]
+                    for i in range(m):
+                        total += a[i, j] * ahead[i, p]
+                    moved[j, p] = total
+            ahead = moved
+            power = _congruent(power, a)
+            for i in range(m):
+                for j in range(m):
+                    for q in range(compared):
+                        power[i, j] += w[outputs + q] ** 2 * of_u[q, i] * of_u[q, j]
+                    if i < nx and j < nx:
+                        for o in range(outputs):
+                            power[i, j] += w[o] ** 2 * seen[k, o, i] * seen[k, o, j]
+    return scores, squares / ((outputs + compared) * size)
+
+
+@compiled(innermost=True)
+def _around_loop(
+    around: FloatArray, seen: FloatArray, by_state: FloatArray, by_input: FloatArray, k: int, a: FloatArray,
+    b: FloatArray, of_u: FloatArray,
+) -> None:  # fmt: skip
+    """Sample k of the linear loop; its state z holds those of the plant and of the law.
+
+    With v, the noise of the readings: u = of_u·z + around·v, next z = a·z + b·v. `around` holds the
+    derivatives of the law's step, `seen` those of the outputs by the plant's states.
+    """
+    outputs, nx, inputs = seen.shape[1], seen.shape[2], by_input.shape[2]
+    q = around.shape[1] - inputs
+    for i in range(inputs + q):
+        for j in range(nx + q):
+            total = 0.0
+            if j < nx:
+                for o in range(outputs):
+                    total += around[k, i, q + o] * seen[k, o, j]
+            else:
+                total = around[k, i, j - nx]
+            if i < inputs:
+                of_u[i, j] = total
+            else:
+                a[nx + i - inputs, j] = total
+        for o in range(outputs if i >= inputs else 0):
+            b[nx + i - inputs, o] = around[k, i, q + o]
+    for i in range(nx):
+        for j in range(nx + q):
+            total = by_state[k, i, j] if j < nx else 0.0
+            for of in range(inputs):
+                total += by_input[k, i, of] * of_u[of, j]
+            a[i, j] = total
+        for o in range(outputs):
+            total = 0.0
+            for of in range(inputs):
+                total += by_input[k, i, of] * around[k, of, q + o]
+            b[i, o] = total
+
+
+@compiled
+def _power_form(power: FloatArray, b: FloatArray) -> float:
+    """bᵀ·power·b."""
+    total = 0.0
+    for i in range(b.size):
+        for j in range(b.size):
+            total += power[i, j] * b[i] * b[j]
+    return total
+
+
+@compiled
+def _congruent(power: FloatArray, a: FloatArray) -> FloatArray:
+    """aᵀ·power·a."""
+    m = power.shape[0]
+    way, found = np.zeros((m, m)), np.zeros((m, m))
+    for i in range(m):
+        for j in range(m):
+            for q in range(m):
+                way[i, j] += power[i, q] * a[q, j]
+    for i in range(m):
+        for j in range(m):
+            for q in range(m):
+                found[i, j] += a[q, i] * way[q, j]
+    return found
