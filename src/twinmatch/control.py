@@ -16,7 +16,7 @@ from itertools import accumulate
 import numpy as np
 from numpy.typing import ArrayLike
 
-from twinmatch.dynamics import Controller, Plant, pid_of
+from twinmatch.dynamics import Controller, PidGains, Plant, pid_of
 from twinmatch.errors import TwinmatchError
 from twinmatch.signals import Sample
 
@@ -135,7 +135,7 @@ class Loop:
     def __init__(
         self,
         plant: type[Plant],
-        gains: Loop | None = None,
+        gains: PidGains | None = None,
         *,
         max_age: float = 2.0,
         state: ArrayLike | None = None,

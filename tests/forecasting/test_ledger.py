@@ -261,7 +261,7 @@ def plant(y: float, y_before: float, u: float, u_before: float, room: float) -> 
     return y + 0.3 - 0.1 * y + 0.4 * (y - y_before) + 0.2 * u + 0.05 * u_before + 0.02 * room
 
 
-def record(n: int, gains: PidGains | None, seed: int = 1) -> tuple[list[Sample], list[Array]]:
+def record(n: int, gains: PidGains | None, seed: int = 1) -> tuple[list[Sample], list[np.ndarray]]:
     """An exact run of `plant`: of the loop if there are gains, otherwise under random inputs."""
     random = np.random.default_rng(seed)
     y = y_before = u_before = 0.0

@@ -346,6 +346,11 @@ class LinearLaw:
         found: FloatArray = np.linalg.lstsq(np.concatenate(rows), np.concatenate(left), rcond=None)[0]
         return found
 
+    def saturates(self, u: ArrayLike) -> bool:
+        """Whether a command is on a limit."""
+        given = np.array(u, dtype=np.float64)
+        return bool(((given <= self.low) | (given >= self.high)).any())
+
     def follow(
         self, state: FloatArray, reference: FloatArray, output: FloatArray, u: FloatArray
     ) -> FloatArray:
@@ -383,7 +388,8 @@ class Controller:
         """
         rows = _finite(reference=reference, output=output)
         u, self.state = commands_of(self._law, self.state, rows[0][None], rows[1][None])
-        return u[0]
+        row: FloatArray = u[0]
+        return row
 
     def follow(self, reference: ArrayLike, output: ArrayLike, u: ArrayLike) -> None:
         """Adopt the state after a sample whose commands another controller with the same law computed.
@@ -392,5 +398,3 @@ class Controller:
             PlantError: a value is not finite; the state is unchanged.
         """
         self.state = self.loop.follow(self.state, *_finite(reference=reference, output=output, input=u))
-
-

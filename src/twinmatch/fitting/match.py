@@ -9,7 +9,7 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from twinmatch.dynamics import FROM_PLANT_FILE, LoopGains, Parameters
+from twinmatch.dynamics import FROM_PLANT_FILE, Drive, LoopGains, Output, Parameters
 from twinmatch.fitting.estimation import Uncertainty, on_bounds, solve, starts_for
 from twinmatch.fitting.gate import FitEvidence, GateLimits, Status, first_excited, judge, undetermined
 from twinmatch.fitting.identifiability import Identified, identify, unidentified
@@ -192,7 +192,8 @@ def _split(problem: Problem, min_step: float | None, limits: GateLimits) -> tupl
     window, plant = problem.window, problem.base.model.plant
     driven = problem.gains is None
     what, signals = ("input", window.inputs) if driven else ("set-point", window.references)
-    declared = list(plant.drives.values() if driven else plant.outputs.values())[: signals.shape[1]]
+    declared: list[Drive | Output] = [*(plant.drives if driven else plant.outputs).values()]
+    declared = declared[: signals.shape[1]]
     least = [signal.least_step if min_step is None else min_step for signal in declared]
     moved = [first_excited(column, step) for column, step in zip(signals.T, least, strict=True)]
     excited = min((at for at in moved if at is not None), default=None)

@@ -31,7 +31,8 @@ from twinmatch.dynamics.kernels import (
     step_count,
 )
 from twinmatch.dynamics.kernels import SIZES as NUMBERS
-from twinmatch.dynamics.laws import GIVEN, KIND
+from twinmatch.dynamics.laws import GIVEN as DRIVEN
+from twinmatch.dynamics.laws import KIND
 from twinmatch.dynamics.machine import FUNCTIONS, linked
 from twinmatch.dynamics.runs import LeastSquares, add_row, run
 from twinmatch.fmu.machine import (
@@ -226,7 +227,7 @@ def normal_at(
     `code` has no unknowns: no derivatives of single samples are needed.
     """
     n, free, m = values.size, problem.places.size, at[N_PARAMETERS]
-    size, signals = problem.disturbances.shape[0], 1 if problem.law[KIND] == GIVEN else 2
+    size, signals = problem.disturbances.shape[0], 1 if problem.law[KIND] == DRIVEN else 2
     nowhere = np.inf, np.zeros(n), np.zeros((n, n))
     still, never = np.zeros((size, 1)), np.zeros(size, dtype=np.bool_)
     simulated, ends = np.empty((1 + 2 * n, 2, size)), np.empty((n, 2))

@@ -23,6 +23,7 @@ from twinmatch.dynamics import (
     StructureLostError,
     begin,
     kernels,
+    read,
     runs,
     simulate_driven,
 )
