@@ -77,7 +77,7 @@ def test_differences_are_the_exact_tangents(model: Model) -> None:
         values = experiment.values_of(one.parameters(**TRUTH))
         found.append((experiment.tangents(values), *experiment.normal(values)))
     (exact, cost, gradient, hessian), (tangents, *normal) = found
-    for name, size in (("by", 1e-5), ("by_state", 1e-7), ("by_drive", 1e-7), ("seen", 1e-9)):
+    for name, size in (("by", 1e-5), ("by_state", 1e-7), ("by_input", 1e-7), ("seen", 1e-9)):
         one, other = getattr(exact, name), getattr(tangents, name)
         np.testing.assert_allclose(other, one, rtol=0, atol=size * np.abs(one).max(), err_msg=name)
     assert normal[0] == pytest.approx(cost, rel=1e-7)  # native steps are good to that

@@ -50,10 +50,10 @@ class PidGains:
     n_inputs: ClassVar[int] = 1
     n_references: ClassVar[int] = 1
     GAINS: ClassVar[Mapping[str, int]] = {
-        "proportional": 0,
-        "integral": 1,
-        "derivative": 2,
-        "back_calculation": 3,
+        "proportional": 5,
+        "integral": 6,
+        "derivative": 7,
+        "back_calculation": 8,
     }
 
     def __post_init__(self) -> None:
