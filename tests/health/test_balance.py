@@ -108,7 +108,7 @@ def alarms(kind: str = "", matched: int = 400, **values: float) -> tuple[Alarm, 
         broken = kind if k >= BROKEN else ""
         if broken != "frozen":
             y = 700.0 if broken == "off" else read(truth, states) + random.normal(0.0, 0.2)
-        u, load = pid.step(float(reference), y), 0.02 * np.sin(k / 200)
+        u, load = pid.step(float(reference), y)[0], 0.02 * np.sin(k / 200)
         known = truth if k >= matched else None
         monitor.push(Sample(k, round(k * PERIOD_OTHER_PLANT * 1e9), float(reference), y, u, (load,)), known)
         driven = 0.0 if broken == "lost" else u
