@@ -170,3 +170,15 @@ def test_two_processes_never_give_one_name_to_what_they_compile(tmp_path: Path) 
         names.add(run(tmp_path, tmp_path / home).splitlines()[-1])
         shutil.rmtree(tmp_path / "__pycache__", ignore_errors=True)
     assert len(names) == 2, names
+
+
+def test_a_cache_that_knows_a_class_of_arguments_that_is_gone_is_no_obstacle(tmp_path: Path) -> None:
+    """numba unpickles the types of all kernels that it has kept, and fails if one of them cannot be imported."""
+    write(tmp_path)
+    first = run(tmp_path)
+    for name in ("shape.py", "callee.py", "entry.py"):
+        file = tmp_path / name
+        file.write_text(file.read_text().replace("Point", "Place"))
+    assert first == "7.0 compiled"
+    assert run(tmp_path) == "7.0 compiled"
+    assert run(tmp_path) == "7.0 kept"

@@ -165,6 +165,19 @@ def _environment(module: str, constants: list[Any], name: str) -> Environment:
 class _KernelCache(FunctionCache):
     _impl_class = _KernelFiles
 
+    def __init__(self, function: FunctionType) -> None:
+        super().__init__(function)
+        self._read_index = self._cache_file._load_index
+        self._cache_file._load_index = self._index
+
+    def _index(self) -> dict[Any, Any]:
+        """What is cached; nothing if the index names a class of arguments that there was in another version."""
+        try:
+            found: dict[Any, Any] = self._read_index()
+        except (AttributeError, ImportError, pickle.UnpicklingError):
+            return {}
+        return found
+
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         # numba would load its whole compiler first (a fifth of a second), needed only to compile.
         rtsys.initialize(target_context)

@@ -83,7 +83,7 @@ def rest_at(parameters: Parameters, output: ArrayLike, disturbances: ArrayLike |
             break
     held = ", ".join(f"{v:g} {o.unit}" for v, o in zip(y, model.plant.outputs.values(), strict=True))
     within = ", ".join(
-        f"{drive.unit or drive.name} between {drive.limits[0]:g} and {drive.limits[1]:g}"
+        f"{(len(drives) == 1 and drive.unit) or drive.name} between {drive.limits[0]:g} and {drive.limits[1]:g}"
         for drive in drives.values()
     )
     raise PlantError(
