@@ -165,13 +165,13 @@ def _environment(module: str, constants: list[Any], name: str) -> Environment:
 class _KernelCache(FunctionCache):
     _impl_class = _KernelFiles
 
-    def __init__(self, function: FunctionType) -> None:
+    def __init__(self, function: Callable[..., Any]) -> None:
         super().__init__(function)
         self._read_index = self._cache_file._load_index
         self._cache_file._load_index = self._index
 
     def _index(self) -> dict[Any, Any]:
-        """What is cached; nothing if the index names a class of arguments that there was in another version."""
+        """What is cached; nothing if the index names a class of arguments of another version."""
         try:
             found: dict[Any, Any] = self._read_index()
         except (AttributeError, ImportError, pickle.UnpicklingError):

@@ -82,10 +82,9 @@ def rest_at(parameters: Parameters, output: ArrayLike, disturbances: ArrayLike |
                 return Rest(states, u)
             break
     held = ", ".join(f"{v:g} {o.unit}" for v, o in zip(y, model.plant.outputs.values(), strict=True))
-    within = ", ".join(
-        f"{(len(drives) == 1 and drive.unit) or drive.name} between {drive.limits[0]:g} and {drive.limits[1]:g}"
-        for drive in drives.values()
-    )
+    names = [(len(drives) == 1 and drive.unit) or drive.name for drive in drives.values()]
+    limits = [f"between {low:g} and {high:g}" for low, high in zip(least, most, strict=True)]
+    within = ", ".join(f"{name} {ends}" for name, ends in zip(names, limits, strict=True))
     raise PlantError(
         f"{model.title}: no {within} holds it at {held}; give an operating point at which it can be held"
     )
