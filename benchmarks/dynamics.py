@@ -132,7 +132,7 @@ def _forecast(quick: bool) -> list[Row]:
             RIG, states=states, covariance=np.diag(spread**2), input=0.0, drift=[0.0, 0.0], unsure=unsure,
             reference=reference,
         )  # fmt: skip
-        return found.output_variance
+        return found.output_variances
 
     def drawn() -> Array:
         outputs = np.empty((runs, reference.size))

@@ -172,7 +172,7 @@ def test_two_processes_never_give_one_name_to_what_they_compile(tmp_path: Path) 
     assert len(names) == 2, names
 
 
-def test_a_cache_that_knows_a_class_of_arguments_that_is_gone_is_no_obstacle(tmp_path: Path) -> None:
+def test_a_cache_that_knows_a_class_of_arguments_that_is_gone_is_left(tmp_path: Path) -> None:
     """numba unpickles the types of all kernels that it has kept, and fails if one cannot be imported."""
     write(tmp_path)
     first = run(tmp_path)

@@ -24,6 +24,7 @@ from typing import Any, TypeVar, overload
 
 import llvmlite.binding
 import numba
+from numba import types
 from numba.core.bytecode import FunctionIdentity
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, NullCache
 from numba.core.dispatcher import Dispatcher
@@ -93,9 +94,15 @@ def compiled(
         options["forceinline"] = True
     kernel = numba.njit(nogil=True, error_model="numpy", **options)(function)
     kernel._compiler.compile = functools.partial(_vectorised, kernel._compiler.compile)
+    kernel.get_call_template = functools.partial(_of_kinds, kernel.get_call_template)
     if not (inside or inlined):
         kernel._cache = _Cache(function)
     return kernel
+
+
+def _of_kinds(template: Callable[..., Any], args: Any, kws: Any) -> Any:
+    """One kernel for all values of an argument; numba would compile another for each constant truth value."""
+    return template(tuple(map(types.unliteral, args)), {k: types.unliteral(v) for k, v in kws.items()})
 
 
 def _vectorised(compile_: Callable[..., Any], *args: Any) -> Any:

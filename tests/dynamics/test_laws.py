@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_are
 
-from tests.support.heaters import Heaters
+from tests.support.exchanging import Heaters
 from tests.support.places import OTHERS
 from tests.support.plants import Tank
 from twinmatch.compiled import compiled
@@ -228,7 +228,7 @@ def test_unknown_gains_of_a_controller_are_found() -> None:
         (lambda: Controller(PID, [math.nan, 0.0, 0.0]).step(1.0, 1.0), "state"),
     ],
 )
-def test_what_is_no_law_is_refused(make: Callable[[], object], message: str) -> None:
+def test_what_is_not_a_law_is_refused(make: Callable[[], object], message: str) -> None:
     with pytest.raises(PlantError, match=message):
         make()
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from tests.support.heaters import Heaters
+from tests.support.exchanging import Heaters
 from twinmatch.dynamics import (
     Experiment,
     LinearLaw,

@@ -159,9 +159,9 @@ def requests(draw: st.DrawFn) -> MatchRequest:
     row = st.lists(finite, min_size=size, max_size=size)
     disturbances = draw(st.lists(finite, min_size=size * wide, max_size=size * wide))
     window = Window(
-        reference=np.array(draw(row)),
-        output=np.array(draw(row)),
-        input=np.array(draw(row)),
+        np.array(draw(row)),
+        np.array(draw(row)),
+        np.array(draw(row)),
         first=draw(INDICES),
         period=draw(POSITIVE),
         disturbances=np.array(disturbances).reshape(size, wide),

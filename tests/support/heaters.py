@@ -1,43 +1,54 @@
-"""A toy plant with two heaters, two sensors and exchange between them."""
+"""The other side of a node that drives a heater."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import ClassVar
+import threading
+from collections.abc import Callable
+from typing import Any
 
-from twinmatch.dynamics import Drive, Equations, Output, Parameter, Plant, State, Structure
+from std_srvs.srv import Trigger
+
+from tests.support.ros import Listener
 
 
-class Heaters(Plant):
-    """Two bodies that exchange heat, lose some by radiation, and are heated each by its own heater."""
+class HeaterRig:
+    """Controller and sensor as a bridge sees them, and what it says; a subclass publishes in `feed`."""
 
-    title = "Heaters"
-    one, two = (State(unit="°C", span=(0.0, 120.0)) for _ in range(2))
-    first_power, second_power = (Drive(unit="%", limits=(0.0, 100.0), noise=1.0) for _ in range(2))
-    first, second = (Output(unit="°C", noise=0.1, span=(0.0, 150.0)) for _ in range(2))
-    loss = Parameter(unit="1/s", default=0.01, bounds=(1e-3, 0.1), positive=True)
-    exchange = Parameter(unit="1/s", default=0.02, bounds=(1e-3, 0.5), positive=True)
-    first_gain = Parameter(unit="°C/s/%", default=0.015, bounds=(1e-3, 0.3), positive=True)
-    second_gain = Parameter(unit="°C/s/%", default=0.01, bounds=(1e-3, 0.3), positive=True)
-    structures: ClassVar = {"all": Structure(free=("loss", "exchange", "first_gain", "second_gain"))}
+    def __init__(self, listener: Listener, place: str) -> None:
+        """Feed the bridge from now on; its services are at `place`."""
+        self.listener = listener
+        self.applied: list[Any] = []
+        names = ("clear_fault", "stop")
+        self._services = {n: listener.node.create_client(Trigger, f"{place}/{n}") for n in names}
+        self._ending = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
 
-    def equations(self, parts: frozenset[str]) -> Equations:  # noqa: ARG002
-        one, two = self.rates_of({name: getattr(self, name) for name in self.parameters})(
-            (self.one, self.two), (self.first_power, self.second_power)
-        )
-        return Equations(
-            rates={self.one: one, self.two: two},
-            output={self.first: self.one, self.second: self.two},
-            start={self.one: self.first, self.two: self.second},
-        )
+    def feed(self) -> None:
+        """Publish what is to be seen; called twenty times a second."""
+        raise NotImplementedError
 
-    @staticmethod
-    def rates_of(p: Mapping[str, float]) -> Callable[..., tuple[float, float]]:
-        """The rates of both temperatures, from these and the two powers."""
+    def begin(self) -> None:
+        self._thread.start()
 
-        def rates(x: tuple[float, float], u: tuple[float, float]) -> tuple[float, float]:
-            lost = [p["loss"] * (at - 23.0) * (1.0 + 0.003 * (at - 23.0)) for at in x]
-            given = p["exchange"] * (x[1] - x[0])
-            return p["first_gain"] * u[0] - lost[0] + given, p["second_gain"] * u[1] - lost[1] - given
+    def until(self, condition: Callable[[], Any], what: str) -> None:
+        self.listener.spin_until(condition, what)
 
-        return rates
+    @property
+    def fault(self) -> str:
+        return str(self.applied[-1].fault) if self.applied else ""
+
+    def call(self, name: str) -> Any:
+        """The answer of a service."""
+        client = self._services[name]
+        self.until(client.service_is_ready, name)
+        future = client.call_async(Trigger.Request())
+        self.until(future.done, name)
+        return future.result()
+
+    def close(self) -> None:
+        self._ending.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        while not self._ending.wait(0.05):
+            self.feed()

@@ -100,7 +100,7 @@ def rms(difference: FloatArray) -> float:
 
 def error(outlook: Outlook, reference: FloatArray, came: FloatArray) -> float:
     told = outlook.predicted(reference, banded=False)
-    return rms(np.stack([told.output, told.input]) - came)
+    return rms(told.means - came)
 
 
 def answer(parameters: Parameters, reference: FloatArray, start: float) -> FloatArray:
@@ -175,7 +175,7 @@ def frozen(hour: Window, first: int, last: int) -> Window:
     """The hour as a camera that stops at a sample and continues at another would have shown it."""
     output = hour.output.copy()
     output[first:last] = output[first]
-    return replace(hour, output=output)
+    return replace(hour, outputs=output)
 
 
 def test_a_sensor_that_freezes_in_a_real_hour_is_reported(recorded_hour: Callable[[int], Window]) -> None:

@@ -1,0 +1,43 @@
+"""A toy plant with two heaters, two sensors and exchange between them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import ClassVar
+
+from twinmatch.dynamics import Drive, Equations, Output, Parameter, Plant, State, Structure
+
+
+class Heaters(Plant):
+    """Two bodies that exchange heat, lose some by radiation, and are heated each by its own heater."""
+
+    title = "Heaters"
+    one, two = (State(unit="°C", span=(0.0, 120.0)) for _ in range(2))
+    first_power, second_power = (Drive(unit="%", limits=(0.0, 100.0), noise=1.0) for _ in range(2))
+    first, second = (Output(unit="°C", noise=0.1, span=(0.0, 150.0)) for _ in range(2))
+    loss = Parameter(unit="1/s", default=0.01, bounds=(1e-3, 0.1), positive=True)
+    exchange = Parameter(unit="1/s", default=0.02, bounds=(1e-3, 0.5), positive=True)
+    first_gain = Parameter(unit="°C/s/%", default=0.015, bounds=(1e-3, 0.3), positive=True)
+    second_gain = Parameter(unit="°C/s/%", default=0.01, bounds=(1e-3, 0.3), positive=True)
+    structures: ClassVar = {"all": Structure(free=("loss", "exchange", "first_gain", "second_gain"))}
+
+    def equations(self, parts: frozenset[str]) -> Equations:  # noqa: ARG002
+        one, two = self.rates_of({name: getattr(self, name) for name in self.parameters})(
+            (self.one, self.two), (self.first_power, self.second_power)
+        )
+        return Equations(
+            rates={self.one: one, self.two: two},
+            output={self.first: self.one, self.second: self.two},
+            start={self.one: self.first, self.two: self.second},
+        )
+
+    @staticmethod
+    def rates_of(p: Mapping[str, float]) -> Callable[..., tuple[float, float]]:
+        """The rates of both temperatures, from these and the two powers."""
+
+        def rates(x: tuple[float, float], u: tuple[float, float]) -> tuple[float, float]:
+            lost = [p["loss"] * (at - 23.0) * (1.0 + 0.003 * (at - 23.0)) for at in x]
+            given = p["exchange"] * (x[1] - x[0])
+            return p["first_gain"] * u[0] - lost[0] + given, p["second_gain"] * u[1] - lost[1] - given
+
+        return rates
