@@ -271,6 +271,7 @@ class Player(TwinmatchNode):
             self.health.flag("end", Level.WARN, "ended: the last messages did not reach all readers")
         self._over = True
         self.report_now()
+        self._diagnostics.wait_for_all_acked(Duration(seconds=1.0))  # the page shows this as the end
         self.exit_code = 0
 
 

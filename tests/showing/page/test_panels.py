@@ -182,6 +182,18 @@ def test_at_the_end_of_a_replay_nobody_is_blamed() -> None:
     assert not any("ended" in w for w in words(panels.status(state, 500.0)))
 
 
+def test_a_page_that_is_behind_takes_the_last_samples_of_a_replay_that_has_ended() -> None:
+    state = DashboardState()
+    values = {"rate": "0", "paused": "False", "position": "40.0 s of 40.0 s", "ended": "True"}
+    state.push_sample(Sample(0, 0, 1.0, 2.0, 3.0), 100.0)
+    state.push_health("player", 0, "ended: all 40 messages were delivered", values, 100.0)
+    for k in range(1, 11):
+        state.push_sample(Sample(k, k * 10**9, 1.0, 2.0, 3.0), 100.0 + 2.0 * k)
+    assert state.nodes.ended is not None
+    state.push_sample(Sample(11, 11 * 10**9, 1.0, 2.0, 3.0), 130.0)
+    assert state.nodes.ended is None
+
+
 def test_a_player_whose_last_word_was_lost_has_ended_at_the_end_only() -> None:
     for position, ended in (("13.0 s of 13.0 s", True), ("5.0 s of 13.0 s", False)):
         state = DashboardState()

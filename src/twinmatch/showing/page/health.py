@@ -52,6 +52,7 @@ class NodeReports:
     ended: PlayerState | None = None
     """The player that has reached the end of its session, until another session is seen."""
     ended_at: float = 0.0
+    """When that came, or the newest sample since."""
     _errors: dict[str, str] = field(default_factory=dict)
     """The error each node reports now, without its figures."""
 
@@ -88,9 +89,11 @@ class NodeReports:
             self.player = None
 
     def begin(self, now: float) -> None:
-        """Note a sample: it ends the state "replay ended", unless it was still in transit when that came."""
-        if self.ended is not None and now - self.ended_at > PATIENCE:
+        """Note a sample: it ends the state "replay ended", unless it was still in transit when that came: a page
+        that is behind takes the last samples without a pause, however long it needs for them."""
+        if now - self.ended_at > PATIENCE:
             self.ended = None
+        self.ended_at = now
 
     def at_rest(self, name: str) -> bool:
         """Whether a node is idle because the replay has ended; one that reports an error is not."""
