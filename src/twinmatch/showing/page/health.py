@@ -89,8 +89,8 @@ class NodeReports:
             self.player = None
 
     def begin(self, now: float) -> None:
-        """Note a sample: it ends the state "replay ended", unless it was still in transit when that came: a page
-        that is behind takes the last samples without a pause, however long it needs for them."""
+        """Note a sample: it ends the state "replay ended", unless it was still in transit when that came: a
+        page that is behind takes the last samples without a pause, however long it needs for them."""
         if now - self.ended_at > PATIENCE:
             self.ended = None
         self.ended_at = now
