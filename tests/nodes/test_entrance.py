@@ -346,9 +346,9 @@ def test_a_refusal_is_reported_once_with_its_sender(
     said = "plant/sample: sample 0 has 0 references, 0 outputs and 0 inputs"
     listener.spin_until(lambda: listener.said(said), "the refusal")
     listener.spin_until(lambda: "3" in listener.values("refused: plant/sample"), "the count")
-    (message,) = {s.message for s in listener.reports("twin_simulator: health") if said in s.message}
-    assert message.count(said) == 1
-    assert "(published by listener)" in message
+    listener.spin_until(lambda: listener.said("(published by listener)"), "its sender")
+    told = [s.message for s in listener.reports("twin_simulator: health") if said in s.message]
+    assert {message.count(said) for message in told} == {1}
     listener.send(steps[:3])
     listener.spin_until(lambda: "2" in listener.values("sample"), "the samples after it")
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, Final
 
 from rcl_interfaces.msg import SetParametersResult
@@ -34,7 +35,20 @@ LOOK: Final = 0.5
 AGREEING: Final = 3
 """Messages in a row that follow each other but not those before, from which on they are believed."""
 
+_UNKNOWN: Final = "_NODE_NAME_UNKNOWN_"
+"""What rmw gives for a publisher that it knows before its node."""
 _FIGURES: Final = re.compile(r"[−-]?[\d.,]+(e[-+]\d+)?")
+
+
+@dataclass
+class _Told:
+    """A refusal that was told."""
+
+    at: float
+    """When a message was last refused for it, wall s."""
+    text: str
+    topic: str
+    """Whose publisher is to be named as soon as it is known; empty if it was, or for a service."""
 
 
 class Entrance:
@@ -44,7 +58,7 @@ class Entrance:
         """Parameters of any plant pass until `plant` is set."""
         self.plant: Expected = None
         self._node, self._health = node, health
-        self._told: dict[str, float] = {}
+        self._told: dict[str, _Told] = {}
         self._senders: dict[str, tuple[float, str]] = {}
 
     def before(self, kind: Any, topic: str, take: Take, *, raw: bool = False) -> Take:
@@ -67,7 +81,7 @@ class Entrance:
                 found = read(message)
                 take(came if raw else found)
             except TwinmatchError as error:
-                self.refuse(topic, str(error), self._sender(topic))
+                self.refuse(topic, str(error), topic)
 
         return receive
 
@@ -93,8 +107,9 @@ class Entrance:
             return False
         return True
 
-    def refuse(self, name: str, why: str, sender: str = "") -> None:
-        """Count a message that is not used, and tell it once while messages of its kind come."""
+    def refuse(self, name: str, why: str, topic: str = "") -> None:
+        """Count a message that is not used, and tell it once while messages of its kind come: of a topic with
+        its sender, as soon as DDS knows a new node's name."""
         self._health.count(f"refused: {name}")
         why = why if len(why) <= LONGEST else f"{why[:LONGEST]}…"
         kind = f"{name}: {_FIGURES.sub('', why)}"
@@ -102,22 +117,34 @@ class Entrance:
         if kind not in self._told:
             if len(self._told) >= MOST_KINDS:
                 return
-            text = f"refused: {name}: {why}" + (f" (published by {sender})" if sender else "")
-            self._health.flag(kind, Level.ERROR, text)
-        self._told[kind] = now
+            self._told[kind] = _Told(now, f"refused: {name}: {why}", topic)
+            self._tell(kind)
+        self._told[kind].at = now
 
     def watch(self, now: float) -> None:
         """Withdraw the refusals of `REMEMBER` seconds ago and before, by the wall clock."""
-        for kind in [kind for kind, at in self._told.items() if now - at > REMEMBER]:
+        for kind in [kind for kind, told in self._told.items() if now - told.at > REMEMBER]:
             del self._told[kind]
             self._health.withdraw(kind)
+        for kind in [kind for kind, told in self._told.items() if told.topic]:
+            self._tell(kind)
+
+    def _tell(self, kind: str) -> None:
+        told = self._told[kind]
+        sender = self._sender(told.topic) if told.topic else ""
+        if sender:
+            told.text, told.topic = f"{told.text} (published by {sender})", ""
+        self._health.flag(kind, Level.ERROR, told.text)
 
     def _sender(self, topic: str) -> str:
-        """Who publishes a topic, as far as DDS tells: it does not say of whom a message is."""
+        """Who publishes a topic, as far as DDS tells: it does not say of whom a message is.
+
+        Empty while it does not know a name yet.
+        """
         at, names = self._senders.get(topic, (-LOOK, ""))
         if time.monotonic() - at > LOOK:
             found = {info.node_name for info in self._node.get_publishers_info_by_topic(topic)}
-            names = " or ".join(sorted(found)) or "a node that is gone"
+            names = "" if _UNKNOWN in found else " or ".join(sorted(found)) or "a node that is gone"
             self._senders[topic] = time.monotonic(), names
         return names
 
