@@ -42,7 +42,7 @@ _FIGURES: Final = re.compile(r"[−-]?[\d.,]+(e[-+]\d+)?")
 
 @dataclass
 class _Told:
-    """A refusal that was told."""
+    """A refusal that was reported."""
 
     at: float
     """When a message was last refused for it, wall s."""
