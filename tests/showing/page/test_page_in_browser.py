@@ -323,7 +323,7 @@ def test_a_fault_is_shown_and_goes(graph: Graph, browser: Any) -> None:
     graph.fault("over_temperature: 111.0 °C is above 110.0 °C <b>")
     browser.wait_for(lambda: "Output held at zero: over temperature" in browser.text, "the alarm")
     assert "111.0 °C is above 110.0 °C <b>" in browser.text  # as text, whatever it looks like
-    assert len(browser.column("happened", 1, "t")) == 1
+    browser.wait_for(lambda: len(browser.column("happened", 1, "t")) == 1, "its mark in the figure")
     graph.fault("")
     browser.wait_for(lambda: "Output held at zero: over temperature" not in browser.text, "the end of it")
     browser.wait_for(lambda: "fault cleared" in browser.text, "a word of it")
