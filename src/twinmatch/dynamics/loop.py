@@ -13,6 +13,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from twinmatch.dynamics import laws
 from twinmatch.dynamics.declarations import PlantError
 from twinmatch.dynamics.laws import LINEAR, LOW, PID, TWO_LEVEL, LawCode, commands_of
 from twinmatch.signals import FloatArray, Window
@@ -50,10 +51,10 @@ class PidGains:
     n_inputs: ClassVar[int] = 1
     n_references: ClassVar[int] = 1
     GAINS: ClassVar[Mapping[str, int]] = {
-        "proportional": 5,
-        "integral": 6,
-        "derivative": 7,
-        "back_calculation": 8,
+        "proportional": laws.PROPORTIONAL,
+        "integral": laws.INTEGRAL,
+        "derivative": laws.DERIVATIVE,
+        "back_calculation": laws.BACK,
     }
 
     def __post_init__(self) -> None:
@@ -190,7 +191,13 @@ class TwoLevel:
     n_outputs: ClassVar[int] = 1
     n_inputs: ClassVar[int] = 1
     n_references: ClassVar[int] = 1
-    GAINS: ClassVar[Mapping[str, int]] = {"below": 5, "above": 6, "least_on": 7, "least_off": 8, "most_on": 9}
+    GAINS: ClassVar[Mapping[str, int]] = {
+        "below": laws.BELOW,
+        "above": laws.ABOVE,
+        "least_on": laws.LEAST_ON,
+        "least_off": laws.LEAST_OFF,
+        "most_on": laws.MOST_ON,
+    }
 
     def __post_init__(self) -> None:
         for name in ("off", "on", "below", "above", "least_on", "least_off", "period"):
@@ -363,6 +370,18 @@ Law = PidGains | TwoLevel | LinearLaw
 first two samples of a window."""
 
 
+def state_of(loop: Law, state: ArrayLike | None) -> FloatArray:
+    """A copy of a law's state, by default zero, shape (q,).
+
+    Raises:
+        PlantError: it has another size than the law's, or is not finite.
+    """
+    found = np.zeros(loop.n_states) if state is None else np.array(state, dtype=np.float64)
+    if found.shape != (loop.n_states,) or not np.isfinite(found).all():
+        raise PlantError(f"controller: state {found.tolist()} given; give {loop.n_states} finite values")
+    return found
+
+
 class Controller:
     """A law in operation, sample by sample, from a given state or zero.
 
@@ -372,11 +391,8 @@ class Controller:
 
     def __init__(self, loop: Law, state: ArrayLike | None = None) -> None:
         self.loop = loop
-        begun = np.zeros(loop.n_states) if state is None else state
-        self.state: FloatArray = np.array(begun, dtype=np.float64)
+        self.state = state_of(loop, state)
         """Shape (q,)."""
-        if self.state.shape != (loop.n_states,) or not np.isfinite(self.state).all():
-            raise PlantError(f"controller: state {begun} given; give {loop.n_states} finite values")
         self._law = loop.law
 
     def step(self, reference: ArrayLike, output: ArrayLike) -> FloatArray:

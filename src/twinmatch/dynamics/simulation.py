@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from twinmatch.dynamics.declarations import PlantError
 from twinmatch.dynamics.laws import NO_LAW, LawCode
-from twinmatch.dynamics.loop import Law, PidGains
+from twinmatch.dynamics.loop import Law, PidGains, state_of
 from twinmatch.dynamics.plant import Parameters, Plant
 from twinmatch.dynamics.sensor import Sensor, SensorRealisation
 from twinmatch.signals import FloatArray, Window, only
@@ -64,10 +64,7 @@ def law_of(loop: Law | None, state: ArrayLike | None = None) -> tuple[LawCode, F
     zero."""
     if loop is None:
         return NO_LAW, np.zeros(0)
-    memory = np.zeros(loop.n_states) if state is None else np.array(state, dtype=np.float64)
-    if memory.shape != (loop.n_states,) or not np.isfinite(memory).all():
-        raise PlantError(f"controller: state {memory.tolist()} given; give {loop.n_states} finite values")
-    return loop.law, memory
+    return loop.law, state_of(loop, state)
 
 
 def n_references(plant: type[Plant], loop: Law | None) -> int:
@@ -87,13 +84,13 @@ def n_references(plant: type[Plant], loop: Law | None) -> int:
     return loop.n_references
 
 
-def pid_of(plant: type[Plant], loop: Law | None = None, period: float = 1.0) -> PidGains:
-    """The plant's controller, or the given one, where only a PID will do.
+def pid_of(plant: type[Plant]) -> PidGains:
+    """The plant's controller at 1 s, where only a PID will do.
 
     Raises:
         PlantError: it is not known, or another law.
     """
-    found = loop or gains_of(plant, period)
+    found = gains_of(plant, 1.0)
     if not isinstance(found, PidGains):
         raise PlantError(f"plant {plant.name}: its controller is a {type(found).__name__}; this needs a PID")
     return found
@@ -270,28 +267,14 @@ def simulate_window(
     if len(window) <= SKIPPED:
         msg = f"window: it has {len(window)} samples; the twin starts at the third, give at least three"
         raise PlantError(msg)
-    references, disturbances = window.references[SKIPPED:], window.disturbances[SKIPPED:]
     loop = gains_for(parameters.model.plant, window.period, gains)
     states = begin_window(parameters, window, starts)
-    seen = None if sensor is None else sensor.realise(len(references), window.period, seed)
-    if loop is None:
-        return simulate_driven(
-            parameters,
-            window.inputs[SKIPPED:],
-            states=states,
-            period=window.period,
-            disturbances=disturbances,
-            sensor=seen,
-        )
-    return simulate_closed_loop(
-        parameters,
-        references,
-        states=states,
-        controller=loop.state(window),
-        gains=loop,
-        disturbances=disturbances,
-        sensor=seen,
-    )
+    seen = None if sensor is None else sensor.realise(len(window) - SKIPPED, window.period, seed)
+    name, signal, state, period = "input", window.inputs, None, window.period
+    if loop is not None:
+        name, signal, state, period = "reference", window.references, loop.state(window), loop.period
+    disturbances = window.disturbances[SKIPPED:]
+    return _run(parameters, name, signal[SKIPPED:], states, loop, state, disturbances, seen, period)
 
 
 def _run(  # noqa: PLR0917 (what a run needs)
