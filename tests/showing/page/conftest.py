@@ -124,7 +124,19 @@ class Browser:
         )
 
     def click(self, label: str) -> None:
-        wait_for(lambda: self.button(label), f"the button {label}").click()
+        """Click a button as soon as it can be: the page may just be drawing it anew."""
+        from selenium.common.exceptions import ElementClickInterceptedException as Covered
+        from selenium.common.exceptions import ElementNotInteractableException as Hidden
+        from selenium.common.exceptions import StaleElementReferenceException as Gone
+
+        def clicked() -> bool:
+            try:
+                button = self.button(label)
+                return button is not None and button.click() is None
+            except (Covered, Hidden, Gone):
+                return False
+
+        wait_for(clicked, f"the button {label}")
 
     def column(self, chart: str, renderer: int, name: str) -> list[float]:
         """What a chart draws."""

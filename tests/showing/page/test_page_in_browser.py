@@ -352,11 +352,14 @@ def test_the_thermal_image_is_shown(graph: Graph, browser: Any) -> None:
 def test_it_survives_that_the_graph_is_started_again(graph: Graph, browser: Any) -> None:
     graph.session(counted(50))
     browser.wait_for(lambda: "sample 49, 49 s" in browser.text, "the first session's last sample")
-    graph.session(counted(20, period=0.1))
-    browser.wait_for(lambda: "sample 19, 1.9 s" in browser.text, "the second session's last sample")
+    graph.session(counted(29, period=0.1))
+    browser.wait_for(lambda: "sample 28, 2.8 s" in browser.text, "the second session's last sample")
     # Twenty minutes at 10 Hz: ten samples are drawn as two points, their least and greatest.
     browser.wait_for(lambda: len(browser.column("output", 0, "t")) == 4, "its samples alone")
-    assert browser.column("output", 0, "t") == pytest.approx([0.0, 0.9, 1.0, 1.9])
+    # Up to two samples are not believed, if the page learns of the new publisher before the old one's end.
+    drawn = browser.column("output", 0, "t")
+    assert drawn[0] <= 0.21
+    assert [t - drawn[0] for t in drawn] == pytest.approx([0.0, 0.9, 1.0, 1.9])
     browser.wait_for(lambda: "a new session began" in browser.text, "a word of it")
     assert browser.warnings() == []
 
