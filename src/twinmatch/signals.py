@@ -8,6 +8,7 @@ the output is the plate's temperature in °C and the input the PWM command, −2
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -24,6 +25,7 @@ __all__ = [
     "SignalError",
     "Window",
     "bridge",
+    "finite",
     "not_one_loop",
     "only",
     "unbroken",
@@ -37,6 +39,11 @@ KELVIN = 273.15
 
 _NONE: FloatArray = np.empty((0, 0))
 """Default for a window without disturbances."""
+
+
+def finite(values: FloatArray) -> bool:
+    """Whether all values are finite; of a few values in a fraction of the time of `np.isfinite(…).all()`."""
+    return math.isfinite(np.vdot(values, values)) or bool(np.isfinite(values).all())
 
 
 class SignalError(TwinmatchError):
@@ -119,10 +126,10 @@ class Window:
 
     def _keep(self, name: str, values: FloatArray) -> None:
         """Store finite values as a read-only field."""
-        bad = np.argwhere(~np.isfinite(values))
-        if bad.size:
+        if not finite(values):
+            bad = np.argwhere(~np.isfinite(values))[0]
             raise SignalError(
-                f"window: {name} is {values[tuple(bad[0])]} at sample {self.first + int(bad[0][0])}; "
+                f"window: {name} is {values[tuple(bad)]} at sample {self.first + int(bad[0])}; "
                 "only finite values can be used"
             )
         values.flags.writeable = False

@@ -270,11 +270,11 @@ def test_a_bank_moves_all_its_observers_as_each_would_move_alone() -> None:
             each.predict(u)
             if k % 7:
                 each.correct(y)
-        assert all(bank.push(u, y if k % 7 else None))
+        assert bank.push([u], [y], [k % 7 > 0]) == [1, 1]
         for one, other in zip(alone, together, strict=True):
             np.testing.assert_array_equal(one.states, other.states)
             np.testing.assert_array_equal(one.joint, other.joint)
-    assert bank.push(50.0, math.inf) == [False, False]
+    assert bank.push([50.0, 50.0, 50.0], [25.0, math.inf, 25.0], [True] * 3) == [1, 1]
 
 
 def test_parameters_may_be_exchanged_at_any_sample() -> None:

@@ -24,7 +24,7 @@ from twinmatch.dynamics.declarations import (
 from twinmatch.dynamics.definition import Equations
 from twinmatch.dynamics.descent import Descended, box_step, descend
 from twinmatch.dynamics.experiment import Experiment, Known, Tangents
-from twinmatch.dynamics.forecasts import LoopForecast, forecast_loop, noise_scores
+from twinmatch.dynamics.forecasts import Foresight, LoopForecast, forecast_loop, noise_scores
 from twinmatch.dynamics.laws import LawCode, commands_of
 from twinmatch.dynamics.linear import Linear, Rest, linearised, linearised_at, rest_at
 from twinmatch.dynamics.loop import (
@@ -69,6 +69,7 @@ __all__ = [
     "Drive",
     "Equations",
     "Experiment",
+    "Foresight",
     "ExternalEquations",
     "FromPlantFile",
     "Known",

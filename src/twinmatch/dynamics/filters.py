@@ -189,34 +189,35 @@ def adapt(
 def follow(
     codes: NDArray[np.int64], sizes: NDArray[np.int64], vectors: FloatArray, x: FloatArray,
     covariances: FloatArray, process_noise: FloatArray, factors: FloatArray, rows: FloatArray,
-    steps: NDArray[np.int64], u: FloatArray, seen: bool, y: FloatArray, d: FloatArray, period: float,
-    noise: FloatArray, limit: float,
-) -> NDArray[np.bool_]:  # fmt: skip
-    """`predict` under the inputs and the disturbances `rows` of the sample before, then, if this one was
-    `seen`, `correct`, for several plants in place, one row of each array per plant; whether the results are
-    finite, shape (C,).
+    steps: NDArray[np.int64], u: FloatArray, seen: NDArray[np.bool_], y: FloatArray, d: FloatArray,
+    period: float, noise: FloatArray, limit: float,
+) -> NDArray[np.int64]:  # fmt: skip
+    """For each of N samples: `predict` under the inputs u, shape (N, m), and the disturbances `rows` of the
+    sample before, then, if this one was `seen`, `correct`; for several plants in place, one row of each array
+    per plant. Returns how many samples each took, shape (C,), up to one without finite results.
 
     `sizes`, shape (C, 2), are the numbers of states and parameters.
     """
-    fine = np.ones(len(sizes), dtype=np.bool_)
+    taken = np.zeros(len(sizes), dtype=np.int64)
     none, unbounded = np.zeros((2, 0), dtype=np.int64), np.zeros((2, 0))
     for i in range(len(sizes)):
         n, m = sizes[i]
-        code, vector, at = codes[i], vectors[i, :m], x[i, :n]
-        covariance = covariances[i, : n * n].reshape((n, n))
-        predict(
-            code, vector, at, covariance, process_noise[i, :n], u, rows[i], period, steps[i], none,
-            np.zeros((n, n + u.size)),
-        )  # fmt: skip
-        if seen:
-            rows[i] = d
-            innovations, variances = correct(
-                code, vector, at, covariance, y, rows[i], noise, limit, none, unbounded
+        code, vector, at, row = codes[i], vectors[i, :m], x[i, :n], rows[i]
+        covariance, columns = covariances[i, : n * n].reshape((n, n)), np.zeros((n, n + u.shape[1]))
+        for k in range(len(u)):
+            predict(
+                code, vector, at, covariance, process_noise[i, :n], u[k], row, period, steps[i], none, columns
             )
-            fine[i] = np.isfinite(innovations.sum() + variances.sum())
-            if fine[i]:
+            if seen[k]:
+                row[:] = d[k]
+                innovations, variances = correct(
+                    code, vector, at, covariance, y[k], row, noise, limit, none, unbounded
+                )
+                if not np.isfinite(innovations.sum() + variances.sum()):
+                    break
                 adapt(process_noise[i, :n], factors[i], innovations, variances)
-    return fine
+            taken[i] += 1
+    return taken
 
 
 @compiled(inside=True)

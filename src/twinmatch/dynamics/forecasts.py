@@ -14,7 +14,7 @@ from twinmatch.dynamics.loop import Law
 from twinmatch.dynamics.plant import Parameters
 from twinmatch.dynamics.simulation import gains_of, law_of, n_references, signal_rows
 from twinmatch.dynamics.variances import foresee, noise_effects
-from twinmatch.signals import FloatArray
+from twinmatch.signals import FloatArray, finite
 
 
 class LoopForecast(NamedTuple):
@@ -84,45 +84,83 @@ def forecast_loop(
     Raises:
         PlantError: a signal or a name is invalid, the controller is not known, or the plant is too fast.
     """
-    model, title = parameters.model, parameters.model.title
     if (reference is None) == (inputs is None):
+        title = parameters.model.title
         raise PlantError(f"{title}: a forecast takes set-points ahead or inputs ahead; give one of the two")
-    unknown = [name for name in unsure if name not in model.names]
-    if unknown:
-        raise PlantError(f"{title}: no parameter {unknown[0]!r}; there are {', '.join(model.names)}")
-    n, k = len(model.states), len(unsure)
-    loop = None if reference is None else gains or gains_of(model.plant, 1.0)
-    law, memory = law_of(loop, controller)
-    name, ahead = ("inputs", inputs) if reference is None else ("set-points", reference)
-    references = signal_rows(title, name, ahead, n_references(model.plant, loop))
-    at, joint, drifts = (
-        _fit(title, what, values, shape)
-        for what, values, shape in (
-            ("states", states, (n,)), ("covariance", covariance, (n + k, n + k)), ("drift", drift, (n,))
-        )
+    loop = None if reference is None else gains or gains_of(parameters.model.plant, 1.0)
+    known = Foresight(
+        parameters, loop, states=states, covariance=covariance, input=input, drift=drift, unsure=unsure,
+        controller=controller, period=period, noise=noise,
     )  # fmt: skip
-    u = _fit(title, "newest input", np.atleast_1d(input), (len(model.plant.drives),))
-    given = model.noise if noise is None else np.atleast_1d(noise)
-    noises = _fit(title, "noise", given, model.noise.shape)
-    period = float(period if loop is None else loop.period)
-    process_noise = np.zeros(n + k)
-    process_noise[:n] = np.square(drifts) * period
-    if disturbances is not None and np.ndim(disturbances) == 1:
-        disturbances = np.tile(model.disturbance_row(disturbances), (len(references) + 1, 1))
-    rows, steps = model.disturbance_rows(disturbances, len(references) + 1), parameters.steps(period)
-    kernels, vector = model.kernels_by(unsure), parameters.vector
-    which = np.array([[kernels.UNKNOWN.index(name) for name in unsure]] * 2, dtype=np.int64).reshape(2, k)
-    found = kernels.call(
-        foresee, vector, which, at, joint, process_noise, u, law, memory, references, rows, period, steps,
-        noises * noises, banded,
-    )  # fmt: skip
-    return LoopForecast._make(found)
+    return known.ahead(inputs if reference is None else reference, disturbances, banded=banded)
+
+
+class Foresight:
+    """What a forecast needs to know at its sample, checked once: it is then made for any signals ahead."""
+
+    def __init__(
+        self,
+        parameters: Parameters,
+        loop: Law | None,
+        *,
+        states: FloatArray,
+        covariance: ArrayLike,
+        input: ArrayLike,
+        drift: ArrayLike,
+        unsure: Sequence[str] = (),
+        controller: ArrayLike | None = None,
+        period: float = 1.0,
+        noise: ArrayLike | None = None,
+    ) -> None:
+        """Take what `forecast_loop` takes; without a loop, inputs are given.
+
+        Raises:
+            PlantError: as `forecast_loop`.
+        """
+        model, title = parameters.model, parameters.model.title
+        unknown = [name for name in unsure if name not in model.names]
+        if unknown:
+            raise PlantError(f"{title}: no parameter {unknown[0]!r}; there are {', '.join(model.names)}")
+        n, k, period = len(model.states), len(unsure), float(period if loop is None else loop.period)
+        process_noise = np.zeros(n + k)
+        process_noise[:n] = np.square(_fit(title, "drift", drift, (n,))) * period
+        self._model, self._name = model, "inputs" if loop is None else "set-points"
+        self._columns = n_references(model.plant, loop)
+        self._states = _fit(title, "states", states, (n,))
+        self._covariance = _fit(title, "covariance", covariance, (n + k, n + k))
+        noises = _fit(title, "noise", np.atleast_1d(model.noise if noise is None else noise), model.noise.shape)
+        u = _fit(title, "newest input", np.atleast_1d(input), (len(model.plant.drives),))
+        self._kernels = model.kernels_by(unsure)
+        which = [[self._kernels.UNKNOWN.index(name) for name in unsure]] * 2
+        self._begun = parameters.vector, np.array(which, dtype=np.int64).reshape(2, k)
+        self._now = process_noise, u, *law_of(loop, controller)
+        self._then = period, parameters.steps(period), noises * noises
+
+    def ahead(
+        self, signal: ArrayLike, disturbances: ArrayLike | None = None, *, banded: bool = True
+    ) -> LoopForecast:
+        """The forecast under these set-points (or inputs) and disturbances.
+
+        Raises:
+            PlantError: as `forecast_loop`.
+        """
+        model = self._model
+        references = signal_rows(model.title, self._name, signal, self._columns)
+        size = len(references) + 1
+        if disturbances is not None and np.ndim(disturbances) == 1:
+            disturbances = np.tile(model.disturbance_row(disturbances), (size, 1))
+        return LoopForecast._make(
+            self._kernels.call(
+                foresee, *self._begun, self._states.copy(), self._covariance.copy(), *self._now, references,
+                model.disturbance_rows(disturbances, size), *self._then, banded,
+            )
+        )  # fmt: skip
 
 
 def _fit(title: str, name: str, values: ArrayLike, shape: tuple[int, ...]) -> FloatArray:
     """Copy values into an array for the compiled code, and check shape and values."""
     array = np.array(values, dtype=np.float64)
-    if array.shape != shape or not np.isfinite(array).all():
+    if array.shape != shape or not finite(array):
         bad = f"of shape {array.shape}" if array.shape != shape else "with a value that is not finite"
         raise PlantError(f"{title}: {name} {bad} given; give finite values of shape {shape}")
     return array

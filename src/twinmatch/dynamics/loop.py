@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from twinmatch.dynamics import laws
 from twinmatch.dynamics.declarations import PlantError
 from twinmatch.dynamics.laws import LINEAR, LOW, PID, TWO_LEVEL, LawCode, commands_of
-from twinmatch.signals import FloatArray, Window
+from twinmatch.signals import FloatArray, Window, finite
 
 _MOST_AMPLIFICATION = 1e3
 
@@ -155,7 +155,7 @@ def _finite(**signals: ArrayLike) -> list[FloatArray]:
     rows = []
     for name, value in signals.items():
         row = np.array(value, dtype=np.float64, ndmin=1)
-        if not np.isfinite(row).all():
+        if not finite(row):
             shown = row.item() if row.size == 1 else row.tolist()
             raise PlantError(f"controller: {name} is {shown}; the controller takes only finite values")
         rows.append(row)
@@ -377,7 +377,7 @@ def state_of(loop: Law, state: ArrayLike | None) -> FloatArray:
         PlantError: it has another size than the law's, or is not finite.
     """
     found = np.zeros(loop.n_states) if state is None else np.array(state, dtype=np.float64)
-    if found.shape != (loop.n_states,) or not np.isfinite(found).all():
+    if found.shape != (loop.n_states,) or not finite(found):
         raise PlantError(f"controller: state {found.tolist()} given; give {loop.n_states} finite values")
     return found
 

@@ -19,8 +19,8 @@ from numpy.typing import ArrayLike
 from twinmatch.dynamics.declarations import PlantError
 from twinmatch.dynamics.filters import adapt, follow
 from twinmatch.dynamics.plant import Parameters
-from twinmatch.dynamics.simulation import begin
-from twinmatch.signals import FloatArray
+from twinmatch.dynamics.simulation import begin, signal_rows
+from twinmatch.signals import FloatArray, finite
 
 _STEPS_EVERY = 60
 """Samples after which the Runge–Kutta steps are computed again for the estimated parameters."""
@@ -142,7 +142,7 @@ class Observer:
     @states.setter
     def states(self, states: ArrayLike) -> None:
         given = np.array(states, dtype=np.float64)
-        if given.shape != (len(self._model.states),) or not np.isfinite(given).all():
+        if given.shape != (len(self._model.states),) or not finite(given):
             raise PlantError(
                 f"{self._title}: states {given.tolist()} given; give finite values of "
                 f"{', '.join(self._model.states)}"
@@ -212,7 +212,7 @@ class Observer:
             joint[:n, :n] = np.diag(np.square(self._deviations("start", start, n)))
             return joint
         given = np.array(covariance, dtype=np.float64)
-        if given.shape not in {(n, n), (n + m, n + m)} or not np.isfinite(given).all():
+        if given.shape not in {(n, n), (n + m, n + m)} or not finite(given):
             msg = f"{self._title}: a covariance of shape {given.shape} given; give finite values, ({n}, {n})"
             raise PlantError(f"{msg} or ({n + m}, {n + m})" if m else msg)
         size = given.shape[0]
@@ -257,18 +257,22 @@ class ObserverBank:
             o._process_noise, o._factor = self._noises[i, :n], self._factors[i]
 
     def push(
-        self, input: ArrayLike, output: ArrayLike | None, disturbances: ArrayLike | None = None
-    ) -> list[bool]:
-        """Move on by one period under the inputs of the sample before; take readings unless they are None.
+        self, inputs: ArrayLike, outputs: ArrayLike, seen: ArrayLike = (True,),
+        disturbances: ArrayLike | None = None,
+    ) -> list[int]:  # fmt: skip
+        """Move on by N periods, each under the inputs of the sample before, shape (N, i), to the readings,
+        shape (N, o), that were `seen`, shape (N,); signals of one column may have shape (N,).
 
         Returns:
-            Of each observer, whether its equations had finite values; of the others nothing is of use.
+            Of each observer, how many samples it took: fewer than N if its equations had no finite value at
+            the next; then nothing of it is of use.
         """
-        row = self._model.disturbances if disturbances is None else self._model.disturbance_row(disturbances)
-        seen = output is not None
-        y = np.array(output, dtype=np.float64, ndmin=1) if output is not None else self._same[1]
-        fine = follow(
+        model, among = self._model, self._same[1].size
+        u = signal_rows(model.title, "input", inputs, model.rest.size)
+        y = np.array(outputs, dtype=np.float64).reshape(len(u), among)
+        taken: list[int] = follow(
             self._codes, self._sizes, self._vectors, self._states, self._joints, self._noises, self._factors,
-            self._rows, self._steps, self._model.row_of("inputs", input), seen, y, row, *self._same,
-        )  # fmt: skip
-        return [bool(one) for one in fine]
+            self._rows, self._steps, u, np.array(seen, dtype=np.bool_), y,
+            model.disturbance_rows(disturbances, len(u)), *self._same,
+        ).tolist()  # fmt: skip
+        return taken

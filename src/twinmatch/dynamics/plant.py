@@ -23,7 +23,7 @@ from twinmatch.dynamics.declarations import (
 )
 from twinmatch.dynamics.definition import PlantDefinition, require_consistent, require_structure
 from twinmatch.dynamics.store import kernels_of
-from twinmatch.signals import FloatArray
+from twinmatch.signals import FloatArray, finite
 
 
 class Plant(PlantDefinition):
@@ -195,7 +195,7 @@ class Model:
         if values is None or (self.disturbances.size and np.size(values) == 0):
             return self.disturbances
         row = np.array(values, dtype=np.float64)
-        if row.shape != self.disturbances.shape or not np.isfinite(row).all():
+        if row.shape != self.disturbances.shape or not finite(row):
             raise PlantError(
                 f"{self.title}: disturbances {row.tolist()} given; give {self.disturbances.size} finite "
                 f"values ({', '.join(self.plant.disturbances) or 'none'})"
@@ -211,7 +211,7 @@ class Model:
         if values is None or (self.disturbances.size and np.size(values) == 0):
             return np.repeat(self.disturbances[None], size, axis=0)
         rows = np.array(values, dtype=np.float64)
-        if rows.shape != (size, self.disturbances.size) or not np.isfinite(rows).all():
+        if rows.shape != (size, self.disturbances.size) or not finite(rows):
             raise PlantError(
                 f"{self.title}: disturbances of shape {rows.shape} given; give {self.disturbances.size} "
                 f"finite values ({', '.join(self.plant.disturbances) or 'none'}) at each of {size} samples"
@@ -268,7 +268,7 @@ class Model:
         """
         row = np.array(values, dtype=np.float64, ndmin=1)
         names = self.plant.drives if what == "inputs" else self.plant.outputs
-        if row.shape != (len(names),) or not np.isfinite(row).all():
+        if row.shape != (len(names),) or not finite(row):
             shown = row.tolist() if row.size > 1 else row.item() if row.size else row
             name = "input" if what == "inputs" else "reading"
             if row.shape == (len(names),):

@@ -20,7 +20,7 @@ from twinmatch.dynamics.laws import NO_LAW, LawCode
 from twinmatch.dynamics.loop import Law, PidGains, state_of
 from twinmatch.dynamics.plant import Parameters, Plant
 from twinmatch.dynamics.sensor import Sensor, SensorRealisation
-from twinmatch.signals import FloatArray, Window, only
+from twinmatch.signals import FloatArray, Window, finite, only
 
 SKIPPED = 2
 """A closed-loop twin starts at a window's third sample, where the controller's state is known."""
@@ -146,7 +146,7 @@ def begin(
             msg = f"{model.title}: no state {name!r}; it has {', '.join(model.states)}"
             raise PlantError(msg)
         states[model.states.index(name)] = value
-    if not np.isfinite(states).all():
+    if not finite(states):
         raise PlantError(
             f"{model.title}: its initial states are {states.tolist()}; only finite values can be used"
         )
@@ -313,9 +313,8 @@ def signal_rows(title: str, name: str, values: ArrayLike | None, columns: int) -
     if rows.ndim != 2 or rows.shape[1] != columns:
         each = "one value" if columns == 1 else f"{columns} values"
         raise PlantError(f"{title}: {name} has shape {array.shape}; give {each} per sample")
-    finite = np.isfinite(rows).all(axis=1)
-    if not finite.all():
-        bad = int(np.argmin(finite))
+    if not finite(rows):
+        bad = int(np.argmin(np.isfinite(rows).all(axis=1)))
         shown = rows[bad, 0] if columns == 1 else rows[bad]
         raise PlantError(f"{title}: {name} is {shown} at sample {bad}; only finite values can be used")
     return np.ascontiguousarray(rows)

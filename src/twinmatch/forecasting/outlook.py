@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from twinmatch.dynamics import (
     Drive,
+    Foresight,
     Law,
     LoopForecast,
     Model,
@@ -20,7 +21,6 @@ from twinmatch.dynamics import (
     Output,
     Parameters,
     PlantError,
-    forecast_loop,
 )
 from twinmatch.dynamics.laws import HIGH, LOW
 from twinmatch.forecasting.forecast import CONFIDENCE, Band, Forecast, ForecastError
@@ -91,6 +91,22 @@ class StateFilter:
             self._observer.correct(sample.output, row)
         self._input = sample.input
 
+    def follow(self, samples: Iterable[Sample]) -> None:
+        """Take several samples, the next ones in sequence, each as `push` does."""
+        left = list(samples)
+        while left:
+            if self._observer is None or self.parameters.model.is_external:
+                self.push(left.pop(0))
+                continue
+            inputs, outputs = [self._input, *(s.input for s in left)], [s.output for s in left]
+            rows = [s.disturbances for s in left] if left[0].disturbances else None
+            seen = [s.seen for s in left]
+            [taken] = ObserverBank([self._observer]).push(inputs[:-1], outputs, seen, rows)
+            self._input = inputs[taken]
+            del left[:taken]
+            if left:
+                self.restart()
+
     def restart(self) -> None:
         """Forget the states: the next sample does not follow the last one."""
         self._observer = self._states = None
@@ -135,7 +151,6 @@ class Followers:
         Raises:
             PlantError: as `StateFilter.push`, for a filter without a sample yet.
         """
-        row = sample.disturbances or None
         following = []
         for each in filters:
             if each._observer is None:
@@ -147,10 +162,11 @@ class Followers:
         observers = [each._started for each in following]
         if observers != self._observers or self._bank is None:
             self._observers, self._bank = observers, ObserverBank(observers)
-        reading = sample.output if sample.seen else None
-        for each, fine in zip(following, self._bank.push(following[0]._input, reading, row), strict=True):
+        rows = [sample.disturbances] if sample.disturbances else None
+        found = self._bank.push((following[0]._input,), (sample.output,), (sample.seen,), rows)
+        for each, taken in zip(following, found, strict=True):
             each._input = sample.input
-            if not fine:
+            if not taken:
                 each.restart()
                 each.push(sample)
 
@@ -220,20 +236,20 @@ class Outlook:
         """
         if disturbances is None and self.sample.disturbances:
             disturbances = np.array(self.sample.disturbances)
-        return forecast_loop(
+        return self._known.ahead(ahead, disturbances, banded=banded)
+
+    @functools.cached_property
+    def _known(self) -> Foresight:
+        return Foresight(
             self.parameters,
+            self.gains,
             states=self.states,
             covariance=self.covariance,
             unsure=self.unsure,
             input=self.sample.input,
             drift=drift_of(self.parameters.model),
-            reference=ahead if self.closed else None,
-            inputs=None if self.closed else ahead,
             controller=self.controller,
-            gains=self.gains,
             period=self.period,
-            disturbances=disturbances,
-            banded=banded,
         )
 
     def deviations(self, predicted: LoopForecast) -> FloatArray:

@@ -381,8 +381,7 @@ class Forecaster:
             free=candidate.free,
             covariance=candidate.known_covariance,
         )
-        for sample in recent:
-            state_filter.push(sample)
+        state_filter.follow(recent)
         return _Twin(candidate, state_filter, calibration)
 
     def _learn(self, departure: _Departure, sample: int, place: int) -> None:

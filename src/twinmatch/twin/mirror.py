@@ -168,8 +168,7 @@ class Mirror:
     def _estimated(self, new: Parameters) -> FloatArray:
         """The states at the next tick, estimated from the newest samples."""
         state_filter = StateFilter(new, self._period)
-        for sample in self._samples:
-            state_filter.push(sample)
+        state_filter.follow(self._samples)
         newest = self._samples[-1]
         return advance(new, state_filter.states, newest.input, self._period, _disturbances(newest))
 
