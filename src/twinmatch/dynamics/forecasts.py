@@ -128,7 +128,8 @@ class Foresight:
         self._columns = n_references(model.plant, loop)
         self._states = _fit(title, "states", states, (n,))
         self._covariance = _fit(title, "covariance", covariance, (n + k, n + k))
-        noises = _fit(title, "noise", np.atleast_1d(model.noise if noise is None else noise), model.noise.shape)
+        given = model.noise if noise is None else np.atleast_1d(noise)
+        noises = _fit(title, "noise", given, model.noise.shape)
         u = _fit(title, "newest input", np.atleast_1d(input), (len(model.plant.drives),))
         self._kernels = model.kernels_by(unsure)
         which = [[self._kernels.UNKNOWN.index(name) for name in unsure]] * 2
@@ -137,7 +138,7 @@ class Foresight:
         self._then = period, parameters.steps(period), noises * noises
 
     def ahead(
-        self, signal: ArrayLike, disturbances: ArrayLike | None = None, *, banded: bool = True
+        self, signal: ArrayLike | None, disturbances: ArrayLike | None = None, *, banded: bool = True
     ) -> LoopForecast:
         """The forecast under these set-points (or inputs) and disturbances.
 

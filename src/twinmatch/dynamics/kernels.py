@@ -160,14 +160,16 @@ def tick_with_tangents(
         left = period / steps
         for event in range(MOST_EVENTS):
             h = left
-            if code[N_SWITCHES]:
-                _call_step(code[STEP], x, u, d, work.p, work.b, there, left)
-                if there[x.size] != 0.0 and event < MOST_EVENTS - 1:
-                    h = _reach(code, x, u, d, work, left)
-            _call_tangents(
-                code[TANGENTS], x, u, d, work.p, work.b, there, h, columns, du, which, which.size,
-                columns.shape[1],
-            )  # fmt: skip
+            there[x.size] = 1.0 if code[N_SWITCHES] and event < MOST_EVENTS - 1 else 0.0
+            for _ in range(2):  # again, if the step would cross a kink
+                _call_tangents(
+                    code[TANGENTS], x, u, d, work.p, work.b, there, h, columns, du, which, which.size,
+                    columns.shape[1],
+                )  # fmt: skip
+                if there[x.size] == 0.0:
+                    break
+                h = _reach(code, x, u, d, work, left)
+                there[x.size] = 0.0
             for i in range(x.size):
                 x[i] = there[i]
             left -= h

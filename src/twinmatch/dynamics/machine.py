@@ -114,21 +114,16 @@ def _write_step(module: ir.Module, f: PlantFormulas) -> None:
     function = _Function(module, "step", _STEP, f)
     begun = _named("b", function.switches({}))
     at, there = function.runge_kutta(lambda values: function.results(f.rates, values | begun))
-    crossed: Any = _number(0.0)
-    if f.switches.results:
-        found: Any = ir.Constant(ir.IntType(1), 0)
-        for states in (there, *reversed(at[1:])):
-            sides = function.switches(_named("x", states))
-            for i, side in enumerate(sides):
-                other = function.builder.fcmp_ordered("!=", side, begun[f"b{i}"])
-                found = function.builder.or_(found, other)
-        crossed = function.builder.select(found, _number(1.0), _number(0.0))
+    crossed = function.builder.select(function.crossed(begun, at, there), _number(1.0), _number(0.0))
     function.store([*there, crossed])
     function.end()
 
 
 def _write_tangents(module: ir.Module, f: PlantFormulas) -> None:
-    """The step with its derivatives, without the terms that are always zero."""
+    """The step with its derivatives, without the terms that are always zero.
+
+    If 1 stands after the states, a step that crosses a kink is not taken; otherwise 0 stands there then.
+    """
     function = _Function(module, "tangents", _TANGENTS, f)
     builder = function.builder
     n, m, q = f.n_states, f.n_inputs, f.n_unknown
@@ -141,7 +136,12 @@ def _write_tangents(module: ir.Module, f: PlantFormulas) -> None:
         by.append(found)
         return found[n * q : n * q + n]
 
-    _, there = function.runge_kutta(rates)
+    at, there = function.runge_kutta(rates)
+    place = builder.gep(function.llvm.args[5], [_int(n)])
+    asked = builder.fcmp_ordered("!=", builder.load(place), _number(0.0))
+    with builder.if_then(builder.and_(asked, function.crossed(begun, at, there)), likely=False):
+        builder.ret_void()
+    builder.store(_number(0.0), place)
     by_unknown = builder.alloca(_DOUBLE, max(4 * n * q, 1))
     for place, value in enumerate(value for stage in by for value in stage[: n * q]):
         builder.store(value, builder.gep(by_unknown, [_int(place)]))
@@ -220,6 +220,15 @@ class _Function:
             on = self.builder.fcmp_ordered(">", self._evaluated(tree, known), _number(0.0))
             found.append(self.builder.select(on, _number(1.0), _number(0.0)))
             known[f"b{i}"] = found[-1]
+        return found
+
+    def crossed(self, begun: Values, at: Sequence[Sequence[Any]], there: Sequence[Any]) -> Any:
+        """Whether a switch is not as at the step's begin, at one of its stages or after it."""
+        found: Any = ir.Constant(ir.IntType(1), 0)
+        for states in (there, *reversed(at[1:])):
+            for i, side in enumerate(self.switches(_named("x", states))):
+                other = self.builder.fcmp_ordered("!=", side, begun[f"b{i}"])
+                found = self.builder.or_(found, other)
         return found
 
     def runge_kutta(self, rates: Callable[[Values], list[Any]]) -> tuple[list[list[Any]], list[Any]]:

@@ -129,8 +129,10 @@ def run(
     y, u, states = np.empty((size, outputs)), np.empty((size, code[N_INPUTS])), np.empty((size + 1, x.size))
     work, at, z, after = work_for(code, vector), x.copy(), memory.copy(), memory.copy()
     last, now, kind = np.zeros(outputs), np.zeros(code[N_INPUTS]), law[KIND]
+    d = np.empty(disturbances.shape[1])
     for k in range(size):
-        d = disturbances[k]
+        for i in range(d.size):  # no view of a row: each is counted
+            d[i] = disturbances[k, i]
         for i in range(x.size):
             states[k, i] = at[i]
         call(code[OUTPUTS], at, at, d, work.p, work.b, work.seen)
@@ -193,9 +195,10 @@ def run_with_tangents(  # noqa: PLR0915 (one pass over the samples)
     slopes, of_gains = np.zeros((inputs + q, q + outputs)), np.zeros((inputs + q, tuned.size))
     work, at, u = work_for(code, vector), x.copy(), np.zeros(inputs)
     z, after = memory.copy(), memory.copy()
-    shown, y = work.shown, work.seen
+    shown, y, d = work.shown, work.seen, np.empty(disturbances.shape[1])
     for k in range(size):
-        d = disturbances[k]
+        for i in range(d.size):
+            d[i] = disturbances[k, i]
         call(code[OUTPUTS], at, u, d, work.p, work.b, y)
         call(code[OUTPUT_SLOPES], at, u, d, work.p, work.b, shown)
         for o in range(outputs):
