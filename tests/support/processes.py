@@ -14,8 +14,10 @@ from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppres
 from pathlib import Path
 from typing import Any, TypeVar
 
+from tests.support.places import LAUNCH_SCRIPTS
 from tests.support.waiting import PATIENCE, wait_for
 from twinmatch.cli import main
+from twinmatch.launching.forking import Forked, fork_server
 from twinmatch.plants import files
 
 T = TypeVar("T")
@@ -36,9 +38,20 @@ class Process:
         given = {**os.environ, "PYTHONUNBUFFERED": "1"} if environment is None else environment
         self.killed = False
         """Whether the test has killed it, so that its exit code says nothing."""
+        words = [str(word) for word in command]
+        self._process: Forked | subprocess.Popen[bytes]
         with output.open("w") as stream:
+            if words[0] == sys.executable and (
+                words[2].startswith("twinmatch.")
+                if words[1] == "-m"
+                else Path(words[1]).parent == LAUNCH_SCRIPTS
+            ):  # as the launch scripts start nodes: most of a start is imports
+                self._process = fork_server().start(
+                    *words[1:], output=stream.fileno(), environment=given, folder=folder
+                )
+                return
             self._process = subprocess.Popen(
-                [str(word) for word in command],
+                words,
                 env=given,
                 cwd=folder,
                 stdin=subprocess.DEVNULL,

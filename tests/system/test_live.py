@@ -30,11 +30,7 @@ from twinmatch.sessions.recording import repair_session
 from twinmatch_msgs.msg import Forecast
 
 LIVE = PROJECT / "launch_scripts" / "live.py"
-CHILDREN = {
-    **{name: ("twinmatch.nodes", name) for name in ("rig", "twin", "recorder", "plant_clock")},
-    "virtual_rig": ("twinmatch.cli", "virtual-rig"),
-}
-"""Module and first argument of each."""
+CHILDREN = ("rig", "twin", "recorder", "plant_clock", "virtual_rig")
 
 
 class LiveRun:
@@ -76,14 +72,13 @@ class LiveRun:
 
     def child(self, name: str) -> int | None:
         """Process id of a child."""
-        wanted = b"".join(word.encode() + b"\0" for word in CHILDREN[name])
         for entry in Path("/proc").glob("[0-9]*"):
             try:
-                words = (entry / "cmdline").read_bytes()
+                called = (entry / "comm").read_text().strip()
                 parent = int((entry / "stat").read_text().rsplit(")", 1)[1].split()[1])
             except (OSError, ValueError):
                 continue
-            if parent == self.process.id and wanted in words:
+            if parent == self.process.id and called.replace("-", "_") == name:
                 return int(entry.name)
         return None
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 
 from twinmatch.cli.shared import add_options, session_to_record
+from twinmatch.launching.forking import fork_server
 from twinmatch.launching.processes import add_page_options, page_of
 from twinmatch.shipped import shipped
 
@@ -27,6 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run until Ctrl-C or the profile's end; returns the exit code: 3 if the rig's process was lost."""
+    fork_server()  # imports while this process does
     from twinmatch.launching.live import Live, run_live  # noqa: PLC0415 — needs ROS
     from twinmatch.launching.plan import LivePlan, VirtualPlan  # noqa: PLC0415
 

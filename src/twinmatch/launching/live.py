@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import sys
 import threading
 import time
 from dataclasses import dataclass, field
@@ -155,8 +154,8 @@ class _LiveRun(Supervised):
         node.create_subscription(LoopSample, "plant/sample", self._live.take_sample, EVERYTHING)
         if plan.virtual is not None:
             self.view.say("starting the virtual rig")
-            command = [sys.executable, "-m", "twinmatch.cli", "virtual-rig", *plan.virtual.arguments]
-            self.processes.start("virtual_rig", command)
+            arguments = ["virtual-rig", *plan.virtual.arguments]
+            self.processes.start_module("virtual_rig", "twinmatch.cli", *arguments)
         self._refuse_second_graph(node)
         if plan.virtual is not None:
             self.processes.wait_for_line("virtual_rig", self._ready, VIRTUAL_RIG_START)

@@ -8,18 +8,16 @@ such a child too: it starts and ends with the script and cannot make it fail.
 from __future__ import annotations
 
 import argparse
-import ctypes
 import os
 import signal
 import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import IO
 
 from twinmatch.errors import TwinmatchError
+from twinmatch.launching.forking import fork_server
 
 PORT = 5006
 """Usual port of the live page."""
@@ -28,9 +26,6 @@ POLL = 0.2
 
 PATIENCE = 12.0
 """Time between SIGTERM and SIGKILL, s."""
-
-_PR_SET_PDEATHSIG = 1
-_LIBC = ctypes.CDLL(None, use_errno=True) if sys.platform == "linux" else None
 
 
 class LaunchError(TwinmatchError):
@@ -41,39 +36,25 @@ class Child:
     """One child process; each line of its output is shown with its name as prefix."""
 
     def __init__(
-        self, name: str, command: Sequence[str], show: Callable[[str], None], environment: Mapping[str, str]
+        self, name: str, words: Sequence[str], show: Callable[[str], None], environment: Mapping[str, str]
     ) -> None:
-        """Start it; `environment` is added to ours.
+        """Start a module with its arguments; `environment` is added to ours.
 
         Raises:
-            LaunchError: the program cannot be started.
+            LaunchError: no process can be made.
         """
         self.name = name
-        parent = os.getpid()
-
-        def follow_parent() -> None:
-            if _LIBC is not None:
-                _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
-            if os.getppid() != parent:  # the parent died before the line above
-                os._exit(1)
-
+        mine, its = os.pipe()
         try:
-            self.process = subprocess.Popen(
-                list(command),
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.STDOUT,
-                text=True,
-                errors="replace",
-                # Unbuffered, so that lines arrive when they are written.
-                env={**os.environ, "PYTHONUNBUFFERED": "1", **environment},
-                start_new_session=True,
-                preexec_fn=follow_parent,  # noqa: PLW1509 — one prctl, nothing that takes a lock
+            self.process = fork_server().start(
+                "-m", *words, output=its, environment={**os.environ, **environment}
             )
         except OSError as error:
-            msg = f"{name}: {command[0]} cannot be started ({error.strerror})"
-            raise LaunchError(msg) from error
-        self._reader = threading.Thread(target=self._pass_on, args=(show,), daemon=True)
+            os.close(mine)
+            raise LaunchError(f"{name}: cannot be started ({error.strerror})") from error
+        finally:
+            os.close(its)
+        self._reader = threading.Thread(target=self._pass_on, args=(mine, show), daemon=True)
         self._reader.start()
 
     @property
@@ -95,12 +76,10 @@ class Child:
         self._reader.join(1.0)
         return True
 
-    def _pass_on(self, show: Callable[[str], None]) -> None:
-        stream: IO[str] | None = self.process.stdout
-        for line in stream or ():
-            show(f"[{self.name}] {line.rstrip()}")
-        if stream is not None:
-            stream.close()
+    def _pass_on(self, output: int, show: Callable[[str], None]) -> None:
+        with open(output, errors="replace") as stream:
+            for line in stream:
+                show(f"[{self.name}] {line.rstrip()}")
 
 
 class Processes:
@@ -113,15 +92,10 @@ class Processes:
         """Variables for the children that are started from now on."""
         self._children: dict[str, Child] = {}
 
-    def start(self, name: str, command: Sequence[str]) -> Child:
-        """Start a child under a name; raises as `Child`."""
-        child = Child(name, command, self._show, self.environment)
-        self._children[name] = child
-        return child
-
     def start_module(self, name: str, module: str, *arguments: str) -> Child:
-        """Start `python -m module arguments` with this interpreter."""
-        return self.start(name, [sys.executable, "-m", module, *arguments])
+        """Start `python -m module arguments` as a child of this name; raises as `Child`."""
+        self._children[name] = Child(name, [module, *arguments], self._show, self.environment)
+        return self._children[name]
 
     def __getitem__(self, name: str) -> Child:
         """The child of that name."""
@@ -237,4 +211,5 @@ def page_of(options: argparse.Namespace, parser: argparse.ArgumentParser, config
         parser.error("--control needs the page: give --dashboard too")
     if options.dashboard is not None and not 0 <= options.dashboard <= 65535:
         parser.error(f"--dashboard is {options.dashboard}; give a port from 0 to 65535")
+    fork_server()  # imports while this process does
     return Page(options.dashboard, control=control, config=config)

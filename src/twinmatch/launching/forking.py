@@ -1,0 +1,226 @@
+"""Programs forked from a process that has imported what they need.
+
+Imports are most of a node's start: forked, it needs a fifth of the processor time and shares the memory of
+what was imported. The fork server has one thread, knows no ROS context and keeps nothing of what it started:
+a program is the child of the process that asked for it, and is signalled, waited for and ended with it like
+any other child.
+"""
+
+from __future__ import annotations
+
+import atexit
+import ctypes
+import errno
+import gc
+import json
+import os
+import runpy
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+import warnings
+from collections.abc import Mapping
+from functools import cache
+from importlib import import_module
+from pathlib import Path
+from typing import Final
+
+IMPORTED: Final = (
+    "twinmatch.nodes.camera_bridge",
+    "twinmatch.nodes.keeper",
+    "twinmatch.nodes.player",
+    "twinmatch.nodes.plant_clock",
+    "twinmatch.nodes.pwm_bridge",
+    "twinmatch.nodes.recorder",
+    "twinmatch.nodes.twin",
+    "twinmatch.cli.virtual_rig",
+)
+"""What most programs of a graph import; others import the rest themselves."""
+_LONGEST: Final = 1 << 17
+"""Longest request, bytes."""
+_POLL: Final = 0.01
+"""Interval between two looks at a child that is waited for, s."""
+_MOMENT: Final = 0.0005
+"""Interval between two looks at who the parent is, s."""
+_ONE_THREAD: Final = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+"""The matrices are small, and a process with threads cannot be forked safely."""
+_PR_SET_PDEATHSIG: Final = 1
+_PR_SET_NAME: Final = 15
+_PR_SET_CHILD_SUBREAPER: Final = 36
+_LIBC: Final = ctypes.CDLL(None, use_errno=True)
+
+
+class Forked:
+    """A child of this process that a fork server made, with what is used of `subprocess.Popen`."""
+
+    def __init__(self, words: list[str], process: int) -> None:
+        self.args = words
+        self.pid = process
+        self.returncode: int | None = None
+        """Exit code; negative: the signal that ended it; None while it runs."""
+
+    def poll(self) -> int | None:
+        """The exit code, if it has ended."""
+        if self.returncode is None:
+            ended, status = os.waitpid(self.pid, os.WNOHANG)
+            if ended:
+                self.returncode = os.waitstatus_to_exitcode(status)
+        return self.returncode
+
+    def wait(self, timeout: float | None = None) -> int:
+        """The exit code, once it has ended.
+
+        Raises:
+            TimeoutExpired: it runs longer than `timeout` (s).
+        """
+        until = None if timeout is None else time.monotonic() + timeout
+        while (code := self.poll()) is None:
+            if until is not None and time.monotonic() > until:
+                raise subprocess.TimeoutExpired(self.args, timeout or 0.0)
+            time.sleep(_POLL)
+        return code
+
+    def send_signal(self, number: int) -> None:
+        """Send a signal, if it still runs."""
+        if self.poll() is None:
+            os.kill(self.pid, number)
+
+    def kill(self) -> None:
+        """Kill it."""
+        self.send_signal(signal.SIGKILL)
+
+
+class ForkServer:
+    """A process that forks programs for this one."""
+
+    def __init__(self) -> None:
+        """Start it; it imports while this process goes on, and ends with it."""
+        self._asking = threading.Lock()
+        self._begin()
+
+    def _begin(self) -> None:
+        self._socket, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        with theirs:
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", __name__, str(theirs.fileno())],
+                stdin=subprocess.DEVNULL,
+                # Unbuffered, so that a program's lines arrive when they are written.
+                env={**os.environ, **_ONE_THREAD, "PYTHONUNBUFFERED": "1"},
+                pass_fds=[theirs.fileno()],
+                start_new_session=True,
+            )
+
+    def start(
+        self, *words: str, output: int, environment: Mapping[str, str], folder: Path | None = None
+    ) -> Forked:
+        """Start a program; a server that was killed is replaced.
+
+        Args:
+            words: `-m`, a module and its arguments, or a script and its arguments.
+            output: file descriptor for what it prints, errors included.
+            environment: all of its environment.
+            folder: where it works; by default, where this process does.
+
+        Raises:
+            OSError: no process can be made.
+        """
+        asked = [os.getpid(), words, dict(environment), str(folder or Path.cwd())]
+        with self._asking:
+            if self._process.poll() is not None:
+                self._socket.close()
+                self._begin()
+            _LIBC.prctl(_PR_SET_CHILD_SUBREAPER, 1)  # so that the new process becomes a child of this one
+            try:
+                socket.send_fds(self._socket, [json.dumps(asked).encode()], [output])
+                answer = self._socket.recv(_LONGEST)
+            finally:
+                _LIBC.prctl(_PR_SET_CHILD_SUBREAPER, 0)
+        if not answer:
+            raise BrokenPipeError(errno.EPIPE, "the fork server has ended")
+        return Forked(list(words), int(answer))
+
+    def close(self) -> None:
+        """End it; the programs go on."""
+        self._socket.close()
+        self._process.wait()
+
+
+@cache
+def fork_server() -> ForkServer:
+    """The fork server of this process; it starts to import when this is first called."""
+    server = ForkServer()
+    atexit.register(server.close)
+    return server
+
+
+def serve(connection: socket.socket) -> list[str]:
+    """Fork for whoever has the other end, until it is closed or no process can be made.
+
+    Returns:
+        In a new process, the words of its program; in the server none, at the end.
+    """
+    while True:
+        request, outputs, *_ = socket.recv_fds(connection, _LONGEST, 1)
+        if not request:
+            return []
+        between = os.fork()
+        if between == 0:
+            if os.fork():
+                os._exit(0)  # its child becomes one of the process that asks
+            parent, *asked = json.loads(request)
+            _become_child_of(parent)
+            connection.send(str(os.getpid()).encode())
+            connection.close()
+            return _prepare(outputs[0], *asked)
+        if os.waitpid(between, 0)[1]:
+            return []
+        os.close(outputs[0])
+
+
+def _become_child_of(parent: int) -> None:
+    between = os.getppid()
+    while os.getppid() == between != parent:
+        time.sleep(_MOMENT)
+    _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+    if os.getppid() != parent:  # it died before the line above
+        os._exit(1)
+
+
+def _prepare(output: int, words: list[str], environment: dict[str, str], folder: str) -> list[str]:
+    """Make this process what a new program finds."""
+    os.setsid()
+    for place in (1, 2):
+        os.dup2(output, place)
+    os.close(output)
+    os.environ.clear()
+    os.environ.update(environment)
+    os.chdir(folder)
+    name = words[2] if words[0] == "-m" and len(words) > 2 else words[0]
+    _LIBC.prctl(_PR_SET_NAME, Path(name).name.encode()[:15])
+    return words
+
+
+def main() -> None:
+    """The fork server, and each program that it forks."""
+    for name in IMPORTED:
+        import_module(name)
+    # The tracer that ROS loads has threads; they hold no lock that a program needs.
+    warnings.filterwarnings("ignore", ".*multi-threaded, use of fork", DeprecationWarning)
+    gc.collect()
+    gc.freeze()  # what is shared stays shared
+    words = serve(socket.socket(fileno=int(sys.argv[1])))
+    if not words:
+        return
+    if words[0] == "-m":
+        sys.argv = words[1:]
+        runpy.run_module(words[1], run_name="__main__", alter_sys=True)
+    else:
+        sys.argv = words
+        runpy.run_path(words[0], run_name="__main__")
+
+
+if __name__ == "__main__":
+    main()
