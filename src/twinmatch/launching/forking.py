@@ -28,6 +28,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import Final
 
+from twinmatch.nodes import problem
+
 IMPORTED: Final = (
     "twinmatch.nodes.camera_bridge",
     "twinmatch.nodes.keeper",
@@ -205,6 +207,8 @@ def _prepare(output: int, words: list[str], environment: dict[str, str], folder:
 
 def main() -> None:
     """The fork server, and each program that it forks."""
+    if problem():  # which the launcher tells
+        return
     for name in IMPORTED:
         import_module(name)
     # The tracer that ROS loads has threads; they hold no lock that a program needs.
