@@ -3,17 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-
 from tests.support.plants import Lag
 from twinmatch.comparing import TrustLevel
-from twinmatch.dynamics.pace import time_scale
-from twinmatch.forecasting import HORIZONS, horizons_for, leads_of
 from twinmatch.offline.judging import judge_samples
 from twinmatch.signals import Sample
-from twinmatch.twin import ForecastSettings, TwinSettings
+from twinmatch.twin import TwinSettings
 
 PERIOD = 30.0
 LAG, GAIN = 45.0, 2.0
@@ -42,27 +36,3 @@ def test_forecasts_are_compared_and_a_change_is_noticed() -> None:
     assert all(v.miss_y < 1.0 for v in before)  # 0.6 is usual
     after = [v for v in judged.verdicts if v.sample >= 1050]
     assert any(v.level in {TrustLevel.DOUBTFUL, TrustLevel.FAULT} for v in after)
-
-
-@given(st.floats(0.01, 1e5))
-def test_the_longest_horizon_is_never_shorter_than_sixty_samples(period: float) -> None:
-    horizons = horizons_for(period)
-    assert horizons[-1] >= 60 * period * (1 - 1e-12)
-    assert horizons[0] / horizons[-1] == pytest.approx(HORIZONS[0] / HORIZONS[-1])
-    settings = ForecastSettings.of(period)
-    assert settings.every / settings.memory == pytest.approx(1 / 60)
-    assert settings.every >= period or period <= 5.0
-    longest = round(horizons[-1] / period)
-    assert leads_of(period / time_scale(period), longest)[-1] == longest
-
-
-@given(st.floats(1e-3, 0.5))
-def test_the_longest_horizon_of_fast_samples_fits_into_a_window(period: float) -> None:
-    assert horizons_for(period)[-1] / period == pytest.approx(600)
-    assert ForecastSettings.of(period).every / period == pytest.approx(60)
-
-
-@given(st.floats(0.5, 5.0))
-def test_usual_samples_keep_the_horizons_in_seconds(period: float) -> None:
-    assert horizons_for(period) == HORIZONS
-    assert ForecastSettings.of(period) == ForecastSettings()

@@ -120,7 +120,7 @@ def _forecasts(options: argparse.Namespace) -> tuple[TwinSettings, list[_Request
         session = open_any(options.session, progress=progress.advance, plant=options.plant)
     terms = terms_from_files(session, options.config, options.candidates)
     settings, period = terms.settings, terms.settings.period
-    size = samples_ahead(options.horizon, period)
+    size = samples_ahead(options.horizon, settings)
     samples = samples_at(session, options.at)
     given = {"settings": settings, "reference": options.reference, "hold": options.hold, "rows": rows}
     ahead = {k: ahead_of(session, sample, size, **given) for k, sample in samples.items()}
@@ -143,7 +143,7 @@ def _print(one: _Requested, settings: TwinSettings) -> None:
     confidence = f"confidence {prospect.leader_confidence:.2f}"
     who = f"the leader ({confidence})" if prospect.leads else f"the leader is {prospect.leader}, {confidence}"
     print(f"  {forecast.candidate} forecasts {forecast.time[-1]:g} s; {who}")
-    for line in forecast_words(forecast, settings.plant) + comparison_words(one.fan, settings.plant):
+    for line in forecast_words(forecast, settings) + comparison_words(one.fan, settings.plant):
         print(f"  {line}")
     for note in forecast.notes:
         print(f"  Note: {note.rstrip('.')}.")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import math
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -90,6 +91,8 @@ class PlantDefinition(metaclass=PlantType):
     """Typical parameters of plants of this kind, if not the defaults; used before the first match."""
     followed: ClassVar[str] = ""
     """Structure in which a running plant is tracked to detect changes; the first if empty."""
+    time_constant: ClassVar[float] = 0.0
+    """Time constant that windows, horizons, … follow, s; 0: the slowest one of the linearised equations."""
     surroundings: ClassVar[str] = "what surrounds the plant"
     """What to check if something changes slowly."""
 
@@ -128,6 +131,8 @@ def require_consistent(plant: type[PlantDefinition], base: type[PlantDefinition]
         )
     if not plant.structures:
         raise PlantError(f"plant {plant.name}: has no structure; declare at least one in `structures`")
+    if not (isinstance(plant.time_constant, int | float) and 0.0 <= plant.time_constant < math.inf):
+        raise PlantError(f"plant {plant.name}: `time_constant` is {plant.time_constant!r}; give seconds")
     if plant.followed and plant.followed not in plant.structures:
         raise PlantError(f"plant {plant.name}: `followed` is {plant.followed!r}; name one of its structures")
     _require_names_of(

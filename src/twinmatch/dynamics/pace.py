@@ -1,22 +1,87 @@
-"""How fast a plant is, by the time between its samples."""
+"""How fast a plant is: by its time constant or, where nothing is known, by the time between its samples.
+
+Times that are meant for the rig, with its time constant of about 100 s and a sample every second, are
+multiplied by a factor, bounded so that the longest horizon is 60 to 1200 samples.
+"""
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Final
 
-_LONGEST_PERIOD: Final = 5.0
-"""Sample time from which times grow with it, s: at 5 s the longest horizon is 60 samples, as many as a
-verdict compares with the forecasts made for them."""
+import numpy as np
+
+from twinmatch.dynamics.declarations import PlantError
+from twinmatch.dynamics.linear import rest_at
+from twinmatch.dynamics.plant import Parameters, Plant
+from twinmatch.dynamics.simulation import begin
+from twinmatch.signals import FloatArray
+
+_USUAL: Final = 100.0
+"""Time constant at which times are as for the rig, s."""
+_MOST_SAMPLES: Final = 4.0
+_LEAST_SAMPLES: Final = 0.2
+"""Samples in the time that is one second of the rig: with fewer, the longest horizon would be less than 60
+samples, as many as a verdict compares with the forecasts made for them; with more, computing is slow."""
 _SHORTEST_PERIOD: Final = 0.5
-"""Sample time below which they shrink with it, s: at 0.5 s the longest horizon is 600 samples, nearly the
-longest window that is matched."""
+"""Sample time below which times shrink with it where no time constant is known, s."""
+_SHOWN: Final = 0.1
+"""Share of the largest that a mode must have in the response to a step of the input."""
+_STANDS: Final = 1e-6
+"""Eigenvalue of an integrator, as a share of the fastest."""
 
 
 def time_scale(period: float) -> float:
-    """Factor on all times that are meant for a plant sampled about once a second, such as the rig.
+    """Factor on all times by the sample time alone, s: for health, and for a plant that only integrates.
 
     In a plant that is sampled every minute, nothing can be seen ten seconds ahead, and five minutes are only
     five samples. In a motor that is sampled a hundred times a second, all has settled long before.
-    Windows are counted in samples; for slow and fast samples, other times are, too.
     """
-    return max(period / _LONGEST_PERIOD, min(period / _SHORTEST_PERIOD, 1.0))
+    return max(period * _LEAST_SAMPLES, min(period / _SHORTEST_PERIOD, 1.0))
+
+
+def plant_scale(plant: type[Plant], period: float, longer: float = 1.0) -> float:
+    """Factor on times that follow the plant's time constant; `period` is the sample time, s, and `longer` a
+    factor of the user's."""
+    slow = time_constant(plant)
+    if not slow:
+        return time_scale(period) * longer
+    return max(_LEAST_SAMPLES * period, min(slow / _USUAL, _MOST_SAMPLES * period)) * longer
+
+
+@cache
+def time_constant(plant: type[Plant]) -> float:
+    """The plant's slow time constant, s: as its file says, or the slowest that a step of the input shows.
+
+    It is that of the equations linearised in the middle of the outputs' ranges, with typical parameters, in
+    the slowest of the structures. Integrators have none; 0 if there is nothing else.
+    """
+    if plant.time_constant:
+        return plant.time_constant
+    own = [plant.model(name) for name, one in plant.structures.items() if one.external is None]
+    return max((_slowest(model.typical()) for model in own), default=0.0)
+
+
+def _slowest(parameters: Parameters) -> float:
+    model = parameters.model
+    levels = np.array([np.mean(y.set_points or y.span) for y in model.plant.outputs.values()])
+    try:
+        states, inputs = rest_at(parameters, levels)
+    except PlantError:  # nothing holds it there: linearised where it begins
+        states, inputs = begin(parameters, levels), model.rest
+    _, fx, fu, _, hx, _ = model.kernels.slopes_at(parameters.vector, states, inputs, model.disturbances)
+    with np.errstate(all="ignore"):
+        return _slow_mode(fx, fu, hx)
+
+
+def _slow_mode(fx: FloatArray, fu: FloatArray, hx: FloatArray) -> float:
+    """Time constant of the slowest mode, s, that the outputs show after a step of an input."""
+    if not (fx.size and all(np.isfinite(one).all() for one in (fx, fu, hx))):
+        return 0.0
+    rates, modes = np.linalg.eig(fx)
+    decays = np.abs(rates.real)
+    moves = decays > _STANDS * np.max(np.abs(rates))
+    driven = np.linalg.lstsq(modes, fu.astype(complex), rcond=None)[0]
+    shares = np.max(np.abs(hx @ modes), axis=0) * np.max(np.abs(driven), axis=1) / np.abs(rates)
+    shown = moves & (shares >= _SHOWN * np.max(shares[moves], initial=0.0))
+    return float(1.0 / np.min(decays[shown])) if shown.any() else 0.0

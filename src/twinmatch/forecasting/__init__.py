@@ -14,7 +14,6 @@ from twinmatch.forecasting.forecast import (
     Band,
     Forecast,
     ForecastError,
-    horizons_for,
 )
 from twinmatch.forecasting.outlook import Followers, Outlook, StateFilter
 from twinmatch.forecasting.scoring import Calibration, Ledger, leads_of
@@ -50,7 +49,6 @@ __all__ = [
     "SetPoints",
     "StateFilter",
     "WhatIfResult",
-    "horizons_for",
     "largest_input",
     "leads_of",
     "settling_time",

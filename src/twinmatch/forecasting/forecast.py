@@ -7,7 +7,6 @@ from typing import Final
 
 import numpy as np
 
-from twinmatch.dynamics.pace import time_scale
 from twinmatch.errors import TwinmatchError
 from twinmatch.signals import FloatArray
 
@@ -19,12 +18,7 @@ class ForecastError(TwinmatchError):
 CONFIDENCE: Final = 0.9
 """Share of future samples that a band is to hold."""
 HORIZONS: Final = (10.0, 60.0, 300.0)
-"""Horizons at which forecasts are made and scored, s, at a time scale of 1."""
-
-
-def horizons_for(period: float) -> tuple[float, ...]:
-    """The horizons for a sample time, s."""
-    return tuple(horizon * time_scale(period) for horizon in HORIZONS)
+"""Horizons at which forecasts of the rig are made and scored, s."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -16,7 +16,7 @@ from twinmatch.links.kit_link import require_package, require_port
 from twinmatch.nodes.sampler import sources_of, understood
 from twinmatch.nodes.step import PATIENCE
 from twinmatch.parameters.declared import ParameterError, Values, check, flattened, render
-from twinmatch.parameters.twin import at_period, closing_of, read_settings, twin_table, values_of
+from twinmatch.parameters.twin import at_period, read_settings, table_of, values_of
 from twinmatch.plants import find_plant, written_name
 from twinmatch.sessions.column_map import ColumnMap
 from twinmatch.sessions.documents import DocumentError, read_yaml
@@ -244,7 +244,7 @@ def attach_plan(
     twin_values = values_of(settings)
     sampler, twin = folder / "sampler.yaml", folder / "twin.yaml"
     sampler.write_text(render(SAMPLER, understood(SAMPLER, values), values), "utf-8")
-    table = twin_table(plant, twin_values["structure"], closing_of(twin_values))
+    table = table_of(settings)
     twin.write_text(render("/**", table, twin_values), "utf-8")
     return AttachPlan(
         config=config or sampler,

@@ -32,6 +32,7 @@ class TwinSimulatorNode(SampleNode):
             self.values["recent"],
             self.settings.period,
             self.settings.schedule.gap,
+            scale=self.settings.forecasts.scale,
         )
         self._leader = ""
         self._made = 0  # states

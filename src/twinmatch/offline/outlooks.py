@@ -13,7 +13,7 @@ import numpy as np
 from twinmatch.dynamics import Drive, Output
 from twinmatch.dynamics.pace import time_scale
 from twinmatch.errors import TwinmatchError
-from twinmatch.forecasting import Forecast, ForecastError, Outlook, SetPoints, horizons_for
+from twinmatch.forecasting import Forecast, ForecastError, Outlook, SetPoints
 from twinmatch.offline.judging import EVERY, Terms, Watch
 from twinmatch.offline.processes import held_interrupts
 from twinmatch.sessions import Session
@@ -242,9 +242,10 @@ def _recorded(session: Session, sample: Sample, size: int, settings: TwinSetting
     return Ahead(ahead, f"the recorded {kind}s", notes, rows)
 
 
-def samples_ahead(horizon: float | None, period: float) -> int:
-    """Samples within the horizon; without one, within the longest at which forecasts are scored."""
-    horizon = horizons_for(period)[-1] if horizon is None else horizon
+def samples_ahead(horizon: float | None, settings: TwinSettings) -> int:
+    """Samples within the horizon, s; without one, within the longest at which forecasts are scored."""
+    period = settings.period
+    horizon = max(*settings.forecasts.horizons, period) if horizon is None else horizon
     longest = LONGEST * time_scale(period)
     if not (math.isfinite(horizon) and 0 < horizon <= longest):
         raise TwinmatchError(

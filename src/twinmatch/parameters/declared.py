@@ -105,7 +105,7 @@ def parameters_of(record: Any, prefix: str = "", **names: str) -> tuple[Setting,
     return tuple(
         Setting(
             prefix + it.name,
-            getattr(record, it.name),
+            list(held) if isinstance(held := getattr(record, it.name), tuple) else held,
             it.metadata["text"].format_map(names),
             it.metadata["unit"].format_map(names),
             it.metadata["low"],

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -25,6 +26,7 @@ from twinmatch.dynamics import (
     Sensor,
     gains_for,
 )
+from twinmatch.dynamics.pace import time_scale
 from twinmatch.errors import TwinmatchError
 from twinmatch.fitting import Noise
 from twinmatch.fmu import adopt_fmus
@@ -40,7 +42,7 @@ from twinmatch.parameters.declared import (
 from twinmatch.plants import Peltier, find_plant, plant_named, written_name
 from twinmatch.plants.records import structure_of
 from twinmatch.sessions.documents import DocumentError, read_yaml
-from twinmatch.twin import ForecastSettings, TrustLimits, TwinError, TwinSettings
+from twinmatch.twin import ForecastSettings, ScheduleSettings, TrustLimits, TwinError, TwinSettings
 
 UNKNOWN: Final = "unknown"
 """Value of `loop` for a twin that is driven by the recorded input."""
@@ -63,7 +65,7 @@ def loop_parameters(plant: type[Plant], closing: LoopGains = FROM_PLANT_FILE) ->
     """The sampling period, and the gains of the plant's controller if it is known."""
     usual = plant.loop.period if plant.loop else 1.0
     has = gains_for(plant, usual, closing)
-    period = Setting("period", usual, "Sampling period of the loop.", "s", 0.01, 60.0)
+    period = Setting("period", usual, "Sampling period of the loop.", "s", 1e-3, 1e5)
     if not isinstance(has, PidGains):
         return (period,)
     u, y = unit_of(plant.drive), plant.output.unit
@@ -127,10 +129,18 @@ _START: Final = "start."
 
 
 def twin_table(
-    plant: type[Plant] = Peltier, structure: str | None = None, closing: LoopGains = FROM_PLANT_FILE
+    plant: type[Plant] = Peltier,
+    structure: str | None = None,
+    closing: LoopGains = FROM_PLANT_FILE,
+    period: float | None = None,
+    scale: float = 1.0,
 ) -> tuple[Setting, ...]:
-    """Name, default, meaning, unit, range of everything in `TwinSettings`, and of what single nodes need."""
-    has = TwinSettings.of(plant, structure, gains=closing)
+    """Name, default, meaning, unit, range of everything in `TwinSettings`, and of what single nodes need.
+
+    Windows and horizons depend on the sampling period, s (None: the plant file's), and on `schedule.scale`.
+    """
+    usual = plant.loop.period if plant.loop else 1.0
+    has = TwinSettings.of(plant, structure, usual if period is None else period, closing, scale)
     return (
         *_plant(has.start.model),
         Setting(
@@ -166,10 +176,21 @@ def understood(place: str, given: Mapping[str, Any]) -> tuple[tuple[Setting, ...
         plant = find_plant(str(given.get("plant", Peltier.name)))
         named = given.get("structure")
         model = plant.model(None if named is None else str(named))
-        table = twin_table(plant, model.structure_name, closing_of(given))
+        table = _table(model, given)
     except PlantError as error:
         raise ParameterError(f"{place}: {error}") from error
     return table, _without_absent(place, given, model)
+
+
+def _table(model: Model, given: Mapping[str, Any]) -> tuple[Setting, ...]:
+    """The table for given values; what they have wrong is found when they are checked against it."""
+    table = partial(twin_table, model.plant, model.structure_name, closing_of(given))
+    known: dict[str, Any] = {
+        one.name: one.accept(given[one.name], "twin")
+        for one in table()
+        if one.name in {"period", "schedule.scale"} & given.keys()
+    }
+    return table(known.get("period"), known.get("schedule.scale", 1.0)) if known else table()
 
 
 def twin_values(place: str, given: Mapping[str, Any]) -> Values:
@@ -187,6 +208,8 @@ def recorded_values(place: str, given: Mapping[str, Any]) -> Values:
         ParameterError: as `twin_values`.
     """
     kept = {name: value for name, value in _translated(given).items() if name != "allow_fmu"}
+    if "schedule.scale" not in kept and isinstance(period := kept.get("period", 1.0), int | float):
+        kept = _by_sample_time(period) | kept
     if "plant" in kept:
         try:
             kept["plant"] = written_name(plant_named(str(kept["plant"])))
@@ -198,7 +221,10 @@ def recorded_values(place: str, given: Mapping[str, Any]) -> Values:
 def settings_from(values: Mapping[str, Any]) -> TwinSettings:
     """Settings from checked parameter values."""
     plant, period = find_plant(values["plant"]), values["period"]
-    usual = TwinSettings.of(plant, values["structure"], period, closing_of(values))
+    scale = values["schedule.scale"]
+    usual = TwinSettings.of(plant, values["structure"], period, closing_of(values), scale)
+    forecasts = group(values, "forecasts.")
+    forecasts["horizons"] = tuple(forecasts["horizons"])
     sensor = group(values, "sensor.")
     sensor["pause_period"] = sensor["pause_period"] or None
     return replace(
@@ -215,6 +241,7 @@ def settings_from(values: Mapping[str, Any]) -> TwinSettings:
         regime_width=values["regime_width"],
         limits=TrustLimits(**group(values, "limits.")),
         health=replace(usual.health, **group(values, "health.")),
+        forecasts=ForecastSettings(**forecasts),
     )
 
 
@@ -228,16 +255,23 @@ def values_of(settings: TwinSettings) -> Values:
         "loop": FromPlantFile.LOOP.value if settings.gains is not None else UNKNOWN,
     }
     groups: dict[str, Any] = {"pid": settings.gains}
-    for parameter in twin_table(model.plant, model.structure_name, closing_of(values)):
+    for parameter in table_of(settings):
         owner, _, name = parameter.name.partition(".")
         if owner == "start":
             values[parameter.name] = settings.start[name]
         elif name:
             held = groups.get(owner) or getattr(settings, owner)
-            values[parameter.name] = getattr(held, name) or type(parameter.default)()
+            value = getattr(held, name) or type(parameter.default)()
+            values[parameter.name] = list(value) if isinstance(value, tuple) else value
         elif hasattr(settings, owner):
             values.setdefault(owner, getattr(settings, owner))
     return values
+
+
+def table_of(settings: TwinSettings) -> tuple[Setting, ...]:
+    """The parameters of the twin with the defaults for these settings."""
+    model, closing = settings.start.model, FROM_PLANT_FILE if settings.gains is not None else None
+    return twin_table(model.plant, model.structure_name, closing, settings.period, settings.schedule.scale)
 
 
 def read_settings(path: Path | None, plant: str = "", *, driven: bool = False) -> TwinSettings:
@@ -296,13 +330,19 @@ def at_period(settings: TwinSettings, period: float, config: Path | None) -> Twi
     if config is not None:
         msg = f"{config}: the period is {settings.period:g} s, but that of the samples is {period:g} s"
         raise TwinError(msg)
-    gains = settings.gains
-    return replace(
-        settings,
-        period=period,
-        gains=gains and replace(gains, period=period),
-        forecasts=ForecastSettings.of(period),
-    )
+    model, closing = settings.start.model, FROM_PLANT_FILE if settings.gains is not None else None
+    return TwinSettings.of(model.plant, model.structure_name, period, closing)
+
+
+def _by_sample_time(period: float) -> Values:
+    """What earlier versions did not record; horizons followed the sample time, s."""
+    scale, usual = time_scale(period), ForecastSettings()
+    return {
+        "schedule.gap": ScheduleSettings.gap,
+        "forecasts.horizons": [horizon * scale for horizon in usual.horizons],
+        "forecasts.every": usual.every * scale,
+        "forecasts.memory": usual.memory * scale,
+    }
 
 
 def _plant(model: Model) -> tuple[Setting, ...]:
@@ -353,6 +393,7 @@ def _numbers(has: TwinSettings) -> tuple[Setting, ...]:
             for name, text, unit in sensor
         ),
         *parameters_of(has, **names),
+        *parameters_of(has.forecasts, "forecasts.", **names),
         *parameters_of(has.limits, "limits.", **names),
         *parameters_of(has.health, "health.", **names),
     )

@@ -36,6 +36,7 @@ class Incubator(Plant, name="incubator"):
         "box_conductance": 0.9,
         "box_heat_capacity": 25e3,
     }
+    time_constant = 100.0  # air 39 s, bed 540 s
     parts = (_BED, _BOX, _LAG)
 
     temperature = Output(

@@ -77,6 +77,7 @@ class Peltier(Plant, name="peltier"):
     title = "Peltier rig"
     surroundings = "fan, heat sink and room"
     typical = {"seebeck": 0.06, "conductance": 0.65, "heat_capacity": 28.0}  # noqa: RUF012
+    time_constant = 100.0  # plate 28 s, sink 128 s
     parts = (_MASS, _LAG, _SLOPE)
 
     temperature = Output(

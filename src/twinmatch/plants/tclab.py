@@ -68,6 +68,7 @@ class TCLab(Plant, name="tclab"):
     title = "Temperature Control Lab"
     typical = {"losses": 11.0, "heating": 0.0085, "sensor_lag": 18.0}  # noqa: RUF012
     surroundings = "room, draught and second heater"
+    time_constant = 100.0  # heater 110 to 180 s
     parts = (_LAG, _RADIATION, _NEIGHBOUR)
 
     temperature = Output(

@@ -15,7 +15,6 @@ from twinmatch.forecasting import (
     Band,
     Forecast,
     Moment,
-    horizons_for,
     largest_input,
     settling_time,
     time_to_reach,
@@ -24,6 +23,7 @@ from twinmatch.offline.backtest.scoring import LEADER, TWINS, Backtest, Card
 from twinmatch.showing.quantities import number, signal_names, with_unit
 from twinmatch.showing.series import Fan, root_mean_square
 from twinmatch.signals import FloatArray
+from twinmatch.twin import TwinSettings
 
 __all__ = [
     "asked",
@@ -59,16 +59,17 @@ def forecast_document(forecast: Forecast) -> dict[str, Any]:
     }
 
 
-def forecast_words(forecast: Forecast, plant: type[Plant]) -> list[str]:
+def forecast_words(forecast: Forecast, settings: TwinSettings) -> list[str]:
     """The forecast in lines: final output, arrival at each set-point, largest input, widths of the band;
     for prescribed inputs only final output and widths."""
+    plant, widths = settings.plant, _widths(forecast, settings)
     if not forecast.closed:
-        return [_end(forecast, plant), _widths(forecast, plant)]
+        return [_end(forecast, plant), widths]
     parts = _parts(forecast)
     if len(parts) > _MOST_LEVELS:
         parts = parts[-1:]
     arrivals = [_arrival(part, plant, only=len(parts) == 1) for part in parts]
-    return [_end(forecast, plant), *arrivals, _largest(forecast, plant), _widths(forecast, plant)]
+    return [_end(forecast, plant), *arrivals, _largest(forecast, plant), widths]
 
 
 def asked(forecast: Forecast) -> FloatArray:
@@ -155,14 +156,14 @@ def _largest(forecast: Forecast, plant: type[Plant]) -> str:
     return f"largest {signals.input}: {signals.u(peak.expected)} after {peak.time:g} s ({least} to {most})"
 
 
-def _widths(forecast: Forecast, plant: type[Plant]) -> str:
-    signals, widths = signal_names(plant), []
+def _widths(forecast: Forecast, settings: TwinSettings) -> str:
+    signals, widths = signal_names(settings.plant), []
 
     def width(k: int) -> str:
         y, u = (float(band.high[k] - band.low[k]) for band in (forecast.output, forecast.input))
         return f"{signals.y(y)} and {signals.u(u)}" if forecast.closed else signals.y(y)
 
-    for horizon in horizons_for(float(forecast.time[0])):
+    for horizon in settings.forecasts.horizons:
         if horizon > forecast.time[-1] + 1e-9 * horizon or horizon < forecast.time[0]:
             continue
         k = int((forecast.time <= horizon * (1 + 1e-9)).sum()) - 1

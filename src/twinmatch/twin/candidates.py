@@ -89,6 +89,7 @@ class CandidatePool:
             period,
             matched=settings.start.model,
             decimals=settings.decimals,
+            scale=settings.forecasts.scale,
         )
         self.scores: FamilyScores | None = None
         """The newest scores; None before the first."""

@@ -13,7 +13,6 @@ import numpy as np
 
 from twinmatch.comparing import BASELINES, Candidate, ForecastScore, beaten_words
 from twinmatch.dynamics import Controller, Law, PlantError
-from twinmatch.dynamics.pace import time_scale
 from twinmatch.forecasting import (
     HORIZONS,
     Arx,
@@ -24,17 +23,19 @@ from twinmatch.forecasting import (
     Ledger,
     Outlook,
     StateFilter,
-    horizons_for,
     leads_of,
 )
+from twinmatch.settings import setting
 from twinmatch.signals import BoolArray, FloatArray, Sample
 from twinmatch.twin.trust import BandCheck, LeaderConfidence, check_band
 
 _RUN_IN: Final = (60.0, 300.0)
 """Newest stretch over which a new candidate tracks the plant before use, s: if its states are known, and if
-the hidden ones have to be estimated. Slow samples need longer, as their horizons do."""
+the hidden ones have to be estimated. It scales with the time between two forecasts."""
 _SKILLS: Final = tuple(f"{name}_skill" for name in BASELINES)
 """Fields of `ForecastScore`."""
+_CLOSEST: Final = 10
+"""Least number of samples between two forecasts."""
 _OTHERS_EVERY: Final = 3
 """The bands of candidates that do not lead learn from every third forecast only."""
 
@@ -47,20 +48,30 @@ class ForecastSettings:
         ForecastError: a value is not positive.
     """
 
-    horizons: tuple[float, ...] = HORIZONS
-    """Forecast horizons, s."""
-    every: float = 30.0
-    """Time between two forecasts of all candidates, s."""
-    memory: float = 1800.0
-    """Time after which the weight of a forecast has fallen to 1/e, s."""
+    horizons: tuple[float, ...] = setting(HORIZONS, "Horizons at which forecasts are scored.", "s", 1e-6, 1e9)
+    every: float = setting(30.0, "Time between two forecasts of all candidates.", "s", 1e-6, 1e9)
+    """The stretches by which new candidates and structures are compared scale with it."""
+    memory: float = setting(
+        1800.0, "Time after which the weight of a forecast has fallen to 1/e.", "s", 1e-6, 1e9
+    )
 
     @classmethod
-    def of(cls, period: float) -> ForecastSettings:
-        """Settings for a sample time, s: slow samples get longer horizons, with intervals in proportion."""
-        factor = time_scale(period)
-        return cls(horizons_for(period), cls.every * factor, cls.memory * factor)
+    def of(cls, scale: float, period: float) -> ForecastSettings:
+        """Settings with times multiplied by `scale`, horizons in whole samples of `period` s, and forecasts
+        at least ten samples apart: at each, all candidates are simulated."""
+        often = max(scale, _CLOSEST * period / cls.every)
+        whole = tuple(max(round(horizon * scale / period), 1) * period for horizon in HORIZONS)
+        horizons = HORIZONS if scale == 1.0 else tuple(float(f"{h:.12g}") for h in whole)
+        return cls(horizons, cls.every * often, cls.memory * often)
+
+    @property
+    def scale(self) -> float:
+        """Factor on other times that are meant for the rig."""
+        return self.every / type(self).every
 
     def __post_init__(self) -> None:
+        if not self.horizons:
+            raise ForecastError("forecasts: there is no horizon; give at least one, in seconds")
         for name, value in (("horizons", min(self.horizons)), ("every", self.every), ("memory", self.memory)):
             if not value > 0:
                 raise ForecastError(f"forecasts: {name} is {value} s; it must be positive")
@@ -132,13 +143,14 @@ class Forecaster:
         self._longest = max(self.horizons)
         self._stride = max(round(self.settings.every / period), 1)
         self._kept = float(np.exp(-self.settings.every / self.settings.memory))
-        self._leads = leads_of(period / time_scale(period), self._longest)
+        scale = self.settings.scale
+        self._leads = leads_of(period / scale, self._longest)
         self._twins: dict[str, _Twin] = {}
         self._order: tuple[str, ...] = ()
         self._ledger: Ledger | None = None
         self._leader_confidence = LeaderConfidence(self._kept)
         self._departures: dict[int, _Departure] = {}
-        self._run_in = tuple(round(stretch * time_scale(period) / period) for stretch in _RUN_IN)
+        self._run_in = tuple(round(stretch * scale / period) for stretch in _RUN_IN)
         self._recent: deque[Sample] = deque(maxlen=max(self._longest + self._stride, *self._run_in) + 1)
         self._visited = (np.inf, -np.inf)
         self._pid = None if gains is None else Controller(gains)

@@ -31,7 +31,7 @@ from twinmatch.forecasting import StateFilter
 from twinmatch.signals import FloatArray, Sample, Window, bridge, only
 
 _ESTIMATED_OVER: Final = 300.0
-"""Newest stretch over which the states of a new structure are estimated, s."""
+"""Newest stretch over which the states of a new structure are estimated, s, at a scale of 1."""
 
 
 @dataclass(frozen=True)
@@ -83,6 +83,8 @@ class Mirror:
         recent: int = 60,
         period: float = 1.0,
         gap: int = 0,
+        *,
+        scale: float = 1.0,
     ) -> None:
         """Start with these parameters.
 
@@ -92,12 +94,13 @@ class Mirror:
             recent: samples over which residuals are averaged.
             period: sample time, s; ignored with a controller, which has its own.
             gap: most samples lost in a row that do not restart the twins.
+            scale: factor on the newest stretch over which the states of new parameters are estimated.
         """
         self._parameters, self._gap = parameters, gap
         self._gains = gains_for(parameters.model.plant, period, gains)
         self._period = period if self._gains is None else self._gains.period
         self._recent: deque[tuple[float, float, float]] = deque(maxlen=recent)
-        self._samples: deque[Sample] = deque(maxlen=max(round(_ESTIMATED_OVER / self._period), 1))
+        self._samples: deque[Sample] = deque(maxlen=max(round(_ESTIMATED_OVER * scale / self._period), 1))
         self._previous: Sample | None = None
         self._started = 0
 

@@ -28,12 +28,14 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import NamedTuple
 
 import numpy as np
 
 from twinmatch.comparing.models import LEAD
+from twinmatch.dynamics import Plant
+from twinmatch.dynamics.pace import plant_scale
 from twinmatch.errors import TwinmatchError
 from twinmatch.settings import setting
 from twinmatch.signals import Sample, Window
@@ -45,8 +47,13 @@ class ScheduleError(TwinmatchError):
 
 @dataclass(frozen=True)
 class ScheduleSettings:
-    """When windows are judged and how long they are; times are in samples."""
+    """When windows are judged and how long they are; times are in samples.
 
+    The defaults are for 100 samples in a time constant; `of` is for any plant.
+    """
+
+    scale: float = setting(1.0, "Factor on the defaults of all times and horizons below.", "", 0.05, 100.0)
+    """Those follow the plant's time constant; what is given itself is not multiplied."""
     stride: int = setting(60, "Samples between two checks while nothing changes.", "samples", 4, 10000)
     min_step: float = setting(2.0, "Smallest set-point change that starts a regime.", "{y}", 1e-6, 1e6)
     min_input_step: float = setting(127.5, "Smallest input change that starts a regime.", "{u}", 1e-6, 1e6)
@@ -59,6 +66,20 @@ class ScheduleSettings:
     capacity: int = setting(720, "Longest window.", "samples", 40, 100000)
     gap: int = setting(5, "Most samples lost in a row that windows reach across.", "samples", 0, 1000)
     """Choose less than a tenth of the plant's main time constant."""
+
+    @classmethod
+    def of(cls, plant: type[Plant], period: float, scale: float = 1.0) -> ScheduleSettings:
+        """Settings for a plant and a sample time, s: with 33 to 100 samples in a time constant as many as
+        for the rig, otherwise in proportion, within the bounds of `plant_scale`."""
+        pace = plant_scale(plant, period) / period
+        factor = max(pace, min(3.0 * pace, 1.0)) * scale
+        counts = {}
+        for one in fields(cls):
+            if one.metadata["unit"] == "samples":
+                low, high = one.metadata["low"], one.metadata["high"]
+                counts[one.name] = min(max(round(one.default * factor), low), high)
+        y, u = plant.output, plant.drive
+        return cls(scale, min_step=y.least_step, min_input_step=u.least_step, **counts)
 
     def __post_init__(self) -> None:
         for name in ("stride", "min_span", "span", "lead", "capacity"):

@@ -16,6 +16,7 @@ from twinmatch.dynamics import (
     gains_for,
     pid_of,
 )
+from twinmatch.dynamics.pace import plant_scale
 from twinmatch.errors import TwinmatchError
 from twinmatch.fitting import Noise
 from twinmatch.health import HealthSettings
@@ -96,10 +97,12 @@ class TwinSettings:
         structure: str | None = None,
         period: float = 1.0,
         gains: LoopGains = FROM_PLANT_FILE,
+        scale: float = 1.0,
     ) -> TwinSettings:
         """Settings for a plant in one of its structures (the first, if none is named).
 
-        The controller is the plant file's unless `gains` gives another; None: the loop is not known.
+        The controller is the plant file's unless `gains` gives another; None: the loop is not known. Windows
+        and horizons follow the plant's time constant; `scale` lengthens them.
 
         Raises:
             PlantError: there is no such structure.
@@ -110,9 +113,7 @@ class TwinSettings:
         return cls(
             plant=plant,
             period=period,
-            schedule=ScheduleSettings(
-                min_step=plant.output.least_step, min_input_step=plant.drive.least_step
-            ),
+            schedule=ScheduleSettings.of(plant, period, scale),
             free=model.structure.free,
             start=model.parameters(),
             noise=Noise.of(plant),
@@ -121,7 +122,7 @@ class TwinSettings:
             decimals=plant.output.decimals + 1,
             regime_width=_REGIME * noise,
             health=HealthSettings.of(plant, period),
-            forecasts=ForecastSettings.of(period),
+            forecasts=ForecastSettings.of(plant_scale(plant, period, scale), period),
         )
 
     @property

@@ -18,7 +18,6 @@ import numpy as np
 
 from twinmatch.comparing import Candidate
 from twinmatch.dynamics import Law, Model, Parameters, Plant
-from twinmatch.dynamics.pace import time_scale
 from twinmatch.errors import TwinmatchError
 from twinmatch.fitting import Noise, StructureFit, fit_structure
 from twinmatch.signals import Window
@@ -93,6 +92,7 @@ class StructureFits:
         matched: Model | None = None,
         decimals: int = 2,
         choice: tuple[float, float, float] = CHOICE_S,
+        scale: float = 1.0,
     ) -> None:
         """Begin without samples.
 
@@ -104,13 +104,14 @@ class StructureFits:
             matched: the structure that matches fit, which does not compete as a structure, too.
             decimals: decimal places of the tables of the information gain.
             choice: the times of `CHOICE_S`, s.
+            scale: factor on these and the other times.
         """
         self._models, self._noise, self._gains, self._decimals = tuple(models), noise, gains, decimals
         self._competing = tuple(model for model in models if model is not matched)
         # Structures that run elsewhere may fail, so they are the plant now only if there are no others.
         own = [model for model in models if not model.is_external] or models
         self._richest = max(reversed(own), key=lambda model: model.structure.n_parameters())
-        pace = time_scale(period) / period
+        pace = scale / period
         self._least, self._choose_every, longest = (round(time * pace) for time in choice)
         self._compared = NewestSamples(longest)
         self._fitted = NewestSamples(max(round(LONGEST_S * pace), 1))

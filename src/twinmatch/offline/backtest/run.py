@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from twinmatch.dynamics import SKIPPED, Law, Parameters, Plant
-from twinmatch.forecasting import CONFIDENCE, Band, Forecast, ForecastError, Outlook, horizons_for
+from twinmatch.forecasting import CONFIDENCE, Band, Forecast, ForecastError, Outlook
 from twinmatch.offline.backtest.peer import BacktestError, Peer
 from twinmatch.offline.backtest.peers import PEERS, peers
 from twinmatch.offline.backtest.scoring import (
@@ -137,8 +137,8 @@ def mark(
     ]
 
 
-_EVERY: Final = 60.0
-"""Default time between two forecasts, s."""
+_SPARSER: Final = 2.0
+"""Default time between two forecasts, in times between two forecasts that the twin scores."""
 
 
 @dataclass(frozen=True)
@@ -150,7 +150,8 @@ class Choices:
     """
 
     every: float | None = None
-    """Time between two forecasts, s, besides those at every verdict; None: a minute, at least a sample."""
+    """Time between two forecasts, s, besides those at every verdict; None: that of every second
+    forecast that the twin scores."""
     horizons: tuple[float, ...] | None = None
     """Horizons, s; None: those at which the twin's forecasts are scored."""
     peers: tuple[str, ...] = tuple(PEERS)
@@ -163,14 +164,11 @@ class Choices:
         if unknown:
             raise BacktestError(f"backtest: no peer {unknown[0]!r}; choose from {', '.join(PEERS)}")
 
-    def pace(self, period: float) -> float:
-        """Time between two forecasts, s, for this sample time, s."""
-        return max(_EVERY, period) if self.every is None else self.every
-
-    def ahead(self, period: float) -> tuple[float, ...]:
-        """The horizons from near to far, for this sample time, s."""
+    def ahead(self, scored: tuple[float, ...], period: float) -> tuple[float, ...]:
+        """The horizons from near to far, s: those chosen, or the twin's `scored` ones as far as they last a
+        sample of `period` s."""
         if self.horizons is None:
-            return horizons_for(period)
+            return tuple(sorted(max(horizon, period) for horizon in scored))
         for horizon in self.horizons:
             samples_within(horizon, period)
         return tuple(sorted(set(self.horizons)))
@@ -242,14 +240,16 @@ class Listener:
         self,
         session: str,
         samples: Sequence[Sample],
-        period: float,
+        settings: TwinSettings,
         choices: Choices,
         work: Beside | None = None,
     ) -> None:
         self.session, self.peers, self.work = session, choices.peers, work or Beside()
-        self.horizons = choices.ahead(period)
+        scored, period = settings.forecasts, settings.period
+        self.horizons = choices.ahead(scored.horizons, period)
         self.held = stretches(samples, period)
-        self.wanted = frozenset(regular(self.held, choices.pace(period)))
+        every = _SPARSER * scored.every if choices.every is None else choices.every
+        self.wanted = frozenset(regular(self.held, every))
         """Samples at which outlooks are recorded, besides those of the verdicts."""
         self.graded: dict[int, Callable[[], _Graded] | None] = {}
         """The results of each origin; None where there was no candidate."""
@@ -354,8 +354,7 @@ def backtest(
     work: Beside | None = None,
 ) -> Backtest:
     """Test the twin on a session with these settings; see `backtest_session`."""
-    period = terms.settings.period
-    listener = Listener(session.name, session.samples, period, choices or Choices(), work)
+    listener = Listener(session.name, session.samples, terms.settings, choices or Choices(), work)
     judgement = judge(session, terms, watch=part_of(watch, 0, 2), beside=listener)
     return graded(judgement, listener, watch=part_of(watch, 1, 2))
 

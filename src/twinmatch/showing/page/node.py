@@ -74,7 +74,7 @@ class Dashboard(TwinmatchNode):
             self.state,
             self._queued.put,
             control=self.values["control"],
-            plant=lambda: self._settings.plant,
+            settings=lambda: self._settings,
         )
         state = self.state
 

@@ -13,12 +13,12 @@ from rclpy.event_handler import PublisherEventCallbacks
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
-from twinmatch.dynamics import Plant
 from twinmatch.nodes.messages import forecast_from
 from twinmatch.nodes.node import TwinmatchNode
 from twinmatch.nodes.topics import RELIABLE
 from twinmatch.showing.forecasts import forecast_words
 from twinmatch.showing.page.state import DashboardState, WhatIfAnswer
+from twinmatch.twin import TwinSettings
 from twinmatch_msgs.srv import WhatIf
 
 SOURCE = ("reference_source", "profile.lowest", "profile.highest")
@@ -38,10 +38,10 @@ class Requests:
         later: Callable[[Callable[[], None]], None],
         *,
         control: bool,
-        plant: Callable[[], type[Plant]],
+        settings: Callable[[], TwinSettings],
     ) -> None:
-        """Make clients; `later` queues a function for the node's thread, `plant` returns the plant in use."""
-        self._node, self._state, self._later, self._plant = node, state, later, plant
+        """Make clients; `later` queues a function for the node's thread, `settings` returns those in use."""
+        self._node, self._state, self._later, self._settings = node, state, later, settings
         self.control = control
         """Whether the page may set the set-point, clear faults and stop."""
         self._pause = node.create_client(SetBool, "player/pause")
@@ -81,7 +81,7 @@ class Requests:
                 show_text(answer.message)
                 return
             forecast = forecast_from(answer.forecast)
-            lines = (*forecast_words(forecast, self._plant()), *forecast.notes)
+            lines = (*forecast_words(forecast, self._settings()), *forecast.notes)
             self._state.answer(WhatIfAnswer(question, lines, forecast))
 
         def show_text(why: str) -> None:

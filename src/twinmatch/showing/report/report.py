@@ -20,7 +20,7 @@ from twinmatch.offline.backtest import Backtest, Choices, Listener, graded, port
 from twinmatch.offline.judging import Judgement, Terms, Watch, judge, recorded_terms, terms_from_files
 from twinmatch.offline.processes import Beside, beside
 from twinmatch.offline.verification import compare, holds_verdicts
-from twinmatch.parameters.twin import twin_table, values_of
+from twinmatch.parameters.twin import table_of, values_of
 from twinmatch.sessions import Session, open_any
 from twinmatch.sessions.files import ProgressCallback, part_of
 from twinmatch.showing.family import Member, family
@@ -96,10 +96,10 @@ def provenance(path: Path, settings: TwinSettings, command: str, made: datetime)
 
 def settings_of(settings: TwinSettings) -> tuple[RecordedSetting, ...]:
     """Every parameter with unit and meaning, under its name in a parameter file."""
-    values, model = values_of(settings), settings.start.model
+    values = values_of(settings)
     return tuple(
         RecordedSetting(p.name, _text(values[p.name]), p.unit, p.description, values[p.name] != p.default)
-        for p in twin_table(model.plant, model.structure_name)
+        for p in table_of(settings)
         if p.name in values
     )
 
@@ -187,7 +187,7 @@ def _judged(
     work: Beside | None = None,
 ) -> JudgedSession:
     choices = Choices(peers=tuple(peers))
-    listener = Listener(session.name, session.samples, terms.settings.period, choices, work)
+    listener = Listener(session.name, session.samples, terms.settings, choices, work)
     judgement = judge(session, terms, watch=part_of(watch, 0, 2), beside=listener)
     recorded, identical = _compared(session, judgement, unlike)
     rest = part_of(watch, 1, 2)
