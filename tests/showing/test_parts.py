@@ -313,7 +313,7 @@ def test_what_was_known_ends_where_a_sample_is_missing() -> None:
 
 
 def words(output: Sequence[float], reference: Sequence[float]) -> str:
-    return "\n".join(forecast_words(forecast(output, reference), Peltier))
+    return "\n".join(forecast_words(forecast(output, reference), TwinSettings()))
 
 
 def test_each_set_point_ahead_has_its_answer() -> None:

@@ -97,6 +97,7 @@ class Tank(Plant, name="tank"):
 class Box(Plant, name="box"):
     """Air warmed by a bed that no sensor shows, in a room whose temperature is measured; no loop is known."""
 
+    time_constant = 100.0  # as the incubator, whose windows and horizons it is judged by
     temperature = Output(unit="°C", noise=0.05, span=(0.0, 80.0), set_points=(20.0, 50.0))
     heater = Drive(unit="", limits=(0.0, 1.0), noise=0.05)
     room = Disturbance(unit="°C", default=21.0, text="room")

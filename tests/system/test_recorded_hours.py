@@ -118,7 +118,7 @@ def hour(recordings: dict[int, Path]) -> Callable[[int], Hour]:
             pytest.skip(f"recording {number} is not among those present")
         session = open_any(recordings[number])
         samples = list(session.samples)
-        found = Hour(samples, Listener(session.name, samples, SETTINGS.period, BACKTESTED))
+        found = Hour(samples, Listener(session.name, samples, SETTINGS, BACKTESTED))
         found.judgement = judge(session, terms_from_files(session), beside=found.listen)
         return found
 

@@ -9,13 +9,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.support.plants import Box, Lag, Motor, Tank
+from tests.support.plants import Lag, Motor, Tank
 from tests.support.servo import Servo
-from twinmatch.dynamics import Equations, Parameter, Plant, PlantError, Structure
+from twinmatch.comparing import TrustLevel
+from twinmatch.dynamics import Equations, Parameter, Plant, PlantError, Structure, begin, simulate_driven
 from twinmatch.dynamics.pace import plant_scale, time_constant, time_scale
 from twinmatch.forecasting import HORIZONS, leads_of
+from twinmatch.offline.judging import judge_samples
 from twinmatch.parameters.twin import recorded_values, settings_from, twin_table, twin_values, values_of
 from twinmatch.plants import PLANTS, Incubator, Peltier, TCLab
+from twinmatch.sessions import samples_of
+from twinmatch.signals import Window
 from twinmatch.twin import ForecastSettings, ScheduleSettings, TwinSettings
 
 CLOCK = 720.0
@@ -25,9 +29,7 @@ CLOCK = 720.0
 class House(Lag, name="house"):
     """The same plant by a slower clock."""
 
-    lag = Parameter(
-        unit="s", default=5.0 * CLOCK, bounds=(0.5 * CLOCK, 50.0 * CLOCK), positive=True
-    )
+    lag = Parameter(unit="s", default=5.0 * CLOCK, bounds=(0.5 * CLOCK, 50.0 * CLOCK), positive=True)
 
 
 class Shaft(Lag, name="shaft"):
@@ -127,3 +129,20 @@ def test_sessions_without_recorded_horizons_keep_those_of_their_sample_time(
     assert before.forecasts.horizons == (60.0, 360.0, 1800.0)
     assert (before.forecasts.every, before.forecasts.memory) == (180.0, 10800.0)
     assert now.every == 300.0
+
+
+@pytest.mark.parametrize("samples", [5, 20, 60])
+def test_two_plants_that_differ_in_their_clock_get_the_same_verdicts(samples: int) -> None:
+    """Sample by sample; `samples` is their number in a time constant."""
+    told = []
+    for plant, lag in ((Lag, 5.0), (House, 5.0 * CLOCK)):
+        period, random = lag / samples, np.random.default_rng(1)
+        u = np.repeat(random.choice([-6.0, -2.0, 0.0, 3.0, 7.0], 40), 25)
+        truth = plant.model().parameters(gain=2.3)
+        run = simulate_driven(truth, u, states=begin(truth, 0.0), period=period)
+        seen = run.output + random.normal(0.0, plant.output.noise, u.size)
+        samples_ = samples_of(Window(np.zeros(u.size), seen, u, period=period))
+        verdicts = judge_samples("one", samples_, TwinSettings.of(plant, period=period)).verdicts
+        told.append([(v.sample, v.level, v.nominal, v.leader, v.fault) for v in verdicts])
+    assert told[0] == told[1]
+    assert any(level is TrustLevel.TRUSTED for _, level, *_ in told[0])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+
 from tests.support.plants import Lag
 from twinmatch.comparing import TrustLevel
 from twinmatch.offline.judging import judge_samples

@@ -33,15 +33,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--every",
         type=seconds,
         metavar="S",
-        help="seconds between forecasts, in addition to those at every verdict (default: 60)",
+        help="seconds between forecasts, in addition to those at every verdict (default: 60 for the rig)",
     )
     parser.add_argument(
         "--horizon",
         type=seconds,
         nargs="+",
         metavar="S",
-        help="forecast horizons, in seconds (default: 10 60 300; at least 2, 12 and 60 samples, at most 20, "
-        "120 and 600)",
+        help="forecast horizons, in seconds (default: those that the twin scores: 10 60 300 for the rig)",
     )
     add_options(parser, "--peers")
     add_options(parser, "--json", help="write the scores, and those of every forecast, to this file")

@@ -49,6 +49,11 @@ def plant_scale(plant: type[Plant], period: float, longer: float = 1.0) -> float
     return max(_LEAST_SAMPLES * period, min(slow / _USUAL, _MOST_SAMPLES * period)) * longer
 
 
+def usual_scale(plant: type[Plant]) -> float:
+    """The factor without bounds; 1 for a plant that only integrates."""
+    return time_constant(plant) / _USUAL or 1.0
+
+
 @cache
 def time_constant(plant: type[Plant]) -> float:
     """The plant's slow time constant, s: as its file says, or the slowest that a step of the input shows.

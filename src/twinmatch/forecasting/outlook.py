@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -23,11 +24,13 @@ from twinmatch.dynamics import (
     PlantError,
 )
 from twinmatch.dynamics.laws import HIGH, LOW
+from twinmatch.dynamics.pace import usual_scale
 from twinmatch.forecasting.forecast import CONFIDENCE, Band, Forecast, ForecastError
 from twinmatch.signals import FloatArray, Sample
 
 DRIFT: Final = 2e-4
-"""Least drift of a state from the equations per second, in units of its span: 0.03 K on the rig."""
+"""Least drift of a state from the equations per second, in units of its span, at a time constant of 100 s:
+0.03 K on the rig."""
 UNKNOWN: Final = 0.03
 """Initial uncertainty of a state, in units of its span: 4.5 K."""
 LIMIT: Final = 4.0
@@ -135,7 +138,7 @@ class StateFilter:
 def drift_of(model: Model) -> FloatArray:
     """Standard deviation of the drift of each state from the equations per second, shape (n,); not to be
     changed."""
-    return DRIFT * _spans(model)
+    return DRIFT * _spans(model) / math.sqrt(usual_scale(model.plant))
 
 
 class Followers:

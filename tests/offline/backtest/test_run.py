@@ -154,8 +154,9 @@ def test_another_plant_is_tested_as_the_rig_is(tmp_path: Path) -> None:
     run = simulate_closed_loop(truth, reference, states=begin(truth, 0.0), gains=Motor.loop, sensor=sensor)
     samples = samples_of(Window(reference, run.output, run.input, period=0.05))
     choices = Choices(every=2.0, horizons=(0.5, 5.0))
-    listener = Listener("motor", samples, 0.05, choices)
-    judgement = judge_samples("motor", samples, TwinSettings.of(Motor, period=0.05), beside=listener)
+    settings = TwinSettings.of(Motor, period=0.05)
+    listener = Listener("motor", samples, settings, choices)
+    judgement = judge_samples("motor", samples, settings, beside=listener)
     tested = graded(judgement, listener)
     leader = card(tested, LEADER, 5.0)
     assert leader.count > 10
