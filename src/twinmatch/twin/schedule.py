@@ -77,7 +77,7 @@ class ScheduleSettings:
         for one in fields(cls):
             if one.metadata["unit"] == "samples":
                 low, high = one.metadata["low"], one.metadata["high"]
-                counts[one.name] = min(max(round(one.default * factor), low), high)
+                counts[one.name] = min(max(round(getattr(cls, one.name) * factor), low), high)
         y, u = plant.output, plant.drive
         return cls(scale, min_step=y.least_step, min_input_step=u.least_step, **counts)
 
