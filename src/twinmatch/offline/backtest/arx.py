@@ -12,14 +12,17 @@ fit has the least data on steps, and forecasts these worse. All orders up to the
 the columns are ordered by lag, so that every lower order is a leading block of one triangular factor.
 """
 
+# ruff: noqa: PLR0912, PLR0917 (a kernel is long and takes arrays in a row)
+
 from __future__ import annotations
 
 import math
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import ndtr, ndtri
+from scipy.special import ndtri
 
+from twinmatch.compiled import compiled
 from twinmatch.forecasting import Band, Forecast
 from twinmatch.offline.backtest.peer import Peer, with_disturbances
 from twinmatch.signals import FloatArray, Window
@@ -193,32 +196,73 @@ def _simulated(
     `others` are the disturbances of the past and the future samples, one row per sample; `bounds` are the
     output's span and the drive's limits.
     """
-    span, limits = bounds
-    order, known = len(loop.plant.past), len(others) - ahead.size
+    plant, controller = loop
+    order, known = len(plant.past), len(others) - ahead.size
     reference, output, entry = (signal[: -order - 1 : -1] for signal in past)
     lags = np.column_stack([output, entry, reference, others[known - order : known][::-1]])  # newest first
-    rows, transition, (plant, controller) = loop.rows, loop.transition, loop
-    direct, variances = controller.direct, np.array([plant.variance, controller.variance])
-    (least, most), (lowest, highest) = span.tolist(), limits.tolist()
-    gain = float(direct[1])
-    load = np.zeros((2 * order, 2))
-    load[0, 0], load[order] = 1.0, (gain, 1.0)
-    covariance = np.zeros((2 * order, 2 * order))
-    means, spreads = np.empty((ahead.size, 2)), np.empty((ahead.size, 2))
-    now = np.empty(2)
-    for k, wanted in enumerate(ahead):
-        y = min(max(plant.constant + float((plant.past * lags).sum()), least), most)
-        now[:] = wanted, y
-        u = controller.constant + float(direct @ now) + float((controller.past * lags).sum())
-        variance = np.einsum("ij,jk,ik->i", rows, covariance, rows) + load[::order] ** 2 @ variances
-        spread = spreads[k] = np.sqrt(variance)
-        means[k] = y, u
-        below, above = ndtr((limits - u) / spread[1]).tolist()
-        passed = above - below
-        transition[order], load[order] = passed * rows[1], (passed * gain, passed)
-        covariance = transition @ covariance @ transition.T + (load * variances) @ load.T
-        lags[1:] = lags[:-1]
-        lags[0, :3], lags[0, 3:] = (y, min(max(u, lowest), highest), wanted), others[known + k]
+    found: tuple[FloatArray, FloatArray] = _run_ahead(
+        np.array([[plant.constant, plant.variance], [controller.constant, controller.variance]]),
+        controller.direct.copy(), np.stack([plant.past, controller.past]), loop.rows, lags,
+        np.column_stack([ahead, others[known:]]), np.stack(bounds),
+    )  # fmt: skip
+    return found
+
+
+@compiled
+def _run_ahead(
+    sizes: FloatArray, direct: FloatArray, past: FloatArray, rows: FloatArray, lags: FloatArray,
+    ahead: FloatArray, bounds: FloatArray,
+) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+    """The simulation: `sizes` are constant and variance of each equation, `ahead` the set-points and
+    disturbances, one row per sample.
+
+    All but two rows of the transition matrix move the past on by a sample, and the covariance with it.
+    """
+    order, size, count = lags.shape[0], rows.shape[1], len(ahead)
+    means, spreads = np.empty((count, 2)), np.empty((count, 2))
+    covariance, after, reach = np.zeros((size, size)), np.zeros((size, size)), np.zeros((2, size))
+    of_y, of_u = sizes[0, 1], sizes[1, 1]
+    gain, passed, now, square = direct[1], 1.0, np.empty(2), np.zeros((2, 2))
+    for k in range(count):
+        now[0], now[1] = sizes[0, 0], sizes[1, 0]
+        for of in range(2):
+            for i in range(order):
+                for j in range(lags.shape[1]):
+                    now[of] += past[of, i, j] * lags[i, j]
+        y = min(max(now[0], bounds[0, 0]), bounds[0, 1])
+        u = now[1] + direct[0] * ahead[k, 0] + gain * y
+        for of in range(2):
+            for i in range(size):
+                reach[of, i] = 0.0
+                for j in range(size):
+                    reach[of, i] += covariance[i, j] * rows[of, j]
+        for of in range(2):
+            for other in range(2):
+                square[of, other] = 0.0
+                for i in range(size):
+                    square[of, other] += rows[of, i] * reach[other, i]
+        means[k, 0], means[k, 1] = y, u
+        spreads[k, 0] = np.sqrt(square[0, 0] + of_y)
+        spreads[k, 1] = np.sqrt(square[1, 1] + passed**2 * (gain**2 * of_y + of_u))
+        above = math.erfc((u - bounds[1, 1]) / spreads[k, 1] * math.sqrt(0.5))
+        passed = 0.5 * (above - math.erfc((u - bounds[1, 0]) / spreads[k, 1] * math.sqrt(0.5)))
+        for i in range(size):
+            for j in range(size):
+                if i % order and j % order:
+                    after[i, j] = covariance[i - 1, j - 1]
+            if i % order:
+                after[0, i] = after[i, 0] = reach[0, i - 1]
+                after[order, i] = after[i, order] = passed * reach[1, i - 1]
+        after[0, 0] = square[0, 0] + of_y
+        after[0, order] = after[order, 0] = passed * (square[0, 1] + gain * of_y)
+        after[order, order] = passed**2 * (square[1, 1] + gain**2 * of_y + of_u)
+        covariance, after = after, covariance
+        for i in range(order - 1, 0, -1):
+            for j in range(lags.shape[1]):
+                lags[i, j] = lags[i - 1, j]
+        lags[0, 0], lags[0, 1] = y, min(max(u, bounds[1, 0]), bounds[1, 1])
+        for j in range(ahead.shape[1]):
+            lags[0, 2 + j] = ahead[k, j]
     return means, spreads
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -296,14 +297,15 @@ def _grade(terms: _Common, origin: Origin, asked: _Outlooks) -> _Graded:
     with one_thread():
         rows = origin.disturbances
         forecasts = {n: outlook.forecast(origin.ahead, rows) for n, outlook in asked.outlooks.items()}
+        of = {name: scored(name, forecast, name) for name, forecast in forecasts.items()}
         for part, name in asked.who.items():
-            marked += scored(part, forecasts[name], name)
+            marked += [replace(one, who=part) for one in of[name]]
         if NOMINAL in asked.who and len(origin.past) > SKIPPED + 1:
             name = asked.who[NOMINAL]
             parameters = asked.outlooks[name].parameters
             same = with_constant_band(forecasts[name], parameters, origin.past, settings.gains)
             marked += scored(CONSTANT, same, name)
-    marked += best_in_hindsight(m for n, forecast in forecasts.items() for m in scored(n, forecast, n))
+    marked += best_in_hindsight(itertools.chain.from_iterable(of.values()))
     for peer in peers(settings.plant, names, driven=origin.driven)[0]:
         forecast = ask(peer, origin)
         if forecast is not None:
