@@ -16,12 +16,13 @@ import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, cast
 
 import numpy as np
 
-from twinmatch.dynamics import Parameters, PlantError, State, begin, read, simulate_driven
+from twinmatch.compiled import compiled
+from twinmatch.dynamics import Parameters, PlantError, State, advance, begin, read, simulate_driven
+from twinmatch.dynamics.kernels import OUTPUTS, SWITCHES, Code, call, tick, work_for
 from twinmatch.dynamics.observer import Observer, RandomWalk
 from twinmatch.health.balance import Movement
 from twinmatch.health.traces import DriveEffect
@@ -99,51 +100,56 @@ class TrackedSample(NamedTuple):
     """Whether the states had been followed for long enough to be known."""
 
 
-def advanced(
-    twin: Parameters, states: FloatArray, inputs: FloatArray, rows: FloatArray, period: float
-) -> FloatArray:
-    """States before each of these inputs and disturbances (n × number of them), held for `period` s, and
-    after them; shape (n + 1, nx)."""
-    given = rows if rows.size else None
-    return simulate_driven(twin, inputs, states=states, period=period, disturbances=given).states
+@compiled
+def _outputs_under(  # noqa: PLR0917 (what a run needs)
+    code: Code, vector: FloatArray, x: FloatArray, inputs: FloatArray, d: FloatArray, shown: int,
+    rest: FloatArray, usual: FloatArray, period: float, steps: int,
+) -> FloatArray:  # fmt: skip
+    """The output at the beginning, after `shown` samples and after all, under each of some inputs, shape
+    (r, n, m), and disturbances, shape (n, nd); shape (r, 3). It is read as `dynamics.read` does."""
+    work, found = work_for(code, vector), np.empty((inputs.shape[0], 3))
+    u, row = np.empty(inputs.shape[2]), np.empty(d.shape[1])
+    for k in range(inputs.shape[0]):
+        at = x.copy()
+        for i in range(inputs.shape[1] + 1):
+            for place, wanted in enumerate((0, shown, inputs.shape[1])):
+                if i == wanted:
+                    call(code[SWITCHES], at, rest, usual, work.p, work.b, work.b)
+                    call(code[OUTPUTS], at, rest, usual, work.p, work.b, work.seen)
+                    found[k, place] = work.seen[0]
+            if i < inputs.shape[1]:
+                for m in range(u.size):
+                    u[m] = inputs[k, i, m]
+                for m in range(row.size):
+                    row[m] = d[i, m]
+                tick(code, at, u, row, work, period, steps)
+    return found
 
 
 class SimulatedSpan:
     """Simulations from the first of some samples to the end of the last; all results in the output's unit."""
 
-    def __init__(self, samples: Sequence[TrackedSample], period: float, later: int) -> None:
-        """`samples`, oldest first; `period` in s; `later`: for how many samples the last one is held on."""
+    def __init__(self, samples: Sequence[TrackedSample], before: float, period: float, later: int) -> None:
+        """`samples`, oldest first; `before`: input at which the drive stood; `period` in s; `later`: for how
+        many samples the last one is held on."""
         self.first = samples[0]
         self._period, self._length = period, len(samples)
         inputs = np.array([sample.input for sample in samples])
         rows = np.array([sample.disturbances for sample in samples])
         self._inputs = np.append(inputs, np.full(later, inputs[-1]))
         self._rows = np.concatenate([rows, np.repeat(rows[-1:], later, axis=0)])
-        self._states = advanced(self.first.parameters, self.first.states, self._inputs, self._rows, period)
+        rest = self.first.parameters.model.plant.drive.rest
+        idle = (np.full(self._inputs.size, rest), np.full(self._inputs.size, before))
+        (begun, self.works, held), (_, resting, _), (_, _, stood) = self._outputs(self._inputs, *idle)
+        self.moved = self.works - begun
+        """How far the output moves until the last sample ends, where `works` is the output."""
+        self.effect = self.works - resting
+        """What the drive contributes to it."""
+        self.changed = held - stood
+        """What the drive's changes since it stood at `before` will have contributed when it was held on."""
 
     def __len__(self) -> int:
         return self._length
-
-    @cached_property
-    def works(self) -> float:
-        """The output under the recorded inputs."""
-        return read(self.first.parameters, self._states[self._length])
-
-    @property
-    def moved(self) -> float:
-        """How far it moves from the beginning to there."""
-        return self.works - read(self.first.parameters, self.first.states)
-
-    @cached_property
-    def effect(self) -> float:
-        """What the drive contributes to it."""
-        rest = self.first.parameters.model.plant.drive.rest
-        return self.works - self._read(np.full(self._length, rest))
-
-    def changed(self, before: float) -> float:
-        """What the drive's changes since it stood at `before` will have contributed when it was held on."""
-        held = read(self.first.parameters, self._states[-1])
-        return held - self._read(np.full(self._inputs.size, before))
 
     def colder(self, change: float) -> float:
         """How far the output would have moved in a colder room; `change` in the scale of that parameter."""
@@ -152,13 +158,17 @@ class SimulatedSpan:
             if parameter.role == "room":
                 lowest = 0.5 * twin[name] if parameter.positive else parameter.least
                 room = twin.replace(**{name: max(twin[name] - change * parameter.scale, lowest)})
-                moved = max(moved, abs(self._read(self._inputs[: self._length], room) - self.works))
+                moved = max(moved, abs(self._outputs(self._inputs, twin=room)[0][1] - self.works))
         return moved
 
-    def _read(self, inputs: FloatArray, twin: Parameters | None = None) -> float:
+    def _outputs(self, *inputs: FloatArray, twin: Parameters | None = None) -> list[list[float]]:
         twin = twin or self.first.parameters
-        rows = self._rows[: inputs.size]
-        return read(twin, advanced(twin, self.first.states, inputs, rows, self._period)[-1])
+        model, steps = twin.model, twin.steps(self._period)
+        found = model.kernels.call(
+            _outputs_under, twin.vector, self.first.states, np.stack(inputs)[:, :, None], self._rows,
+            self._length, model.rest, model.disturbance_row(None), self._period, steps,
+        )  # fmt: skip
+        return cast("list[list[float]]", found.tolist())
 
 
 _SPANS: Final = (10.0, 16.0, 25.0, 40.0, 64.0, 100.0)
@@ -274,13 +284,8 @@ class LaggedEffect(DriveEffect):
         observer, moved = self._observer, 0.0
         if self._past and self._standing is not None:
             last = self._past[-1]
-            on = advanced(
-                last.parameters,
-                self._standing,
-                np.array([last.input]),
-                last.disturbances[np.newaxis],
-                self._period,
-            )[-1]
+            given = last.disturbances if last.disturbances.size else None
+            on = advance(last.parameters, self._standing, last.input, self._period, given)
             moved = read(last.parameters, on) - read(last.parameters, self._standing)
             self._standing = on
         change = sample.output - self._reading if self._past else 0.0
@@ -309,22 +314,21 @@ class LaggedEffect(DriveEffect):
                 break
             if not past[first].settled:
                 continue
-            stretch = SimulatedSpan(past[first:-1], self._period, self._spans[0])
-            before = past[max(0, first - self._spans[-1]) : first + 1]
-            changed = stretch.changed(float(np.mean([m.input for m in before])))
+            before = [m.input for m in past[max(0, first - self._spans[-1]) : first + 1]]
+            stood = math.fsum(before) / len(before)
+            stretch = SimulatedSpan(past[first:-1], stood, self._period, self._spans[0])
             error = output - stretch.works
-            self._weigh(stretch, error, changed, stretch.first.errors[k])
+            self._weigh(stretch, error, stretch.first.errors[k])
             if not self._frozen:
-                learned[k] = learned[k].learned(error, max(abs(changed), abs(stretch.moved)))
+                learned[k] = learned[k].learned(error, max(abs(stretch.changed), abs(stretch.moved)))
         self._errors = tuple(learned)
 
-    def _weigh(self, stretch: SimulatedSpan, error: float, changed: float, errors: ErrorModel) -> None:
+    def _weigh(self, stretch: SimulatedSpan, error: float, errors: ErrorModel) -> None:
         """Take the share of the expected effect that a stretch shows, if it is the least and counts.
 
-        A drive that was turned down looks lost if it does more than its equations say, or sooner; `changed`
-        is what they say it will have changed a little later.
+        A drive that was turned down looks lost if it does more than its equations say, or sooner.
         """
-        effect = stretch.effect
+        effect, changed = stretch.effect, stretch.changed
         if effect == 0.0:
             return
         share = 1.0 + error / effect
