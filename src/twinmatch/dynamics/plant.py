@@ -209,7 +209,7 @@ class Model:
             PlantError: as `disturbance_row`.
         """
         if values is None or (self.disturbances.size and np.size(values) == 0):
-            return np.repeat(self.disturbances[None], size, axis=0)
+            return np.full((size, self.disturbances.size), self.disturbances)
         rows = np.array(values, dtype=np.float64)
         if rows.shape != (size, self.disturbances.size) or not finite(rows):
             raise PlantError(

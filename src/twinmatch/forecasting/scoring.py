@@ -209,7 +209,7 @@ class Ledger:
         if not given.keys() <= self._rows.keys():
             self._set({name: name for name in (*self._rows, *given)})
         h, rows = horizon, [self._rows[name] for name in given]
-        found = np.array([np.abs(error).mean(axis=1) for error in given.values()])
+        found = np.abs(np.array([error.T for error in given.values()])).mean(axis=1)
         widths = np.maximum(self._sizes[rows, :, h], _NARROWEST * self.noise)
         characters = np.log10(2.0 * widths) + found / (widths * _LN10)
         self._lengths[rows, h] = self.kept * self._lengths[rows, h] + characters.sum(axis=1)
