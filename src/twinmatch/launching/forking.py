@@ -142,6 +142,8 @@ class ForkServer:
                 _LIBC.prctl(_PR_SET_CHILD_SUBREAPER, 0)
         if not answer:
             raise BrokenPipeError(errno.EPIPE, "the fork server has ended")
+        if not int(answer):
+            raise PermissionError(errno.EPERM, "the kernel gives this process no children of others")
         return Forked(list(words), int(answer))
 
     def close(self) -> None:
@@ -174,22 +176,23 @@ def serve(connection: socket.socket) -> list[str]:
             if os.fork():
                 os._exit(0)  # its child becomes one of the process that asks
             parent, *asked = json.loads(request)
-            _become_child_of(parent)
-            connection.send(str(os.getpid()).encode())
+            adopted = _become_child_of(parent)
+            connection.send(str(os.getpid() if adopted else 0).encode())
             connection.close()
+            if not adopted:
+                os._exit(1)
             return _prepare(outputs[0], *asked)
         if os.waitpid(between, 0)[1]:
             return []
         os.close(outputs[0])
 
 
-def _become_child_of(parent: int) -> None:
+def _become_child_of(parent: int) -> bool:
     between = os.getppid()
     while os.getppid() == between != parent:
         time.sleep(_MOMENT)
     _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
-    if os.getppid() != parent:  # it died before the line above
-        os._exit(1)
+    return os.getppid() == parent  # unless it died before the line above
 
 
 def _prepare(output: int, words: list[str], environment: dict[str, str], folder: str) -> list[str]:
