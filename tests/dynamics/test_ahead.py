@@ -197,14 +197,17 @@ def test_disturbances_ahead_act_from_the_newest_sample_on() -> None:
         np.testing.assert_array_equal(one, other)
 
 
-def test_a_linear_loop_is_its_matrices() -> None:
-    """A lag under PI control: the covariance of the whole loop by the textbook, sample by sample."""
+@pytest.mark.parametrize("swift", [0.0, 0.3])
+def test_a_linear_loop_is_its_matrices(swift: float) -> None:
+    """A lag under PI control: the covariance of the whole loop by the textbook, sample by sample; what it
+    moves in a sample is wrong by `swift` of it."""
     lag, gains = Lag.model().parameters(gain=1.0, lag=4.0), PidGains(0.5, 0.2, 0.0, 1.0, -10.0, 10.0)
     noise, drift, first = 0.05, 0.03, 0.4
     found = forecast_loop(
         lag, states=np.zeros(1), covariance=[[first**2]], input=0.0, drift=[drift], reference=np.ones(400),
-        gains=gains, noise=noise,
+        gains=gains, noise=noise, swift=swift,
     )  # fmt: skip
+    strays = swift * np.diff(found.outputs[:, 0], append=1.0)
     a = math.exp(-1.0 / 4.0)
     b = 1.0 - a
     loop = np.array([[a - b * 0.5, b], [-0.2, 1.0]])  # of x and the integral
@@ -215,7 +218,7 @@ def test_a_linear_loop_is_its_matrices() -> None:
     for k in range(400):
         assert found.output_variances[:, 0][k] == pytest.approx(z[0, 0] + noise**2, rel=1e-5)
         assert found.input_variances[:, 0][k] == pytest.approx(of_u @ z @ of_u + 0.25 * noise**2, rel=1e-5)
-        z = loop @ z @ loop.T + q
+        z = loop @ z @ loop.T + q + np.diag([strays[k] ** 2, 0.0])
     settled = scipy.linalg.solve_discrete_lyapunov(loop, q)
     assert found.output_variances[:, 0][-1] == pytest.approx(settled[0, 0] + noise**2, rel=1e-5)
 

@@ -56,6 +56,7 @@ def forecast_loop(
     period: float = 1.0,
     disturbances: ArrayLike | None = None,
     noise: ArrayLike | None = None,
+    swift: float = 0.0,
     banded: bool = True,
 ) -> LoopForecast:
     """Simulate the closed loop, or a plant under known inputs, beyond the newest sample.
@@ -79,6 +80,7 @@ def forecast_loop(
         period: sample time of a driven plant, s; for the loop the controller's is used.
         disturbances: constant, shape (d,), or from the newest sample on, shape (N + 1, d).
         noise: standard deviation of a reading, or of those of each output; default: the plant file's.
+        swift: standard deviation of the error of a state's movement over a sample, as a share of it.
         banded: whether the variances are wanted, two thirds of the work; without, they are empty.
 
     Raises:
@@ -90,7 +92,7 @@ def forecast_loop(
     loop = None if reference is None else gains or gains_of(parameters.model.plant, 1.0)
     known = Foresight(
         parameters, loop, states=states, covariance=covariance, input=input, drift=drift, unsure=unsure,
-        controller=controller, period=period, noise=noise,
+        controller=controller, period=period, noise=noise, swift=swift,
     )  # fmt: skip
     return known.ahead(inputs if reference is None else reference, disturbances, banded=banded)
 
@@ -111,6 +113,7 @@ class Foresight:
         controller: ArrayLike | None = None,
         period: float = 1.0,
         noise: ArrayLike | None = None,
+        swift: float = 0.0,
     ) -> None:
         """Take what `forecast_loop` takes; without a loop, inputs are given.
 
@@ -135,7 +138,7 @@ class Foresight:
         which = [[self._kernels.UNKNOWN.index(name) for name in unsure]] * 2
         self._begun = parameters.vector, np.array(which, dtype=np.int64).reshape(2, k)
         self._now = process_noise, u, *law_of(loop, controller)
-        self._then = period, parameters.steps(period), noises * noises
+        self._then = period, parameters.steps(period), noises * noises, float(swift)
 
     def ahead(
         self, signal: ArrayLike | None, disturbances: ArrayLike | None = None, *, banded: bool = True

@@ -19,40 +19,47 @@ from twinmatch.signals import FloatArray
 def foresee(
     code: Code, vector: FloatArray, which: NDArray[np.int64], x: FloatArray, joint: FloatArray,
     process_noise: FloatArray, u: FloatArray, law: LawCode, memory: FloatArray, references: FloatArray,
-    disturbances: FloatArray, period: float, steps: int, noise: FloatArray, banded: bool,
+    disturbances: FloatArray, period: float, steps: int, noise: FloatArray, swift: float, banded: bool,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:  # fmt: skip
     """Outputs, inputs and their variances; `x` and `joint` are those at the newest sample, and are changed;
-    `noise` holds variances, shape (o,)."""
+    `noise` holds variances, shape (o,). Each sample's movement of a state is wrong by a share of it, with
+    the standard deviation `swift`."""
     size, n, k, m, d = len(references), x.size, which.shape[1], u.size, disturbances[1:]
     begun = advance(code, vector, x, u, disturbances[0], period, steps)
     still, never = np.zeros((size, noise.size)), np.zeros(size, dtype=np.bool_)
     # The mean is simulated without derivatives, like every simulation: derivatives share subexpressions with
     # the rates, which then round differently.
-    outputs, inputs, _ = run(
+    outputs, inputs, states = run(
         code, vector, begun, law, memory, references, d, still, never, 0.0, period, steps
     )
     if not banded:
         return outputs, inputs, np.zeros((0, noise.size)), np.zeros((0, m))
     columns, compared = np.zeros((n, k + n + m)), np.zeros((noise.size + m, size))
-    predict(code, vector, x, joint, process_noise, u, disturbances[0], period, steps, which, columns)
+    strays = np.zeros((size + 1, n + k)) + process_noise  # a parameter does not move
+    for i in range(n):
+        strays[0, i] += (swift * (begun[i] - x[i])) ** 2
+        for j in range(size):
+            strays[j + 1, i] += (swift * (states[j + 1, i] - states[j, i])) ** 2
+    predict(code, vector, x, joint, strays[0], u, disturbances[0], period, steps, which, columns)
     _, _, by, by_state, by_input, around, seen, _ = run_with_tangents(
         code, vector, which[0], begun, np.eye(n, k + n, k), law, np.zeros(0, dtype=np.int64), memory,
         references, d, period, steps, compared, compared, False, True, np.inf,
     )  # fmt: skip
-    of_outputs, of_inputs = _variances(joint, by, by_state, by_input, around, seen, noise, process_noise)
+    of_outputs, of_inputs = _variances(joint, by, by_state, by_input, around, seen, noise, strays[1:])
     return outputs, inputs, of_outputs, of_inputs
 
 
 @compiled
 def _variances(
     joint: FloatArray, by: FloatArray, by_state: FloatArray, by_input: FloatArray, around: FloatArray,
-    seen: FloatArray, noise: FloatArray, process_noise: FloatArray,
+    seen: FloatArray, noise: FloatArray, strays: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
     """Variances of outputs, shape (N, o), and inputs, shape (N, m).
 
     `by`, shape (o + m, N, k + n), holds their derivatives by parameters and states at the first sample,
-    `joint` the covariance of states and parameters there, and `noise` the variances of the readings. Later
-    noise and drift enter the covariance of the loop's own state: those of the plant, then the law's.
+    `joint` the covariance of states and parameters there, `noise` the variances of the readings, and
+    `strays`, shape (N, n + k), those that each tick adds. Later noise and drift enter the covariance of the
+    loop's own state: those of the plant, then the law's.
     """
     size, outputs, nx = seen.shape
     inputs = by_input.shape[2]
@@ -83,7 +90,7 @@ def _variances(
                 way[i, j] = total
         for i in range(m):
             for j in range(i + 1):
-                total = process_noise[i] if i == j and i < nx else 0.0
+                total = strays[k, i] if i == j and i < nx else 0.0
                 for o in range(outputs):
                     total += noise[o] * b[i, o] * b[j, o]
                 for q in range(m):

@@ -33,6 +33,8 @@ DRIFT: Final = 2e-4
 0.03 K on the rig."""
 UNKNOWN: Final = 0.03
 """Initial uncertainty of a state, in units of its span: 4.5 K."""
+SWIFT: Final = 0.2
+"""Error of a forecast movement from sample to sample, as a share of it."""
 LIMIT: Final = 4.0
 """Limit on innovations, in standard deviations: jumps of a self-correcting sensor are not the plant's."""
 
@@ -253,6 +255,7 @@ class Outlook:
             drift=drift_of(self.parameters.model),
             controller=self.controller,
             period=self.period,
+            swift=SWIFT,
         )
 
     def deviations(self, predicted: LoopForecast) -> FloatArray:

@@ -6,10 +6,10 @@ the band is as many standard deviations wide as contained 90 % of these quotient
 one lead at a time, with slow forgetting (Vovk et al. 2005; weights: Barber et al. 2023). The first few
 forecasts of a session are too few for a quantile, so quotients of a normal distribution are added as a prior.
 
-Where no controller counteracts deviations, a twin may overestimate them several times: a plant follows its
-equations more closely than the assumed drift, and nothing shows where its hidden states are. There, the prior
-is scaled by the mean of the quotients so far. Forecasts that overlap share most of their errors, so at long
-leads they move that mean less.
+How noisy a sensor is, how far from its equations a plant drifts and how much a twin overestimates both change
+faster than a quantile can follow. So quotients are kept in units of their newest mean, and the width that
+follows from them is multiplied by it: conformal prediction with a local scale (Lei et al. 2018). Forecasts
+that overlap share most of their errors, so at long leads they move that mean less.
 
 The paper's information gain is the number of characters that a model saves when writing the data to which
 it was fitted. Here it is computed on data that no model has seen: a forecast gives a probability density for
@@ -27,6 +27,7 @@ baselines made on the same samples: its skill is 1 − (its mean |error|) / (the
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from copy import copy
 from typing import Any, Final
 
 import numpy as np
@@ -38,14 +39,13 @@ from twinmatch.signals import FloatArray
 LEADS: Final = (1.0, 3.0, 10.0, 30.0, 60.0, 120.0, 300.0)
 """Leads at which quotients are learned, s; between them the width is interpolated over log time."""
 _HALF_NORMAL: Final = np.array([
-    0.05224518037594049, 0.1573106846101707, 0.2641469768259235, 0.37409541019772363, 0.4887764111146695,
-    0.6102946101863326, 0.7415940438615162, 0.887146559018876, 1.0544724517700532, 1.2581615610630963,
-    1.5341205443525463, 2.03683413170139,
+    0.09655861528963908, 0.1940281424239262, 0.29338123212119344, 0.3957252958144873, 0.5024022233733555,
+    0.6151411045959737, 0.7363159173761293, 0.8694237732888861, 1.0200762327862014, 1.1983797023069247,
+    1.4260768722728474, 1.7688250385187065,
 ])  # fmt: skip
-"""The prior quotients: quantiles of |z|, z standard normal, at levels 1/24, 3/24 … 23/24."""
-_PRIOR: Final = _HALF_NORMAL.size
+"""The prior quotients: quantiles of |z|, z standard normal, at levels 1/13, 2/13 … 12/13."""
 _TRUSTED: Final = 3.0
-"""Weight, in forecasts that do not overlap, of the twin's own deviations in the scale of the prior."""
+"""Weight, in forecasts that do not overlap, of the twin's own deviations in the local scale."""
 _MEAN: Final = float(np.sqrt(2.0 / np.pi))
 """Mean of |z|, z standard normal."""
 _NEGLIGIBLE: Final = 1e-3
@@ -62,32 +62,34 @@ class Calibration:
     """Quotients |error| / standard deviation of one twin, by lead, and the widths that follow."""
 
     def __init__(
-        self, leads: tuple[int, ...], kept: float, signals: int = 2, stride: int | None = None
+        self, leads: tuple[int, ...], kept: float, recent: float, signals: int = 2, stride: int = 1
     ) -> None:
         """Begin with the prior only.
 
         Args:
             leads: leads at which quotients are learned, samples, shape (L,).
             kept: factor on past weights per forecast.
+            recent: the same in the local scale, which follows the newest forecasts.
             signals: number of forecast signals: output and input, or only the output if inputs are given.
-            stride: samples between two forecasts, if past errors scale the prior; None: it stays as it is.
+            stride: samples between two forecasts.
         """
-        self.leads, self.kept, self._signals, self._stride = leads, kept, np.arange(signals), stride
+        self.leads, self._kept, self._recent, self._signals = leads, kept, recent, np.arange(signals)
+        self._new = np.minimum(stride / np.array(leads), 1.0)
+        """Share of a forecast that the one before did not cover, shape (L,)."""
         start = np.repeat(_HALF_NORMAL[:, None], signals, axis=1)
-        self._quotients = [start] * len(leads)
-        self._weights = [np.ones(_PRIOR)] * len(leads)
-        self._priors = [_PRIOR] * len(leads)  # how many of these quotients, the first, are the prior's
-        self._sums = np.zeros((signals, len(leads)))  # of the learned quotients, weighted
+        self._quotients = [start] * len(leads)  # in units of the local scale
+        self._weights = [np.ones(len(start))] * len(leads)
+        self._sums = np.zeros((signals, len(leads)))  # of the newest quotients, weighted
         self._counts = np.zeros(len(leads))  # sums of their weights
-        self._widths = np.zeros((signals, len(leads)))
+        self._quantiles = np.zeros((signals, len(leads)))
         self._stale = set(range(len(leads)))
 
     def copy(self) -> Calibration:
         """An independent copy."""
-        twin = Calibration(self.leads, self.kept, self._signals.size, self._stride)
+        twin = copy(self)
         twin._quotients, twin._weights = list(self._quotients), list(self._weights)
-        twin._widths, twin._stale = self._widths.copy(), set(self._stale)
-        twin._priors, twin._sums, twin._counts = list(self._priors), self._sums.copy(), self._counts.copy()
+        twin._sums, twin._counts = self._sums.copy(), self._counts.copy()
+        twin._quantiles, twin._stale = self._quantiles.copy(), set(self._stale)
         return twin
 
     def learn(self, quotients: FloatArray, before: int = 0) -> None:
@@ -99,39 +101,35 @@ class Calibration:
 
     def add(self, lead: int, quotients: FloatArray) -> None:
         """Learn the signals' quotients of one forecast at one lead, given by its index."""
-        self._quotients[lead] = np.concatenate([self._quotients[lead], quotients[None]])
-        self._weights[lead] = np.append(self._weights[lead] * self.kept, 1.0)
+        scaled = quotients / self._scales[:, lead]
+        self._quotients[lead] = np.concatenate([self._quotients[lead], scaled[None]])
+        self._weights[lead] = np.append(self._weights[lead] * self._kept, 1.0)
         if self._weights[lead][0] < _NEGLIGIBLE:
             self._quotients[lead], self._weights[lead] = self._quotients[lead][1:], self._weights[lead][1:]
-            self._priors[lead] = max(self._priors[lead] - 1, 0)
-        self._sums[:, lead] = self.kept * self._sums[:, lead] + quotients
-        self._counts[lead] = self.kept * self._counts[lead] + 1.0
+        self._sums[:, lead] = self._recent * self._sums[:, lead] + self._new[lead] * quotients
+        self._counts[lead] = self._recent * self._counts[lead] + self._new[lead]
         self._stale.add(lead)
 
     @property
     def widths(self) -> FloatArray:
         """Half width of a band in standard deviations, at every lead, shape (signals, L)."""
         for lead in self._stale:
-            self._widths[:, lead] = self._width(lead)
+            self._quantiles[:, lead] = self._quantile(lead)
         self._stale.clear()
-        return self._widths.copy()
+        return self._quantiles * self._scales
 
-    def _width(self, lead: int) -> FloatArray:
+    @property
+    def _scales(self) -> FloatArray:
+        """How large errors are now, in units of the twin's standard deviations, shape (signals, L)."""
+        return (_TRUSTED * _MEAN + self._sums) / (_MEAN * (_TRUSTED + self._counts))
+
+    def _quantile(self, lead: int) -> FloatArray:
         quotients, weights = self._quotients[lead], self._weights[lead]
-        if self._stride is not None:
-            quotients = quotients.copy()
-            quotients[: self._priors[lead]] *= self._scale(lead, self._stride)
         order = np.argsort(quotients, axis=0, kind="stable")
         # The next forecast counts as one more, with an unknown quotient.
         share = np.cumsum(weights[order], axis=0) / (weights.sum() + 1.0)
         at = np.minimum((share < CONFIDENCE).sum(axis=0), weights.size - 1)
         return np.asarray(quotients[order[at, self._signals], self._signals])
-
-    def _scale(self, lead: int, stride: int) -> FloatArray:
-        """How large errors are, in units of the twin's standard deviations, shape (signals,)."""
-        new = min(stride / self.leads[lead], 1.0)  # share of a forecast that the one before did not cover
-        found = _TRUSTED * _MEAN + new * self._sums[:, lead]
-        return np.asarray(found / (_MEAN * (_TRUSTED + new * self._counts[lead])))
 
 
 _PRIOR_WEIGHT: Final = 3.0

@@ -379,8 +379,8 @@ class Forecaster:
         if before:
             calibration = before.calibration.copy()
         else:
-            stride = self._stride if self._gains is None else None
-            calibration = Calibration(self._leads, self._kept, self._signals, stride)
+            newest = float(np.exp(-self._stride / self._longest))
+            calibration = Calibration(self._leads, self._kept, newest, self._signals, self._stride)
         for stretch in self._run_in:
             recent = list(self._recent)[-stretch:]
             states = candidate.states_at(recent[0].index) if recent else None
