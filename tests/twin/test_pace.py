@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from tests.support.plants import Lag, Motor, Tank
 from tests.support.servo import Servo
-from twinmatch.comparing import TrustLevel
+from twinmatch.comparing import TrustLevel, Verdict
 from twinmatch.dynamics import Equations, Parameter, Plant, PlantError, Structure, begin, simulate_driven
 from twinmatch.dynamics.pace import plant_scale, time_constant, time_scale
 from twinmatch.forecasting import HORIZONS, leads_of
@@ -131,18 +131,26 @@ def test_sessions_without_recorded_horizons_keep_those_of_their_sample_time(
     assert now.every == 300.0
 
 
-@pytest.mark.parametrize("samples", [5, 20, 60])
-def test_two_plants_that_differ_in_their_clock_get_the_same_verdicts(samples: int) -> None:
-    """Sample by sample; `samples` is their number in a time constant."""
-    told = []
-    for plant, lag in ((Lag, 5.0), (House, 5.0 * CLOCK)):
-        period, random = lag / samples, np.random.default_rng(1)
-        u = np.repeat(random.choice([-6.0, -2.0, 0.0, 3.0, 7.0], 40), 25)
-        truth = plant.model().parameters(gain=2.3)
-        run = simulate_driven(truth, u, states=begin(truth, 0.0), period=period)
-        seen = run.output + random.normal(0.0, plant.output.noise, u.size)
-        samples_ = samples_of(Window(np.zeros(u.size), seen, u, period=period))
-        verdicts = judge_samples("one", samples_, TwinSettings.of(plant, period=period)).verdicts
-        told.append([(v.sample, v.level, v.nominal, v.leader, v.fault) for v in verdicts])
+def watched(plant: type[Plant], lag: float, samples: int, lost: int = 1000) -> list[Verdict]:
+    """Verdicts on a simulated plant with so many samples in its lag, whose drive is lost at a sample."""
+    period, random = lag / samples, np.random.default_rng(1)
+    u = np.repeat(random.choice([-6.0, -2.0, 0.0, 3.0, 7.0], 40), 25)
+    truth = plant.model().parameters(gain=2.3)
+    acting = np.where(np.arange(u.size) < lost, u, 0.0)
+    run = simulate_driven(truth, acting, states=begin(truth, 0.0), period=period)
+    seen = run.output + random.normal(0.0, plant.output.noise, u.size)
+    came = samples_of(Window(np.zeros(u.size), seen, u, period=period))
+    return list(judge_samples("one", came, TwinSettings.of(plant, period=period)).verdicts)
+
+
+@pytest.mark.parametrize(("samples", "lost"), [(5, 1000), (20, 1000), (60, 1000), (20, 700)])
+def test_two_plants_that_differ_in_their_clock_get_the_same_verdicts(samples: int, lost: int) -> None:
+    """Sample by sample. No fault is named on a healthy plant, and the right one on the other."""
+    told = [
+        [(v.sample, v.level, v.nominal, v.leader, v.fault) for v in watched(plant, lag, samples, lost)]
+        for plant, lag in ((Lag, 5.0), (House, 5.0 * CLOCK))
+    ]
     assert told[0] == told[1]
     assert any(level is TrustLevel.TRUSTED for _, level, *_ in told[0])
+    named = [fault for *_, fault in told[0] if fault]
+    assert named[:1] == ([] if lost == 1000 else ["drive-lost"])

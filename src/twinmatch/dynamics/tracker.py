@@ -16,6 +16,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from twinmatch.dynamics.filters import TrackerConstants
+from twinmatch.dynamics.pace import plant_scale
 from twinmatch.dynamics.plant import Parameters
 from twinmatch.dynamics.simulation import begin
 from twinmatch.signals import FloatArray
@@ -112,9 +113,11 @@ class Tracker:
         with np.errstate(invalid="ignore", divide="ignore"):
             least = np.where(self.logged, np.log(floor / values), bounds[:, 0] - width - values)
             most = np.where(self.logged, np.log(bounds[:, 1] / values), bounds[:, 1] + width - values)
+        scale = plant_scale(model.plant, period)
+        push_time = _PUSH_TIME * scale
         keeps = np.ones(self.size)
-        keeps[self.fading] = math.exp(-period / _PUSH_TIME)
-        keeps[self.passing] = math.exp(-period / _OFFSET_TIME)
+        keeps[self.fading] = math.exp(-period / push_time)
+        keeps[self.passing] = math.exp(-period / (_OFFSET_TIME * scale))
         self._fixed = TrackerConstants(
             vector=parameters.vector.copy(),
             places=np.array([kernels.PARAMETERS.index(k) for k in free], dtype=np.int64),
@@ -144,9 +147,9 @@ class Tracker:
         ])  # fmt: skip
         drift = np.zeros(self.size)
         drift[:n] = np.where(self._shown, _MODEL_ERROR[0] * seen, _MODEL_ERROR[1] * scales)
-        drift[n : n + m] = _MODEL_ERROR[2] * self._scales
+        drift[n : n + m] = _MODEL_ERROR[2] * self._scales / math.sqrt(scale)
         drift[:n] /= math.sqrt(period)  # a plant sampled faster is assumed to be faster
-        drift[self.fading] = _MODEL_ERROR[3] * noise / period * math.sqrt(2.0 / _PUSH_TIME)
+        drift[self.fading] = _MODEL_ERROR[3] * noise / period * math.sqrt(2.0 / push_time)
         self._fading = _MODEL_ERROR[3] * noise / period
         self._drifts = [level * drift for level in levels]
         self._swift = [level * float(_MODEL_ERROR[4]) for level in levels]

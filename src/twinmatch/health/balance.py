@@ -20,6 +20,7 @@ from typing import Final
 import numpy as np
 
 from twinmatch.dynamics import Parameters
+from twinmatch.dynamics.pace import plant_scale
 from twinmatch.signals import FloatArray, Sample
 
 BLOCK: Final = 10.0
@@ -86,8 +87,10 @@ class Balance:
         self.noise = parameters.model.plant.output.noise
         """Standard deviation of a reading's noise: the unit of every limit."""
         self._steps = parameters.steps(period)
-        self._period = period
-        self._block = max(2, round(BLOCK / period))
+        self._sampled = period
+        # Rates are per second of a plant as fast as the rig.
+        self._period = period / plant_scale(parameters.model.plant, period)
+        self._block = max(2, round(BLOCK / self._period))
         self._correction = _Correction(self.noise)
         self._values = [0.0, 0.0, 0.0, 0.0]
         self._states: FloatArray = np.full(len(parameters.model.states), np.nan)
@@ -169,7 +172,7 @@ class Balance:
     def better_of(self, parameters: Parameters) -> Balance:
         """Choose the balance to continue with: a new one with these parameters if it explains the newest
         blocks better, without corrections, than this one with its corrections; else this one."""
-        trial = Balance(parameters, self._period)
+        trial = Balance(parameters, self._sampled)
         errors = []
         past = list(self._past)
         for sample, after in itertools.pairwise(past):
@@ -187,7 +190,7 @@ class Balance:
         row = model.disturbance_row(sample.disturbances or None)
         drive, passive, self._states = model.kernels.parts(
             self.parameters.vector, float(sample.output), self._states, float(sample.input),
-            float(model.plant.drive.rest), row, self._period, self._steps,
+            float(model.plant.drive.rest), row, self._sampled, self._steps,
         )  # fmt: skip
         return drive, passive
 

@@ -19,7 +19,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from twinmatch.dynamics import Parameters
-from twinmatch.dynamics.pace import time_scale
+from twinmatch.dynamics.pace import plant_scale
 from twinmatch.dynamics.tracker import Belief, Readings, Traces, Tracker
 from twinmatch.health.tracking import REACH, Block, TrackedBlocks, joined
 from twinmatch.signals import FloatArray, Sample
@@ -140,10 +140,11 @@ def hypotheses(tracker: Tracker, noise: float, period: float) -> Sequence[Hypoth
     ):
         sudden = Hypothesis(kind, index, 0.0, spread * unit, _LEAST[kind] * unit)
         found += [sudden] if kind is Kind.OTHER else [sudden, replace(sudden, slowly=_SLOW_TIME, price=_RARE)]
-    unit = noise / time_scale(period)
+    scale = plant_scale(tracker.parameters.model.plant, period)
+    unit = noise / scale
     passing = Hypothesis(Kind.PASSING, tracker.fading, 0.0, 0.0, _LEAST[Kind.PASSING] * unit)
     found += [replace(passing, spread=spread * unit, lasting=time) for spread, time in _PASSING]
-    return found
+    return [replace(h, lasting=h.lasting * scale, slowly=h.slowly * scale) for h in found]
 
 
 _EVERY: Final = 2

@@ -24,6 +24,7 @@ from twinmatch.compiled import compiled
 from twinmatch.dynamics import Parameters, PlantError, State, advance, begin, read, simulate_driven
 from twinmatch.dynamics.kernels import OUTPUTS, SWITCHES, Code, call, tick, work_for
 from twinmatch.dynamics.observer import Observer, RandomWalk
+from twinmatch.dynamics.pace import plant_scale
 from twinmatch.health.balance import Movement
 from twinmatch.health.traces import DriveEffect
 from twinmatch.signals import FloatArray, Sample
@@ -223,7 +224,8 @@ class LaggedEffect(DriveEffect):
         """Begin with a twin and the sample time, s."""
         self._parameters, self._period = parameters, period
         self._noise = parameters.model.plant.output.noise
-        self._spans = [max(2, round(s / period)) for s in _SPANS]
+        self._scale = plant_scale(parameters.model.plant, period)
+        self._spans = [max(2, round(s * self._scale / period)) for s in _SPANS]
         self._errors = (ErrorModel.of(self._noise),) * len(_SPANS)
         self._frozen = False
         self.restart()
@@ -275,7 +277,7 @@ class LaggedEffect(DriveEffect):
                 self._parameters,
                 sample.output,
                 period=self._period,
-                drift=_DRIFT * scales,
+                drift=_DRIFT * scales / math.sqrt(self._scale),
                 start=scales,
                 input=sample.input,
                 disturbances=given,
@@ -295,7 +297,7 @@ class LaggedEffect(DriveEffect):
             self._standing = states
         self._reading = sample.output
         # While it is reported as lost, silence would count as its recovery.
-        settled = self._frozen or self._followed * self._period >= _SETTLED
+        settled = self._frozen or self._followed * self._period >= _SETTLED * self._scale
         self._past.append(
             TrackedSample(observer.parameters, states, sample.input, row, self._errors, settled)
         )

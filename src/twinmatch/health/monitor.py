@@ -62,7 +62,7 @@ class Monitor:
         self._known = bool(self.settings.reference.model.plant.typical)
         """Whether the drive's effect on this plant is known, if only roughly."""
         self._sentences = FaultSentences(self.settings.reference.model.plant, self.settings.period)
-        self._lag = Lag(self.settings.period)
+        self._lag = Lag(self.settings.pace)
         self._begin_with(self.settings)
         self._repeats = self._new_repeats()
         self._given: Parameters | None = None
@@ -88,7 +88,7 @@ class Monitor:
         self._prompt = not late
         """Whether what the drive does within a sample is its effect; otherwise it is a small part of it, and
         smaller than the errors of the states that the output does not show."""
-        self._effect: DriveEffect = self._late or Effect(period, self._balance.noise)
+        self._effect: DriveEffect = self._late or Effect(settings.pace, self._balance.noise)
         self._slow = SlowChanges(settings, self._sentences)
 
     @property
@@ -118,7 +118,7 @@ class Monitor:
                 self._late.take(parameters)
         if self._possible(sample):
             evidence = self._examine(sample)
-            starting = (sample.index - self._begin) * self.settings.period < self.settings.start
+            starting = (sample.index - self._begin) * self.settings.patience < self.settings.start
             self._before = sample
         else:
             evidence, starting = self._sentences.impossible(sample), False
@@ -152,7 +152,7 @@ class Monitor:
     def _new_repeats(self) -> Repeats:
         plant = self.settings.reference.model.plant
         steps = plant.sensor.resolution if plant.sensor is not None else 0.0
-        return Repeats(self.settings.period, self.settings.frozen, self._balance.noise, steps)
+        return Repeats(self.settings.patience, self.settings.frozen, self._balance.noise, steps)
 
     def _restart_traces(self) -> None:
         self._effect.restart()
@@ -194,7 +194,7 @@ class Monitor:
         self._track(sample)
         # Where the expected movement is large, its absence is a drive fault, not an implausible reading.
         reach = _REACH * (abs(movement.drive) + abs(movement.passive))
-        if abs(movement.unexplained) > max(self.settings.jump * max(1.0, self.settings.period), reach):
+        if abs(movement.unexplained) > max(self.settings.jump * max(1.0, self.settings.pace), reach):
             return self._sentences.leaping(before, sample, movement.unexplained)
         return self._weigh(sample)
 
@@ -213,7 +213,7 @@ class Monitor:
         """Look for slow changes, unless a graver fault is on or the session has only begun."""
         if self._open and self._alarms[-1].fault in BLINDING:
             return
-        if (sample.index - self._begin) * self.settings.period >= self.settings.start:
+        if (sample.index - self._begin) * self.settings.patience >= self.settings.start:
             self._slow.push(sample)
 
     def _effect_missing(self, index: int) -> Evidence:
@@ -222,10 +222,12 @@ class Monitor:
         self._contrary = self._contrary + 1 if lost else 0
         self._feeble += 1
         lag = self._lag.seconds(self._effect.length) if self._late is None else None
+        if lag is not None:
+            lag *= self.settings.period / self.settings.pace
         sure = self._contrary >= _CONFIRM
         if lag is not None:
             return self._sentences.late(index, self._effect, lag, sure=sure)
-        weakly = self._balance.smooth and self._feeble * self.settings.period >= _WEAKLY
+        weakly = self._balance.smooth and self._feeble * self.settings.pace >= _WEAKLY
         if lost and (sure or not weakly):
             return self._sentences.lost(index, self._effect, sure=sure)
         return self._sentences.weak(index, self._effect, self._feeble, sure=weakly)
@@ -235,7 +237,7 @@ class Monitor:
         full = self._balance.block()
         if full is None:
             return
-        quiet = self._quiet * self.settings.period >= BLOCK
+        quiet = self._quiet * self.settings.pace >= BLOCK
         self._balance.learn(*full, healthy=quiet and not self._slow.suspected)
         if quiet:
             self._try()
@@ -280,7 +282,7 @@ class Monitor:
     def _recovered(self) -> bool:
         """Whether the fault that is on is over."""
         fault = self._alarms[-1].fault
-        quiet, proven = self._quiet * self.settings.period, self._proofs * self.settings.period
+        quiet, proven = self._quiet * self.settings.pace, self._proofs * self.settings.pace
         if self._slow_alarm:
             return self._slow.over(self._index)
         if fault in (Fault.DRIVE_LOST, Fault.DRIVE_WEAK, Fault.SENSOR_LATE):

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from twinmatch.dynamics import Parameters, Plant
+from twinmatch.dynamics.pace import plant_scale
 from twinmatch.errors import TwinmatchError
 from twinmatch.plants import Peltier
 from twinmatch.settings import setting
@@ -53,6 +54,17 @@ class HealthSettings:
     start: float = setting(30.0, "Time after the first sample without alarms.", "s", 0.1, 1e4)
     """After a gap too: only suspicions are reported then. Cameras that deliver their first pictures late are
     common and recover without help."""
+
+    @property
+    def pace(self) -> float:
+        """Sample time of a plant as fast as the rig, s: limits in seconds are compared with it."""
+        return self.period / plant_scale(self.reference.model.plant, self.period)
+
+    @property
+    def patience(self) -> float:
+        """The same for `frozen` and `start`, which are longer for slow plants but no shorter for fast ones:
+        they are about sensors."""
+        return min(self.pace, self.period)
 
     @property
     def followed(self) -> Parameters:

@@ -107,7 +107,7 @@ class SlowChanges:
         """Whether the reported change is over: reversed, or accepted as the plant's normal state."""
         if self._reported is None:
             return True
-        known = (index - self._reported.at) * self._settings.period >= _ACCEPT
+        known = (index - self._reported.at) * self._settings.pace >= _ACCEPT
         if known or self._over:
             self._reported = None
         return known or self._over
@@ -205,7 +205,7 @@ class SlowChanges:
         if enough and self._unnamed_since is None:
             self._unnamed_since = index
         waited = self._unnamed_since is not None and (
-            (index - self._unnamed_since) * settings.period >= _NAME_WAIT
+            (index - self._unnamed_since) * settings.pace >= _NAME_WAIT
         )
         sure = enough and material and waited and change.gain >= _UNNAMED_FACTOR * settings.change
         return Evidence(Fault.DRIFT, sure, change.first, self._ambiguous(change), slow=True)
