@@ -49,6 +49,14 @@ def plant_scale(plant: type[Plant], period: float, longer: float = 1.0) -> float
     return max(_LEAST_SAMPLES * period, min(slow / _USUAL, _MOST_SAMPLES * period)) * longer
 
 
+def slow_scale(plant: type[Plant], period: float) -> float:
+    """The factor for slow plants, at least 1, so that fast plants keep the times of health.
+
+    At 200 Hz the model error that trackers assume, which is a rig's, does not suffice for friction.
+    """
+    return max(plant_scale(plant, period), 1.0)
+
+
 def usual_scale(plant: type[Plant]) -> float:
     """The factor without bounds; 1 for a plant that only integrates."""
     return time_constant(plant) / _USUAL or 1.0

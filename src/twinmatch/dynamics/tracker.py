@@ -16,7 +16,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from twinmatch.dynamics.filters import TrackerConstants
-from twinmatch.dynamics.pace import plant_scale
+from twinmatch.dynamics.pace import slow_scale
 from twinmatch.dynamics.plant import Parameters
 from twinmatch.dynamics.simulation import begin
 from twinmatch.signals import FloatArray
@@ -113,7 +113,7 @@ class Tracker:
         with np.errstate(invalid="ignore", divide="ignore"):
             least = np.where(self.logged, np.log(floor / values), bounds[:, 0] - width - values)
             most = np.where(self.logged, np.log(bounds[:, 1] / values), bounds[:, 1] + width - values)
-        scale = plant_scale(model.plant, period)
+        scale = slow_scale(model.plant, period)
         push_time = _PUSH_TIME * scale
         keeps = np.ones(self.size)
         keeps[self.fading] = math.exp(-period / push_time)

@@ -20,7 +20,7 @@ from typing import Final
 import numpy as np
 
 from twinmatch.dynamics import Parameters
-from twinmatch.dynamics.pace import plant_scale
+from twinmatch.dynamics.pace import slow_scale
 from twinmatch.signals import FloatArray, Sample
 
 BLOCK: Final = 10.0
@@ -89,7 +89,7 @@ class Balance:
         self._steps = parameters.steps(period)
         self._sampled = period
         # Rates are per second of a plant as fast as the rig.
-        self._period = period / plant_scale(parameters.model.plant, period)
+        self._period = period / slow_scale(parameters.model.plant, period)
         self._block = max(2, round(BLOCK / self._period))
         self._correction = _Correction(self.noise)
         self._values = [0.0, 0.0, 0.0, 0.0]

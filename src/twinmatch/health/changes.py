@@ -19,7 +19,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from twinmatch.dynamics import Parameters
-from twinmatch.dynamics.pace import plant_scale
+from twinmatch.dynamics.pace import slow_scale, time_scale
 from twinmatch.dynamics.tracker import Belief, Readings, Traces, Tracker
 from twinmatch.health.tracking import REACH, Block, TrackedBlocks, joined
 from twinmatch.signals import FloatArray, Sample
@@ -140,8 +140,8 @@ def hypotheses(tracker: Tracker, noise: float, period: float) -> Sequence[Hypoth
     ):
         sudden = Hypothesis(kind, index, 0.0, spread * unit, _LEAST[kind] * unit)
         found += [sudden] if kind is Kind.OTHER else [sudden, replace(sudden, slowly=_SLOW_TIME, price=_RARE)]
-    scale = plant_scale(tracker.parameters.model.plant, period)
-    unit = noise / scale
+    scale = slow_scale(tracker.parameters.model.plant, period)
+    unit = noise / (scale if scale > 1.0 else time_scale(period))
     passing = Hypothesis(Kind.PASSING, tracker.fading, 0.0, 0.0, _LEAST[Kind.PASSING] * unit)
     found += [replace(passing, spread=spread * unit, lasting=time) for spread, time in _PASSING]
     return [replace(h, lasting=h.lasting * scale, slowly=h.slowly * scale) for h in found]

@@ -24,7 +24,7 @@ from twinmatch.compiled import compiled
 from twinmatch.dynamics import Parameters, PlantError, State, advance, begin, read, simulate_driven
 from twinmatch.dynamics.kernels import OUTPUTS, SWITCHES, Code, call, tick, work_for
 from twinmatch.dynamics.observer import Observer, RandomWalk
-from twinmatch.dynamics.pace import plant_scale
+from twinmatch.dynamics.pace import slow_scale
 from twinmatch.health.balance import Movement
 from twinmatch.health.traces import DriveEffect
 from twinmatch.signals import FloatArray, Sample
@@ -224,7 +224,7 @@ class LaggedEffect(DriveEffect):
         """Begin with a twin and the sample time, s."""
         self._parameters, self._period = parameters, period
         self._noise = parameters.model.plant.output.noise
-        self._scale = plant_scale(parameters.model.plant, period)
+        self._scale = slow_scale(parameters.model.plant, period)
         self._spans = [max(2, round(s * self._scale / period)) for s in _SPANS]
         self._errors = (ErrorModel.of(self._noise),) * len(_SPANS)
         self._frozen = False

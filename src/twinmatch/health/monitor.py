@@ -118,7 +118,7 @@ class Monitor:
                 self._late.take(parameters)
         if self._possible(sample):
             evidence = self._examine(sample)
-            starting = (sample.index - self._begin) * self.settings.patience < self.settings.start
+            starting = (sample.index - self._begin) * self.settings.period < self.settings.start
             self._before = sample
         else:
             evidence, starting = self._sentences.impossible(sample), False
@@ -152,7 +152,7 @@ class Monitor:
     def _new_repeats(self) -> Repeats:
         plant = self.settings.reference.model.plant
         steps = plant.sensor.resolution if plant.sensor is not None else 0.0
-        return Repeats(self.settings.patience, self.settings.frozen, self._balance.noise, steps)
+        return Repeats(self.settings.period, self.settings.frozen, self._balance.noise, steps)
 
     def _restart_traces(self) -> None:
         self._effect.restart()
@@ -213,7 +213,7 @@ class Monitor:
         """Look for slow changes, unless a graver fault is on or the session has only begun."""
         if self._open and self._alarms[-1].fault in BLINDING:
             return
-        if (sample.index - self._begin) * self.settings.patience >= self.settings.start:
+        if (sample.index - self._begin) * self.settings.period >= self.settings.start:
             self._slow.push(sample)
 
     def _effect_missing(self, index: int) -> Evidence:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from twinmatch.dynamics import Parameters, Plant
-from twinmatch.dynamics.pace import plant_scale
+from twinmatch.dynamics.pace import slow_scale
 from twinmatch.errors import TwinmatchError
 from twinmatch.plants import Peltier
 from twinmatch.settings import setting
@@ -43,7 +43,7 @@ class HealthSettings:
     weak: float = setting(0.6, "Share below which it is weak, if that lasts.", "", 0.01, 0.99)
     jump: float = setting(8.0, "Step of a reading that is physically impossible.", "{y}", 1e-6, 1e6)
     """Within one sample. Corrections of the rig's healthy camera make 3 °C."""
-    frozen: float = setting(10.0, "Time for which one repeated reading means a frozen sensor.", "s", 1.0, 1e4)
+    frozen: float = setting(10.0, "Time for which one repeated reading means a frozen sensor.", "s", 1.0, 1e7)
     """Healthy cameras repeat theirs for 5 s at most."""
     change: float = setting(
         9.0, "Log-likelihood gain over no change from which a change is reported.", "nats", 0.1, 1e3
@@ -51,20 +51,14 @@ class HealthSettings:
     lead: float = setting(
         4.0, "Log-likelihood gain over the next best from which it is named.", "nats", 0.1, 1e3
     )
-    start: float = setting(30.0, "Time after the first sample without alarms.", "s", 0.1, 1e4)
+    start: float = setting(30.0, "Time after the first sample without alarms.", "s", 0.1, 1e7)
     """After a gap too: only suspicions are reported then. Cameras that deliver their first pictures late are
     common and recover without help."""
 
     @property
     def pace(self) -> float:
-        """Sample time of a plant as fast as the rig, s: limits in seconds are compared with it."""
-        return self.period / plant_scale(self.reference.model.plant, self.period)
-
-    @property
-    def patience(self) -> float:
-        """The same for `frozen` and `start`, which are longer for slow plants but no shorter for fast ones:
-        they are about sensors."""
-        return min(self.pace, self.period)
+        """Sample time, s, in the time of a plant as fast as the rig: fixed limits in seconds refer to it."""
+        return self.period / slow_scale(self.reference.model.plant, self.period)
 
     @property
     def followed(self) -> Parameters:
@@ -79,8 +73,15 @@ class HealthSettings:
     @classmethod
     def of(cls, plant: type[Plant], period: float = 1.0) -> HealthSettings:
         """Settings for a plant: its first structure with typical parameters, and a jump of 80 times the
-        output's noise."""
-        return cls(period=period, reference=_typical(plant), jump=_JUMP * plant.output.noise)
+        output's noise; `frozen` and `start` are longer for slow plants."""
+        scale = slow_scale(plant, period)
+        return cls(
+            period=period,
+            reference=_typical(plant),
+            jump=_JUMP * plant.output.noise,
+            frozen=cls.frozen * scale,
+            start=cls.start * scale,
+        )
 
     def __post_init__(self) -> None:
         for name in ("period", "lost", "weak", "jump", "frozen", "change", "lead", "start"):

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from twinmatch.dynamics import Parameters
-from twinmatch.dynamics.pace import plant_scale
+from twinmatch.dynamics.pace import slow_scale
 from twinmatch.dynamics.tracker import Belief, Readings, Traces, Tracker
 from twinmatch.signals import FloatArray, Sample
 
@@ -55,7 +55,7 @@ class TrackedBlocks:
     def __init__(self, parameters: Parameters, period: float) -> None:
         """Begin with these parameters; `period` is the sample time, s."""
         self._noise = parameters.model.plant.output.noise
-        self.size = max(4, round(_BLOCK * plant_scale(parameters.model.plant, period) / period))
+        self.size = max(4, round(_BLOCK * slow_scale(parameters.model.plant, period) / period))
         """Samples of a block."""
         self.tracker = Tracker(parameters, period, LEVELS)
         self.blocks: deque[Block] = deque(maxlen=REACH)
