@@ -78,7 +78,7 @@ def test_it_is_signalled_and_waited_for(tmp_path: Path, program: str) -> None:
     assert forked.returncode == -signal.SIGTERM
 
 
-def test_a_server_that_is_killed_is_replaced_and_its_programs_go_on(tmp_path: Path, program: str) -> None:
+def test_a_server_that_is_killed_is_replaced_and_its_programs_continue(tmp_path: Path, program: str) -> None:
     server = ForkServer()
     try:
         first = start(server, tmp_path / "first", program, "wait")

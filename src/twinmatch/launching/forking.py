@@ -99,7 +99,7 @@ class ForkServer:
     """A process that forks programs for this one."""
 
     def __init__(self) -> None:
-        """Start it; it imports while this process goes on, and ends with it."""
+        """Start it; it imports while this process continues, and ends with it."""
         self._asking = threading.Lock()
         self._begin()
 
@@ -147,7 +147,7 @@ class ForkServer:
         return Forked(list(words), int(answer))
 
     def close(self) -> None:
-        """End it, at once; the programs go on."""
+        """End it, at once; the programs continue."""
         self._socket.close()
         self._process.kill()
         self._process.wait()
@@ -162,7 +162,7 @@ def fork_server() -> ForkServer:
 
 
 def serve(connection: socket.socket) -> list[str]:
-    """Fork for whoever has the other end, until it is closed or no process can be made.
+    """Fork for the process at the other end, until it is closed or no process can be made.
 
     Returns:
         In a new process, the words of its program; in the server none, at the end.

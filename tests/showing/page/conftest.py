@@ -124,7 +124,7 @@ class Browser:
         )
 
     def click(self, label: str) -> None:
-        """Click a button as soon as it can be: the page may just be drawing it anew."""
+        """Click a button as soon as it can be: the page may just be drawing it again."""
         from selenium.common.exceptions import ElementClickInterceptedException as Covered
         from selenium.common.exceptions import ElementNotInteractableException as Hidden
         from selenium.common.exceptions import StaleElementReferenceException as Gone
