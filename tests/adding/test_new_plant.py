@@ -100,7 +100,7 @@ TITLES = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\n
 
 
 @settings(max_examples=25)
-@given(TITLES, TITLES, TITLES, TITLES, st.sampled_from(["tank", "state", "equations", "plant"]))
+@given(TITLES, TITLES, TITLES, TITLES, st.sampled_from(["cistern", "state", "equations", "plant"]))
 def test_any_titles_and_units_give_valid_files(y: str, u: str, room: str, unit: str, name: str) -> None:
     """Titles in any script, with quotes, braces and backslashes."""
     seconds = np.arange(400.0)
