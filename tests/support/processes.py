@@ -32,8 +32,13 @@ class Process:
         output: Path,
         environment: Mapping[str, str] | None = None,
         folder: Path | None = None,
+        forked: bool = False,
     ) -> None:
-        """Start it; `environment` is the whole one, this process's by default, `folder` where it works."""
+        """Start it; `environment` is the whole one, this process's by default, `folder` where it works.
+
+        A module or script after `sys.executable` may be `forked`, as the launch scripts do it: most of a
+        start is imports.
+        """
         self.output = output
         given = {**os.environ, "PYTHONUNBUFFERED": "1"} if environment is None else environment
         self.killed = False
@@ -41,11 +46,7 @@ class Process:
         words = [str(word) for word in command]
         self._process: Forked | subprocess.Popen[bytes]
         with output.open("w") as stream:
-            if words[0] == sys.executable and (
-                words[2].startswith("twinmatch.")
-                if words[1] == "-m"
-                else Path(words[1]).parent == LAUNCH_SCRIPTS
-            ):  # as the launch scripts start nodes: most of a start is imports
+            if forked:
                 self._process = fork_server().start(
                     *words[1:], output=stream.fileno(), environment=given, folder=folder
                 )
@@ -168,6 +169,8 @@ class Process:
         self._process.wait()
 
 
+OUR_SCRIPTS = frozenset(LAUNCH_SCRIPTS.glob("*.py"))
+
 Start = Callable[..., Process]
 """Starts a node's program with ROS arguments, or a script."""
 
@@ -182,17 +185,18 @@ class Processes:
         self._started: list[Process] = []
 
     def start(
-        self, *command: object, environment: Mapping[str, str] | None = None, folder: Path | None = None
+        self, *command: object, environment: Mapping[str, str] | None = None, **settings: Any
     ) -> Process:
         """Start a program; what it is given by name replaces what all have."""
         output = self._folder / f"{len(self._started)}.txt"
         given = self._environment if environment is None else environment
-        self._started.append(Process(*command, output=output, environment=given, folder=folder))
+        self._started.append(Process(*command, output=output, environment=given, **settings))
         return self._started[-1]
 
     def python(self, *words: object, **settings: Any) -> Process:
-        """Start a Python program: `python("-m", "twinmatch.cli", "--version")`."""
-        return self.start(sys.executable, *words, **settings)
+        """Start a Python program: `python("-m", "twinmatch.cli", "--version")`; one of ours is forked."""
+        ours = str(words[1]).startswith("twinmatch.") if words[0] == "-m" else words[0] in OUR_SCRIPTS
+        return self.start(sys.executable, *words, forked=ours, **settings)
 
     def end(self, number: signal.Signals = signal.SIGTERM) -> list[tuple[int, str]]:
         """End what still runs, all at once; exit code and words of each that was not killed."""

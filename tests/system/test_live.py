@@ -47,7 +47,7 @@ class LiveRun:
             f"    profile.repeat: {str(not ends).lower()}\n    exit_at_end: {str(ends).lower()}\n"
         )
         command = [sys.executable, LIVE, "--virtual", "--speed", "max", "--config", config]
-        self.process = Process(*command, "--session", self.session, *options, output=self.output)
+        self.process = Process(*command, "--session", self.session, *options, output=self.output, forked=True)
 
     @property
     def text(self) -> str:

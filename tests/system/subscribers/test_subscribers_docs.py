@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 
+from tests.support.ros import listening
 from twinmatch.nodes import network
 from twinmatch.sessions import read_session, write_session
 
@@ -99,6 +100,8 @@ def test_namespace(programs: Any, page: Path, session: Path, tmp_path: Path) -> 
     verdicts = start_shell(programs, page, blocks("sh")[1])
     start_twin(programs, "-r", "__ns:=/rig_a")
     part = write_session(tmp_path / "part", read_session(session).samples[:370])
+    with listening() as listener:
+        listener.spin_until(lambda: listener.node.count_subscribers("/rig_a/twin/model_score"), "verdicts.py")
     player = start_player(programs, part, "-p", "wait_for:=2", "-r", "__ns:=/rig_a")
     assert player.wait() == 0, player.text
     verdicts.said(r"^sample \d+: ")
@@ -109,6 +112,8 @@ def test_namespace(programs: Any, page: Path, session: Path, tmp_path: Path) -> 
 def test_temperatures(programs: Any, page: Path, session: Path) -> None:
     program = programs.start(page / "temperatures.py")
     reader = programs.start_reader("twinmatch_msgs/LoopSample", "plant/sample")
+    with listening() as listener:
+        listener.spin_until(lambda: listener.node.count_subscribers("plant/temperature"), "temperatures.py")
     player = start_player(programs, session)
     assert player.wait() == 0, player.text
     samples = {s.stamp // 10**9: s.output for s in read_session(session).samples}
