@@ -194,7 +194,7 @@ class Processes:
         return self._started[-1]
 
     def python(self, *words: object, **settings: Any) -> Process:
-        """Start a Python program: `python("-m", "twinmatch.cli", "--version")`; one of ours is forked."""
+        """Start a Python program: `python("-m", "twinmatch.cli", "--version")`; our own are forked."""
         ours = str(words[1]).startswith("twinmatch.") if words[0] == "-m" else words[0] in OUR_SCRIPTS
         return self.start(sys.executable, *words, forked=ours, **settings)
 
