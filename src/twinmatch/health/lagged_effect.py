@@ -286,8 +286,8 @@ class LaggedEffect(DriveEffect):
         observer, moved = self._observer, 0.0
         if self._past and self._standing is not None:
             last = self._past[-1]
-            given = last.disturbances if last.disturbances.size else None
-            on = advance(last.parameters, self._standing, last.input, self._period, given)
+            before = last.disturbances if last.disturbances.size else None
+            on = advance(last.parameters, self._standing, last.input, self._period, before)
             moved = read(last.parameters, on) - read(last.parameters, self._standing)
             self._standing = on
         change = sample.output - self._reading if self._past else 0.0
