@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from tests.support.faulty_kit import (
@@ -57,6 +59,12 @@ def test_a_heater_lost_at_rest_is_reported_as_soon_as_its_power_shows(
     alarm = watch(run(Simulated(seed), hold(power, lost + latest + 1), Broken(lost=lost)))[0]
     assert alarm.fault is Fault.DRIVE_LOST
     assert soonest <= alarm.flagged - lost <= latest
+
+
+def test_samples_without_disturbances_have_the_usual_ones() -> None:
+    samples = run(Simulated(1), levels(470), Broken(lost=430))
+    without = [replace(sample, disturbances=()) for sample in samples]
+    assert watch(without) == watch(samples) != ()
 
 
 @pytest.mark.parametrize("seed", [1, 13])

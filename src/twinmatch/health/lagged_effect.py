@@ -138,8 +138,10 @@ class SimulatedSpan:
         inputs = np.array([sample.input for sample in samples])
         rows = np.array([sample.disturbances for sample in samples])
         self._inputs = np.append(inputs, np.full(later, inputs[-1]))
-        self._rows = np.concatenate([rows, np.repeat(rows[-1:], later, axis=0)])
-        rest = self.first.parameters.model.plant.drive.rest
+        rows = np.concatenate([rows, np.repeat(rows[-1:], later, axis=0)])
+        model = self.first.parameters.model
+        self._rows = model.disturbance_rows(rows if rows.size else None, self._inputs.size)
+        rest = model.plant.drive.rest
         idle = (np.full(self._inputs.size, rest), np.full(self._inputs.size, before))
         (begun, self.works, held), (_, resting, _), (_, _, stood) = self._outputs(self._inputs, *idle)
         self.moved = self.works - begun
