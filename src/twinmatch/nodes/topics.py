@@ -19,7 +19,11 @@ from twinmatch.sessions.channels import Channel, Field, SamplingError, check_pat
 EVERYTHING = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE)
 """For readers that must not miss a message: a full queue applies back-pressure to the writer."""
 
-RELIABLE = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=100, reliability=ReliabilityPolicy.RELIABLE)
+DEPTH = 1000
+"""Messages that a writer keeps for readers that are late, and queue of the recorder for each topic: at rate 0
+a twin publishes some hundred states a second, and a reader may have to wait for the processor."""
+
+RELIABLE = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=DEPTH, reliability=ReliabilityPolicy.RELIABLE)
 """For writers of samples, requests, matches and scores."""
 
 LATCHED = QoSProfile(
@@ -32,9 +36,6 @@ LATCHED = QoSProfile(
 
 ELSEWHERE = ("/clock", "/diagnostics", "/parameter_events", "/rosout")
 """Topics that belong to no rig: recorded only on request."""
-
-DEPTH = 1000
-"""Queue of the recorder in the middleware, messages per topic; it never applies back-pressure."""
 
 
 def wanted(name: str, namespace: str, also: Collection[str] = (), leave_out: Sequence[str] = ()) -> bool:
