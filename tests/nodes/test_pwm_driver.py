@@ -24,6 +24,10 @@ from twinmatch.safety import FaultKind, GuardLimits
 
 PATIENT = LinkSettings(timeout=1.0)
 """For boards that share a busy machine with the tests."""
+SLOWLY = 0.25
+"""Pace of the boards' time: their deadline of 1 s leaves a driver without a processor 4 s."""
+DEADLINE = 4.0
+"""The boards' deadline at that pace, wall s."""
 
 
 KINDS = [kind for kind in boards.KINDS if kind != "real"]
@@ -98,7 +102,7 @@ class Bench:
 @pytest.fixture(params=KINDS)
 def bench(request: pytest.FixtureRequest) -> Iterator[Bench]:
     board = boards.make(request.param)
-    board.run()
+    board.run(SLOWLY)
     made = Bench(board).start()
     yield made
     made.close()
@@ -107,8 +111,8 @@ def bench(request: pytest.FixtureRequest) -> Iterator[Bench]:
 @pytest.fixture
 def stand_in() -> Iterator[Bench]:
     board = StandInArduino()
-    board.run()
-    made = Bench(board, LinkSettings(timeout=0.1, retries=1)).start()
+    board.run(SLOWLY)
+    made = Bench(board, LinkSettings(timeout=0.5, retries=1)).start()
     yield made
     made.close()
 
@@ -119,7 +123,8 @@ def test_a_command_is_repeated_and_its_effect_reported(bench: Bench) -> None:
     assert bench.told[0][0].flags == Flags.NONE  # a fresh board was cleared, and is not driven
     bench.drive(120.0)
     seen = len(bench.told)
-    bench.until(lambda: len(bench.told) > seen + 15)  # beyond the board's deadline
+    deadline = time.monotonic() + 1.1 * DEADLINE
+    bench.until(lambda: len(bench.told) > seen + 15 and time.monotonic() > deadline)
     assert bench.gate.fault is None
     applied, sample = bench.told[-1]
     assert applied is not None
@@ -212,7 +217,7 @@ def test_a_mute_board_is_a_lost_link(stand_in: Bench) -> None:
     stand_in.until(lambda: stand_in.kind() is FaultKind.LINK)
     assert "no answer" in str(stand_in.gate.fault)
     assert stand_in.board.advance(1.001).pwm == 0.0
-    stand_in.board.run()
+    stand_in.board.run(SLOWLY)
     stand_in.until(lambda: stand_in.driver.connected)
     stand_in.stays_at_zero()
 
@@ -240,7 +245,7 @@ def test_noise_on_the_line_is_borne(stand_in: Bench) -> None:
 def test_a_missing_port_is_waited_for(tmp_path: Path) -> None:
     board = StandInArduino(tmp_path / "ttyACM0")
     board.unplug()
-    board.run()
+    board.run(SLOWLY)
     bench = Bench(board).start()
     try:
         bench.until(lambda: bench.health.report().level is Level.ERROR)
@@ -256,7 +261,7 @@ def test_a_missing_port_is_waited_for(tmp_path: Path) -> None:
 def test_another_protocol_ends_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(arduino, "PROTOCOL", 9)
     board = StandInArduino()
-    board.run()
+    board.run(SLOWLY)
     bench = Bench(board).start()
     try:
         bench.until(lambda: bench.driver.failure is not None)
@@ -267,7 +272,7 @@ def test_another_protocol_ends_it(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_board_that_had_tripped_on_its_driver_is_not_cleared_by_itself() -> None:
     board = StandInArduino()
-    board.run()
+    board.run(SLOWLY)
     with PwmLink(board.port, PATIENT) as link:
         link.clear()
         link.command(50.0)
@@ -326,7 +331,7 @@ def test_what_trips_while_the_board_is_woken_is_heeded(
 
 def test_answers_slower_than_the_deadline_allows_are_warned_of() -> None:
     board = StandInArduino()
-    board.run()
+    board.run(SLOWLY)
     bench = Bench(board, LinkSettings(timeout=0.4, retries=2)).start()
     try:
         bench.until(lambda: bench.health.report().level is Level.WARN)
