@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from twinmatch.signals import Sample, SignalError, Window, unbroken
+from twinmatch.signals import Sample, SignalError, Window, bridge, unbroken
 from twinmatch.units import UnitError, conversion, measure
 
 
@@ -39,6 +39,21 @@ def test_disturbances_go_with_the_samples() -> None:
     np.testing.assert_array_equal(window.part(5, 6).disturbances, [[22.0, 0.6], [23.0, 0.7]])
     with pytest.raises(ValueError, match="read-only"):
         window.disturbances[0, 0] = 1.0
+
+
+def test_several_signals_go_with_the_samples() -> None:
+    rows = [Sample(k, k, (1.0, 2.0), (k + 0.5, 4.0), (5.0,)) for k in (3, 4)]
+    assert rows[0].shape == (2, 2, 1, 0)
+    assert rows[0].input == 5.0
+    with pytest.raises(SignalError, match="output: there are 2 of them; this is for a loop with one of each"):
+        _ = rows[0].output
+    window = Window.from_samples(rows)
+    np.testing.assert_array_equal(window.outputs, [[3.5, 4.0], [4.5, 4.0]])
+    np.testing.assert_array_equal(window.input, [5.0, 5.0])
+    with pytest.raises(SignalError, match="sample 5 has 1 outputs, sample 4 has 2; they must be equal"):
+        Window.from_samples([rows[1], replace(rows[1], index=5, outputs=3.0)])
+    lost = bridge(rows[0], replace(rows[1], index=5, stamp=5, outputs=(7.5, 2.0)), 3)
+    assert lost == [Sample(4, 4, (1.0, 2.0), (5.5, 3.0), (5.0,), seen=False)]
 
 
 def test_windows_are_read_only_copies() -> None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from twinmatch.signals import one_of_each
+
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
@@ -35,27 +37,42 @@ class Quantity:
 
 @dataclass(frozen=True, slots=True)
 class Description:
-    """A plant with one loop: the reference has the unit of the output."""
+    """A plant; its references have the units of the outputs."""
 
     plant: str
     """Name, such as peltier."""
     title: str
     """Displayed name."""
-    reference: Quantity
-    output: Quantity
-    input: Quantity
+    references: tuple[Quantity, ...]
+    outputs: tuple[Quantity, ...]
+    inputs: tuple[Quantity, ...]
     disturbances: tuple[Quantity, ...] = ()
     states: tuple[Quantity, ...] = ()
     """States of a twin, in the order of messages."""
     structures: tuple[str, ...] = ()
     """Names of the plant's structures."""
 
+    @property
+    def reference(self) -> Quantity:
+        """The reference of a single loop."""
+        return one_of_each("reference", self.references)
+
+    @property
+    def output(self) -> Quantity:
+        """The output of a single loop."""
+        return one_of_each("output", self.outputs)
+
+    @property
+    def input(self) -> Quantity:
+        """The input of a single loop."""
+        return one_of_each("input", self.inputs)
+
 
 UNDESCRIBED = Description(
     plant="",
     title="",
-    reference=Quantity("set-point", "set-point of the output"),
-    output=Quantity("output", "measured output"),
-    input=Quantity("input", "commanded input"),
+    references=(Quantity("set-point", "set-point of the output"),),
+    outputs=(Quantity("output", "measured output"),),
+    inputs=(Quantity("input", "commanded input"),),
 )
 """Placeholder for a plant that has not published its description yet."""

@@ -1,16 +1,22 @@
 """Samples and windows: the only data exchanged between the subpackages.
 
-A `Sample` is one tick of the control loop. At tick k the reference r[k], the output y[k] of the plant and
-its disturbances are read and the input u[k] is computed from them; u[k] then drives the plant until tick
+A `Sample` is one tick of the control loop. At tick k the references r[k], the outputs y[k] of the plant and
+its disturbances are read and the inputs u[k] are computed from them; u[k] then drives the plant until tick
 k+1. A `Window` is a run of consecutive samples as arrays. The units are the plant's: on the Peltier rig
 the output is the plate's temperature in °C and the input the PWM command, −255 to 255.
+
+Both carry any number of signals. What makes sense for a single loop only asks for *the* `reference`, `output`
+or `input`, and is refused where there is not exactly one.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain
+from operator import attrgetter
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,16 +29,21 @@ __all__ = [
     "FloatArray",
     "Sample",
     "SignalError",
+    "Signals",
     "Window",
     "bridge",
+    "counted",
     "finite",
-    "not_one_loop",
+    "incomplete",
+    "one_of_each",
     "only",
     "unbroken",
 ]
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
+
+_Value = TypeVar("_Value")
 
 KELVIN = 273.15
 """Zero Celsius in kelvin."""
@@ -50,7 +61,11 @@ class SignalError(TwinmatchError):
     """Arrays that do not make a window: unequal lengths, not finite, invalid period; or not a single loop."""
 
 
-@dataclass(frozen=True, slots=True)
+Signals = tuple[float, ...]
+"""Values of one kind of signal at one tick, in the plant's order."""
+
+
+@dataclass(frozen=True, slots=True, init=False)
 class Sample:
     """One tick of the loop."""
 
@@ -58,16 +73,69 @@ class Sample:
     """Count of ticks since the session began, without gaps."""
     stamp: int
     """Time of the tick in nanoseconds since the epoch of its clock."""
-    reference: float
-    """Set-point r, in the output's unit."""
-    output: float
-    """Measured output y of the plant."""
-    input: float
-    """Command u computed at this tick."""
-    disturbances: tuple[float, ...] = ()
-    """Measured disturbances, in the plant's order; the rig has none."""
+    references: Signals
+    """Set-points r, in the outputs' units."""
+    outputs: Signals
+    """Measured outputs y of the plant."""
+    inputs: Signals
+    """Commands u computed at this tick."""
+    disturbances: Signals = ()
+    """Measured disturbances; the rig has none."""
     seen: bool = True
     """Whether it was received; False: its values are those that `bridge` puts in the place of a lost one."""
+
+    def __init__(  # noqa: PLR0917 (in the order of a row)
+        self,
+        index: int,
+        stamp: int,
+        references: Signals | float,
+        outputs: Signals | float,
+        inputs: Signals | float,
+        disturbances: Signals = (),
+        *,
+        seen: bool = True,
+    ) -> None:
+        """Signals with a single value may be given as a number."""
+        keep = object.__setattr__
+        keep(self, "index", index)
+        keep(self, "stamp", stamp)
+        keep(self, "references", references if isinstance(references, tuple) else (references,))
+        keep(self, "outputs", outputs if isinstance(outputs, tuple) else (outputs,))
+        keep(self, "inputs", inputs if isinstance(inputs, tuple) else (inputs,))
+        keep(self, "disturbances", disturbances)
+        keep(self, "seen", seen)
+
+    @property
+    def reference(self) -> float:
+        """Set-point of a single loop."""
+        try:
+            (r,) = self.references
+        except ValueError:
+            raise _several("reference", len(self.references)) from None
+        return r
+
+    @property
+    def output(self) -> float:
+        """Output of a single loop."""
+        try:
+            (y,) = self.outputs
+        except ValueError:
+            raise _several("output", len(self.outputs)) from None
+        return y
+
+    @property
+    def input(self) -> float:
+        """Command of a single loop."""
+        try:
+            (u,) = self.inputs
+        except ValueError:
+            raise _several("input", len(self.inputs)) from None
+        return u
+
+    @property
+    def shape(self) -> tuple[int, int, int, int]:
+        """Numbers of references, outputs, inputs and disturbances."""
+        return len(self.references), len(self.outputs), len(self.inputs), len(self.disturbances)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -141,32 +209,29 @@ class Window:
 
         Raises:
             SignalError: there is no sample, their indices are not consecutive, or they have different
-                numbers of disturbances.
+                numbers of signals.
         """
         if not samples:
             raise SignalError("window: there is no sample; give at least one")
-        indices = np.array([s.index for s in samples])
+        indices = np.array(list(map(attrgetter("index"), samples)))
         gaps = np.flatnonzero(np.diff(indices) != 1)
         if gaps.size:
             before, after = indices[gaps[0]], indices[gaps[0] + 1]
             msg = f"window: sample {after} follows sample {before}; give consecutive samples"
             raise SignalError(msg)
-        number = len(samples[0].disturbances)
-        for sample in samples:
-            if len(sample.disturbances) != number:
+        columns = {}
+        for name in ("references", "outputs", "inputs", "disturbances"):
+            rows = list(map(attrgetter(name), samples))
+            if len(set(map(len, rows))) > 1:
+                k = next(k for k, row in enumerate(rows) if len(row) != len(rows[0]))
                 raise SignalError(
-                    f"window: sample {sample.index} has {len(sample.disturbances)} disturbances, "
-                    f"sample {samples[0].index} has {number}; they must be equal"
+                    f"window: sample {indices[k]} has {len(rows[k])} {name}, "
+                    f"sample {indices[0]} has {len(rows[0])}; they must be equal"
                 )
-        return cls(
-            _array(s.reference for s in samples),
-            _array(s.output for s in samples),
-            _array(s.input for s in samples),
-            first=int(indices[0]),
-            period=period,
-            disturbances=np.array([s.disturbances for s in samples]).reshape(len(samples), number),
-            seen=np.array([s.seen for s in samples]),
-        )
+            values = np.fromiter(chain.from_iterable(rows), dtype=np.float64)
+            columns[name] = values.reshape(len(samples), len(rows[0]))
+        seen = np.array(list(map(attrgetter("seen"), samples)))
+        return cls(**columns, first=int(indices[0]), period=period, seen=seen)
 
     def __len__(self) -> int:
         return len(self.references)
@@ -232,10 +297,23 @@ def only(name: str, signal: FloatArray) -> FloatArray:
         SignalError: it has not exactly one column.
     """
     if signal.shape[-1] != 1:
-        raise SignalError(
-            f"{name}: there are {signal.shape[-1]} of them; this is for a loop with one of each"
-        )
+        raise _several(name, signal.shape[-1])
     return signal[..., 0]
+
+
+def one_of_each(name: str, values: Sequence[_Value]) -> _Value:
+    """The only one of some values.
+
+    Raises:
+        SignalError: there is not exactly one.
+    """
+    if len(values) != 1:
+        raise _several(name, len(values))
+    return values[0]
+
+
+def _several(name: str, number: int) -> SignalError:
+    return SignalError(f"{name}: there are {number} of them; this is for a loop with one of each")
 
 
 def bridge(before: Sample, after: Sample, longest: int) -> list[Sample]:
@@ -243,31 +321,37 @@ def bridge(before: Sample, after: Sample, longest: int) -> list[Sample]:
 
     There are none if more than `longest` are missing, or if the clock was set back meanwhile.
 
-    The loop is taken to have continued: set-point, input and disturbances are held, and the output is
+    The loop is taken to have continued: set-points, inputs and disturbances are held, and the outputs are
     interpolated, so that what sums up its movements stays right. Stand-ins are marked as not seen.
     """
     steps = after.index - before.index
-    alike = after.stamp > before.stamp and len(before.disturbances) == len(after.disturbances)
+    alike = after.stamp > before.stamp and before.shape == after.shape
     if not (alike and 1 < steps <= longest + 1):
         return []
+    ends = list(zip(before.outputs, after.outputs, strict=True))
     return [
         replace(
             before,
             index=before.index + k,
             stamp=before.stamp + (after.stamp - before.stamp) * k // steps,
-            output=before.output + (after.output - before.output) * k / steps,
+            outputs=tuple(y + (then - y) * k / steps for y, then in ends),
             seen=False,
         )
         for k in range(1, steps)
     ]
 
 
-def not_one_loop(index: int, lengths: Sequence[int]) -> str:
-    """Error message for a sample with these numbers of references, outputs and inputs."""
-    return (
-        f"sample {index} has {lengths[0]} references, {lengths[1]} outputs and {lengths[2]} inputs; "
-        "a twin runs one loop, with one of each (further measured inputs are disturbances)"
-    )
+def incomplete(index: int, numbers: Sequence[int]) -> str:
+    """Error message for a sample with these numbers of references, outputs and inputs; empty if there is at
+    least one of each."""
+    if all(numbers):
+        return ""
+    return f"{counted(index, numbers)}; every sample has at least one of each"
+
+
+def counted(index: int, numbers: Sequence[int]) -> str:
+    """The numbers of references, outputs and inputs of a sample, as text."""
+    return f"sample {index} has {numbers[0]} references, {numbers[1]} outputs and {numbers[2]} inputs"
 
 
 def unbroken(samples: Sequence[Sample]) -> list[Sequence[Sample]]:
@@ -279,7 +363,3 @@ def unbroken(samples: Sequence[Sample]) -> list[Sequence[Sample]]:
             stretches.append(samples[begin:k])
             begin = k
     return stretches
-
-
-def _array(values: Iterable[float]) -> FloatArray:
-    return np.fromiter(values, dtype=np.float64)

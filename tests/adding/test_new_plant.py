@@ -231,7 +231,7 @@ def driven_by(gains: PidGains, *, has_reference: bool = True) -> Session:
     y = run.output + 0.2 * np.random.default_rng(3).standard_normal(reference.size)
     u = np.asarray(run.input)
     samples = [
-        Sample(index=k, stamp=round(5e7 * k), reference=float(r), output=float(a), input=float(b))
+        Sample(k, round(5e7 * k), float(r), float(a), float(b))
         for k, (r, a, b) in enumerate(zip(reference, y, u, strict=True))
     ]
     return session_of(Path("run.csv"), tuple(samples), plant=Motor.name, has_reference=has_reference)

@@ -92,7 +92,7 @@ def test_an_empty_question_asks_what_comes_if_nothing_is_changed(outlook: Outloo
 
 def test_a_session_that_went_beyond_the_limits_can_be_asked_how_it_continues(outlook: Outlook) -> None:
     """Only what is asked for is checked, not the set-point that stands."""
-    beyond = replace(outlook, sample=replace(outlook.sample, reference=150.0))
+    beyond = replace(outlook, sample=replace(outlook.sample, references=150.0))
     assert set(what_if(beyond, Question()).forecast.reference) == {150.0}
 
 

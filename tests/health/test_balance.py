@@ -85,7 +85,7 @@ def test_a_healthy_servo_raises_no_alarm(error: float) -> None:
     monitor = Monitor(HealthSettings.of(Servo, PERIOD))
     for k, (y, u) in enumerate(zip(run.output, run.input, strict=True)):
         stamp = round(k * PERIOD * 1e9)
-        monitor.push(Sample(index=k, stamp=stamp, reference=0.0, output=float(y), input=float(u)), twin)
+        monitor.push(Sample(k, stamp, 0.0, float(y), float(u)), twin)
     assert monitor.alarms == ()
 
 

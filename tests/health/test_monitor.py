@@ -188,7 +188,7 @@ def test_a_nominal_twin_is_taken_where_the_own_one_is_rough() -> None:
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), -273.15, 400.0])
 def test_an_impossible_reading_is_reported_at_once(value: float) -> None:
     samples = holding(60.0, None, 400)
-    samples[3] = dataclasses.replace(samples[3], output=value)
+    samples[3] = dataclasses.replace(samples[3], outputs=value)
     monitor, healths = rig.watch(samples)
     assert healths[3].news is not None
     assert healths[3].fault is Fault.SENSOR_IMPLAUSIBLE

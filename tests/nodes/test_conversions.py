@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rclpy.serialization import deserialize_message, serialize_message
 
+from tests.support.exchanging import Heaters
 from twinmatch.comparing import ADMITTED, REFUSED, Criteria, OrderScore, TrustLevel, Verdict
 from twinmatch.comparing.verdict import CandidateScore
 from twinmatch.description import Quantity
@@ -48,7 +49,8 @@ TEXTS = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=
 COUNTS = st.integers(-(2**53), 2**53)
 POSITIVE = st.floats(1e-6, 1e6)
 
-SAMPLES = st.builds(Sample, INDICES, STAMPS, ANY, ANY, ANY, st.lists(ANY, max_size=3).map(tuple))
+SIGNALS = [st.lists(ANY, min_size=least, max_size=3).map(tuple) for least in (1, 1, 1, 0)]
+SAMPLES = st.builds(Sample, INDICES, STAMPS, *SIGNALS)
 
 
 @st.composite
@@ -251,11 +253,11 @@ def test_state(state: MirrorState) -> None:
 @pytest.mark.parametrize(
     ("arrays", "said"),
     [
-        ({"output": [1.0, 2.0]}, "sample 7 has 1 references, 2 outputs and 1 inputs; a twin runs one loop"),
-        ({"input": []}, "sample 7 has 1 references, 1 outputs and 0 inputs; a twin runs one loop"),
+        ({"output": []}, "sample 7 has 1 references, 0 outputs and 1 inputs; every sample has at least one"),
+        ({"input": []}, "sample 7 has 1 references, 1 outputs and 0 inputs; every sample has at least one"),
     ],
 )
-def test_a_sample_of_another_number_of_loops_is_refused(arrays: dict[str, list[float]], said: str) -> None:
+def test_a_sample_without_a_signal_is_refused(arrays: dict[str, list[float]], said: str) -> None:
     message = messages.LoopSample(
         **({"index": 7, "reference": [1.0], "output": [2.0], "input": [3.0]} | arrays)
     )
@@ -300,6 +302,12 @@ def test_a_description_is_carried_whole() -> None:
     message = there_and_back(description_message(whole, 0.5))
     assert message.period == 0.5
     assert description_from(message) == whole
+    two = description_of(Heaters)
+    assert [y.name for y in two.outputs] == ["first", "second"]
+    assert [r.name for r in two.references] == ["set-point of first", "set-point of second"]
+    assert description_from(there_and_back(description_message(two, 0.5))) == two
+    with pytest.raises(SignalError, match="output: there are 2 of them"):
+        _ = two.output
     message.input = []
     with pytest.raises(SignalError, match="description of peltier: has 1, 1, 0 references, outputs and"):
         description_from(message)

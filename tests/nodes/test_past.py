@@ -4,17 +4,36 @@ from __future__ import annotations
 
 import math
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from rclpy.serialization import serialize_message
 
-from twinmatch.nodes.past import Copies, Fetched, InOrder, Missing, Stream, values_of
+from twinmatch.nodes.expected import check
+from twinmatch.nodes.fields import MessageError
+from twinmatch.nodes.past import Copies, Fetched, InOrder, Missing, Stream, samples_of_answer, values_of
 from twinmatch.signals import Sample
 from twinmatch_msgs.msg import ModelScore
+from twinmatch_msgs.srv import Past
 
 
 def sample(index: int) -> Sample:
     return Sample(index, index * 10**9, 0.0, 0.0, 0.0)
+
+
+def test_an_answer_holds_any_number_of_signals() -> None:
+    answer = Past.Response(
+        index=[4, 5], stamp=[1, 2], reference=[1.0, 2.0], output=[3.0, 4.0, 5.0, 6.0], input=[7.0, 8.0]
+    )
+    check(answer)
+    assert list(samples_of_answer(answer)) == [
+        Sample(4, 1, 1.0, (3.0, 4.0), 7.0),
+        Sample(5, 2, 2.0, (5.0, 6.0), 8.0),
+    ]
+    assert not list(samples_of_answer(Past.Response()))
+    answer.output = [3.0, 4.0, 5.0]
+    with pytest.raises(MessageError, match="output has 3 values for 2 samples"):
+        check(answer)
 
 
 class Keeper:

@@ -143,7 +143,7 @@ def test_sample_of_another_plant_is_an_error_on_diagnostics(
     start("twin_simulator")
     listener.spin_until(listener.samples.get_subscription_count, "the simulator")
     listener.samples.publish(LoopSample(index=5, reference=[1.0], output=[1.0, 2.0], input=[3.0]))
-    said = "plant/sample: sample 5 has 1 references, 2 outputs and 1 inputs; a twin runs one loop"
+    said = "plant/sample: sample 5 has 1 references, 2 outputs and 1 inputs; plant peltier has 1, 1, 1"
     listener.spin_until(lambda: listener.said(said), "the warning")
     listener.send(steps[:1])
     listener.spin_until(lambda: [state.index for state in states] == [0], "the next state")

@@ -130,7 +130,7 @@ def test_a_window_has_no_gap(tmp_path):
 @pytest.mark.parametrize("value", [float("nan"), float("inf")])
 def test_values_that_are_not_finite_are_named(tmp_path, field, value):
     samples = run(10)
-    samples[6] = dataclasses.replace(samples[6], **{field: value})
+    samples[6] = dataclasses.replace(samples[6], **{f"{field}s": value})
     with pytest.raises(SessionError, match=f"session run: {field} of sample 6 is {value}"):
         read_session(record(tmp_path / "run", (SAMPLE, samples)))
 

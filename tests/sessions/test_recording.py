@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
+import math
 import os
 import resource
 import signal
@@ -72,6 +74,24 @@ def test_samples_of_a_window_are_stamped_by_its_period():
         Sample(10, EPOCH + 1_000_000_000, 1.0, 3.0, 5.0),
         Sample(11, EPOCH + 1_100_000_000, 2.0, 4.0, 6.0),
     ]
+
+
+def test_a_plant_with_several_signals_has_samples_alone(tmp_path):
+    """Temperature and reference are topics of one loop."""
+    rows = np.arange(40.0).reshape(20, 2)
+    window = Window(rows, rows + 0.5, rows[:, ::-1], first=7, period=0.5, disturbances=rows[:, :1])
+    samples = samples_of(window)
+    assert samples[1] == Sample(8, EPOCH + 4 * 10**9, (2.0, 3.0), (2.5, 3.5), (3.0, 2.0), (2.0,))
+    session = read_session(write_session(tmp_path / "two", samples))
+    assert session.samples == samples
+    assert session.counts == {"/plant/sample": 20}
+    found = session.window()
+    assert (found.first, found.period) == (7, 0.5)
+    for name in ("references", "outputs", "inputs", "disturbances"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(window, name))
+    wrong = [*samples[:5], dataclasses.replace(samples[5], outputs=(1.0, math.nan))]
+    with pytest.raises(SessionError, match=r"output of sample 12 is 1.0, nan; only finite values"):
+        write_session(tmp_path / "wrong", wrong)
 
 
 def test_rosbags_reads_folder_metadata_and_messages(tmp_path):

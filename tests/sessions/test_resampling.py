@@ -17,7 +17,7 @@ from twinmatch.offline.archive.files import content_of
 from twinmatch.sessions import RecordingError, SessionError, SessionWriter, read_session, resample
 from twinmatch.sessions.messages import SAMPLE, encode_sample
 from twinmatch.sessions.metadata import CONTINUES
-from twinmatch.sessions.spool import MessageSpool, SampleSpool
+from twinmatch.sessions.spool import SIGNALS, MessageSpool, SampleSpool
 from twinmatch.sessions.tables import read_table
 from twinmatch.sessions.times import DAY_FIRST, MONTH_FIRST, in_order, order_of, read_times
 from twinmatch.signals import Sample
@@ -324,19 +324,22 @@ numbers = st.floats(allow_nan=False, allow_infinity=False)
     st.lists(st.integers(1, 5), max_size=40),
     st.integers(0, 2**40),
     st.tuples(st.integers(0, 200), st.integers(0, 200), st.integers(1, 50)),
-    st.integers(0, 3),
+    st.tuples(*(st.integers(least, 3) for least in (1, 1, 1, 0))),
     st.data(),
 )
 def test_rows_are_the_samples_with_these_indices(
-    steps: list[int], begin: int, wish: tuple[int, int, int], width: int, data: st.DataObject
+    steps: list[int],
+    begin: int,
+    wish: tuple[int, int, int],
+    shape: tuple[int, int, int, int],
+    data: st.DataObject,
 ) -> None:
     first, count, most = wish
     samples, index = [], begin
-    with closing(SampleSpool(width)) as spool:  # an example may end in the middle
+    with closing(SampleSpool(shape)) as spool:  # an example may end in the middle
         for step in steps:
-            values = data.draw(st.tuples(numbers, numbers, numbers))
-            extra = data.draw(st.lists(numbers, min_size=width, max_size=width))
-            samples.append(Sample(index, index * 1000, *values, tuple(extra)))
+            signals = [data.draw(st.tuples(*[numbers] * width)) for width in shape]
+            samples.append(Sample(index, index * 1000, *signals))
             spool.push(samples[-1])
             index += step
         assert len(spool) == len(samples)
@@ -345,10 +348,7 @@ def test_rows_are_the_samples_with_these_indices(
         wanted = [s for s in samples if first <= s.index < first + count][:most]
         rows = spool.rows(first, count, most)
         found = [
-            Sample(
-                *(row[n].item() for n in ("index", "stamp", "reference", "output", "input")),
-                tuple(row["disturbances"]),
-            )
+            Sample(row["index"].item(), row["stamp"].item(), *(tuple(row[name].tolist()) for name in SIGNALS))
             for row in rows
         ]
         assert found == wanted

@@ -121,7 +121,7 @@ def test_what_stands_in_for_a_reading_is_not_fitted(simulated_session: list[Samp
     found = []
     for wrong in (0.0, 25.0):
         window = Window.from_samples(
-            [replace(s, output=s.output + wrong, seen=False) if s.index in lost else s for s in samples]
+            [replace(s, outputs=s.output + wrong, seen=False) if s.index in lost else s for s in samples]
         )
         found.append(match(window, start=Peltier.model().parameters()))
     assert found[0].accepted
@@ -147,7 +147,7 @@ def test_a_filter_runs_through_a_lost_sample_and_knows_less(simulated_session: l
         without.push(sample)
     sample = simulated_session[100]
     whole.push(sample)
-    without.push(replace(sample, output=sample.output + 40.0, seen=False))
+    without.push(replace(sample, outputs=sample.output + 40.0, seen=False))
     assert np.trace(without.joint) > np.trace(whole.joint)
     # What a reading teaches in one second is a fraction of its noise of 0.1 K.
     np.testing.assert_allclose(without.states, whole.states, atol=0.2)

@@ -226,7 +226,7 @@ def test_who_was_matched_while_a_fault_already_showed_is_dismissed(
     newest = max(verdicts[-1].candidates, key=lambda c: c.last)
     last = simulated_session[-1]
     # A reading no plate can have, in a session whose index continues: the alarm starts at that very sample.
-    broken = dataclasses.replace(last, index=last.index + 1, output=400.0)
+    broken = dataclasses.replace(last, index=last.index + 1, outputs=400.0)
     told = judge.push_sample(broken).verdicts[-1]
     assert told.fault == "sensor-implausible"
     assert newest.name in {c.name for c in told.candidates}

@@ -119,7 +119,7 @@ def _import_mapped(options: argparse.Namespace) -> int:
         found.samples,
         records={PLANT: record},
         gaps=options.gaps == "split",
-        topics=plant_topics(plant.output.unit, has_reference=found.has_reference),
+        topics=plant_topics([y.unit for y in plant.outputs.values()], has_reference=found.has_reference),
     )
     seconds = len(found.samples) * found.period
     print(

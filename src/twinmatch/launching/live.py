@@ -64,7 +64,7 @@ class Live:
         """Put a sample on the spool; an index at or before the newest one starts a new spool."""
         spool = self.samples
         if not spool.continued_by(sample):
-            self.samples = SampleSpool(len(sample.disturbances))
+            self.samples = SampleSpool(sample.shape)
             spool.close()
         self.samples.push(sample)
 

@@ -19,10 +19,12 @@ from sensor_msgs.msg import Image, Temperature
 from std_msgs.msg import Float64
 
 from twinmatch.comparing import ADMITTED, REFUSED
+from twinmatch.dynamics import Plant
 from twinmatch.nodes import messages as converted
 from twinmatch.nodes.fields import GREATEST_INDEX, Expected, MessageError, check_fields
-from twinmatch.nodes.messages import LOOP, nanoseconds, one_of, sample_from
-from twinmatch.signals import not_one_loop
+from twinmatch.nodes.messages import LOOP, SAMPLED, nanoseconds, one_of, sample_from
+from twinmatch.signals import counted, incomplete
+from twinmatch.twin import MatchRequest
 from twinmatch_msgs import msg as ours
 from twinmatch_msgs.srv import Past, WhatIf
 
@@ -40,6 +42,8 @@ def check(message: Any, plant: Expected = None) -> None:
     if found is not None:
         check_fields(message, plant)
         found(message)
+    if plant is not None and isinstance(message, ours.LoopSample):
+        _check_signals(message, plant)
 
 
 def _sized(message: Any, size: int, *names: str, of: str, empty: bool = False) -> None:
@@ -96,10 +100,20 @@ def _in_order(message: Any) -> None:
 
 
 def _check_sample(message: Any) -> None:
-    lengths = [len(getattr(message, name)) for name in LOOP]
-    if lengths != [1, 1, 1]:
-        raise MessageError(not_one_loop(message.index, lengths))
-    _finite(message, *LOOP, "disturbances")
+    if missing := incomplete(message.index, [len(getattr(message, name)) for name in LOOP]):
+        raise MessageError(missing)
+    _finite(message, *SAMPLED)
+
+
+def _check_signals(message: Any, plant: type[Plant]) -> None:
+    """Whether a sample has the signals of a plant."""
+    found, outputs = [len(getattr(message, name)) for name in LOOP], len(plant.outputs)
+    expected = [outputs, outputs, len(plant.drives)]
+    if found != expected:
+        raise MessageError(
+            f"{counted(message.index, found)}; plant {plant.name} has {', '.join(map(str, expected))} "
+            "(further measured inputs are disturbances)"
+        )
 
 
 def _check_state(message: Any) -> None:
@@ -202,21 +216,26 @@ def _check_score(score: Any) -> None:
 
 
 def _check_request(message: Any) -> None:
-    size = len(message.reference)
-    _sized(message, size, "output", "input", of="its set-points")
-    _finite(message, "operating_point", *LOOP, "disturbances")
+    _finite(message, "operating_point", *SAMPLED)
     _within(message, 1e-4, 1e6, "period", absent=False)
-    if message.first + size - 1 > message.sample:
-        raise MessageError(f"its window ends behind its sample {message.sample}")
+
+
+def _request(message: Any) -> tuple[MatchRequest, int]:
+    """A request and its stamp, ns."""
+    request = converted.request_from(message)
+    if request.window.last > request.sample:
+        raise MessageError(f"its window ends behind its sample {request.sample}")
+    return request, nanoseconds(message.header.stamp)
 
 
 def _check_description(message: Any) -> None:
     for name in LOOP:
-        _sized(message, 1, name, of="a plant")
+        if not getattr(message, name):
+            raise MessageError(f"{name} is empty; a plant has at least one")
     _within(message, 1e-4, 1e6, "period", absent=False)
     if not message.plant:
         raise MessageError("plant is empty; expected its name")
-    for signal in chain(*(getattr(message, name) for name in (*LOOP, "disturbances", "states"))):
+    for signal in chain(*(getattr(message, name) for name in (*SAMPLED, "states"))):
         if not signal.low <= signal.high:
             raise MessageError(f"{signal.name[:40]} is from {signal.low} to {signal.high}")
 
@@ -237,10 +256,12 @@ def _check_health(message: Any) -> None:
 
 def _check_past(answer: Any) -> None:
     size = len(answer.index)
-    _sized(answer, size, "stamp", *LOOP, of="its samples")
-    _finite(answer, *LOOP, "disturbances")
-    if len(answer.disturbances) % max(1, size):
-        raise MessageError(f"disturbances has {len(answer.disturbances)} values for {size} samples")
+    _sized(answer, size, "stamp", of="its samples")
+    _finite(answer, *SAMPLED)
+    for name in SAMPLED:
+        values = len(getattr(answer, name))
+        if values % max(1, size) or (name in LOOP and values < size):
+            raise MessageError(f"{name} has {values} values for {size} samples")
     if any(a >= b for a, b in pairwise(answer.index)) or (size and answer.index[-1] >= GREATEST_INDEX):
         raise MessageError("index does not rise")
     if any(stamp < 0 for stamp in answer.stamp):
@@ -313,7 +334,7 @@ CHECKS: Final[dict[Any, Callable[[Any], None]]] = {
 READ: Final[dict[Any, Callable[[Any], Any]]] = {
     ours.LoopSample: sample_from,
     ours.Match: converted.record_of,
-    ours.MatchRequest: lambda m: (converted.request_from(m), nanoseconds(m.header.stamp)),
+    ours.MatchRequest: _request,
     ours.ModelScore: converted.record_of,
     ours.Forecast: converted.forecast_from,
     ours.ForecastScore: converted.record_of,
@@ -334,8 +355,11 @@ def _sample_departs(before: Any, message: Any) -> str:
     elapsed = nanoseconds(message.header.stamp) - nanoseconds(before.header.stamp)
     if message.index - before.index > LEAP + max(0, elapsed) // SHORTEST:
         return f"sample {message.index} came {elapsed / 1e9:g} s after sample {before.index}"
-    there, here = len(before.disturbances), len(message.disturbances)
-    return "" if there == here else f"it has {here} disturbances; those before had {there}"
+    for name in SAMPLED:
+        there, here = len(getattr(before, name)), len(getattr(message, name))
+        if there != here:
+            return f"it has {here} values of {name}; those before had {there}"
+    return ""
 
 
 def _clock_departs(before: Any, message: Any) -> str:

@@ -13,6 +13,7 @@ from typing import Any, ClassVar
 from rclpy.serialization import deserialize_message
 
 from twinmatch.nodes.health import Report
+from twinmatch.nodes.messages import SAMPLED
 from twinmatch.nodes.node import KEEPER, TwinmatchNode
 from twinmatch.nodes.past import PAST
 from twinmatch.nodes.senders import Senders
@@ -49,7 +50,7 @@ class Keeper(TwinmatchNode):
 
     def open(self) -> None:
         """Subscribe and offer the service."""
-        self._start_session()
+        self._start_session(SampleSpool())
         self._requested_at = -LINGER
         self.create_subscription(LoopSample, "plant/sample", self._on_sample, EVERYTHING)
         for name, kind in (self.KEPT | self.COUNTED).items():
@@ -77,11 +78,11 @@ class Keeper(TwinmatchNode):
     def _on_sample(self, sample: Sample) -> None:
         if not self._samples.continued_by(sample):
             self.close()
-            self._start_session(len(sample.disturbances))
+            self._start_session(SampleSpool(sample.shape))
         self._samples.push(sample)
 
-    def _start_session(self, disturbances: int = 0) -> None:
-        self._samples = SampleSpool(disturbances)
+    def _start_session(self, samples: SampleSpool) -> None:
+        self._samples = samples
         self._messages = {name: MessageSpool() for name in self.KEPT}
         self._counts = dict.fromkeys(self.COUNTED, 0)
 
@@ -103,9 +104,8 @@ class Keeper(TwinmatchNode):
         self._requested_at = time.monotonic()
         rows = self._samples.rows(request.first, request.count, MOST_SAMPLES)
         answer.heard = self._samples.end
-        for name in ("index", "stamp", "reference", "output", "input"):
-            setattr(answer, name, rows[name].tolist())
-        answer.disturbances = rows["disturbances"].ravel().tolist()
+        for name in ("index", "stamp", *SAMPLED):
+            setattr(answer, name, rows[SAMPLED.get(name, name)].ravel().tolist())
         matches, scores = self._messages.values()
         answer.match = [deserialize_message(d, Match) for d in matches.since(request.matches, MOST_MESSAGES)]
         answer.score = [

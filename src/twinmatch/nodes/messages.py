@@ -1,8 +1,7 @@
 """Convert between the twin's objects and messages, without losing a bit.
 
 `twinmatch.record` describes the recorded form of verdicts and matches; this module fills the messages. In a
-message every signal is an array, so that a plant with two inputs needs no other message type. A twin runs one
-loop: a message without exactly one reference, one output and one input is refused.
+message every signal is an array, so that a plant with two inputs needs no other message type.
 """
 
 from __future__ import annotations
@@ -22,14 +21,16 @@ from twinmatch.description import Description, Quantity
 from twinmatch.dynamics import Parameters, PlantError
 from twinmatch.forecasting import Band, Forecast, Question, WhatIfResult
 from twinmatch.record import fill, object_of, parameters_of, parameters_tree, tree_of, tree_of_message
-from twinmatch.signals import FloatArray, Sample, SignalError, Window, not_one_loop
+from twinmatch.signals import FloatArray, Sample, SignalError, Window, incomplete
 from twinmatch.twin import MatchReport, MatchRequest, MirrorState
 from twinmatch_msgs import msg as messages
 from twinmatch_msgs import srv as services
 
 NANOSECONDS = 1_000_000_000
-LOOP = ("reference", "output", "input")
+LOOP: Final = ("reference", "output", "input")
 """The signals of a loop, without disturbances."""
+SAMPLED: Final = {**{name: f"{name}s" for name in LOOP}, "disturbances": "disturbances"}
+"""Fields of samples and windows by their names in messages."""
 
 
 def time_message(stamp: int) -> Time:
@@ -51,11 +52,8 @@ def stamped(message: Any, stamp: int) -> Any:
 
 def sample_message(sample: Sample, frame: str = "plate") -> messages.LoopSample:
     """A sample as `LoopSample`."""
-    message = messages.LoopSample(
-        index=sample.index,
-        disturbances=list(sample.disturbances),
-        **{name: [getattr(sample, name)] for name in LOOP},
-    )
+    signals = {name: list(getattr(sample, field)) for name, field in SAMPLED.items()}
+    message = messages.LoopSample(index=sample.index, **signals)
     message.header.frame_id = frame
     return stamped(message, sample.stamp)
 
@@ -64,15 +62,12 @@ def sample_from(message: messages.LoopSample) -> Sample:
     """A sample from `LoopSample`.
 
     Raises:
-        SignalError: it does not have exactly one reference, one output and one input.
+        SignalError: it has no reference, no output or no input.
     """
-    loop = [getattr(message, name) for name in LOOP]
-    lengths = [len(values) for values in loop]
-    if lengths != [1, 1, 1]:
-        raise SignalError(not_one_loop(message.index, lengths))
-    (reference,), (output,), (entry,) = loop
-    stamp = nanoseconds(message.header.stamp)
-    return Sample(message.index, stamp, reference, output, entry, tuple(message.disturbances))
+    signals = [tuple(getattr(message, name)) for name in SAMPLED]
+    if missing := incomplete(message.index, list(map(len, signals[:3]))):
+        raise SignalError(missing)
+    return Sample(message.index, nanoseconds(message.header.stamp), *signals)
 
 
 def one_of(message: Any, name: str) -> float:
@@ -88,8 +83,6 @@ def one_of(message: Any, name: str) -> float:
         )
     return float(values[0])
 
-
-_SAMPLED = (*LOOP, "disturbances")
 
 STATE_FIGURES = (
     "closed_output", "closed_input", "driven_output", "closed_residual_y", "closed_residual_u",
@@ -112,7 +105,7 @@ def state_message(state: MirrorState, leader: str, states: Iterable[str]) -> mes
     message = messages.TwinState(
         index=state.sample.index,
         leader=leader,
-        reference=[state.sample.reference],
+        reference=list(state.sample.references),
         closed_states=[state.closed_states.get(name, math.nan) for name in order],
         driven_states=[state.driven_states.get(name, math.nan) for name in order],
         **{name: [getattr(state, name)] for name in STATE_FIGURES},
@@ -164,27 +157,26 @@ def parameters_message(parameters: Parameters | None) -> messages.Parameters:
 
 def description_message(description: Description, period: float) -> messages.PlantDescription:
     """A plant as `PlantDescription`; `period` (s) is the sampling period it is run with."""
-    tree = {n: list(v) if isinstance(v, tuple) else v for n, v in asdict(description).items()}
-    tree |= {"period": period} | {name: [tree[name]] for name in LOOP}
-    return _filled(messages.PlantDescription(), tree)
+    names = {field: name for name, field in SAMPLED.items()}
+    tree = {names.get(n, n): list(v) if isinstance(v, tuple) else v for n, v in asdict(description).items()}
+    return _filled(messages.PlantDescription(), tree | {"period": period})
 
 
 def description_from(message: messages.PlantDescription) -> Description:
     """A plant from `PlantDescription`.
 
     Raises:
-        SignalError: it does not have one reference, one output and one input.
+        SignalError: it has no reference, no output or no input.
     """
     tree = tree_of_message(message)
-    if any(len(tree[name]) != 1 for name in LOOP):
+    if not all(tree[name] for name in LOOP):
         counts = ", ".join(str(len(tree[name])) for name in LOOP)
         msg = f"description of {message.plant}: has {counts} references, outputs and inputs; give one of each"
         raise SignalError(msg)
     del tree["period"]
-    for name in (*_SAMPLED, "states"):
-        tree[name] = tuple(Quantity(**quantity) for quantity in tree[name])
-    tree |= {name: tree[name][0] for name in LOOP} | {"structures": tuple(tree["structures"])}
-    return Description(**tree)
+    for name, field in (*SAMPLED.items(), ("states", "states")):
+        tree[field] = tuple(Quantity(**quantity) for quantity in tree.pop(name))
+    return Description(**tree | {"structures": tuple(tree["structures"])})
 
 
 def request_message(request: MatchRequest, stamp: int) -> messages.MatchRequest:
@@ -198,7 +190,7 @@ def request_message(request: MatchRequest, stamp: int) -> messages.MatchRequest:
         start=parameters_message(request.start),
         incumbent=parameters_message(request.incumbent),
         lost=[] if window.seen is None else (window.first + np.flatnonzero(~window.seen)).tolist(),
-        **{name: getattr(window, name).ravel().tolist() for name in _SAMPLED},
+        **{name: getattr(window, field).ravel().tolist() for name, field in SAMPLED.items()},
     )
     return stamped(message, stamp)
 
@@ -209,19 +201,24 @@ def request_from(message: messages.MatchRequest) -> MatchRequest:
     Raises:
         TwinmatchError: its window or its parameters cannot be used.
     """
-    samples, disturbances = len(message.reference), len(message.disturbances)
-    if not samples or disturbances % samples:
-        msg = f"match request: {disturbances} disturbance values do not divide evenly among {samples} samples"
-        raise SignalError(msg)
-    reference, output, entry, rows = (np.array(getattr(message, name)) for name in _SAMPLED)
+    start, incumbent = parameters_from(message.start), parameters_of(tree_of_message(message.incumbent))
+    samples = len(message.output) // len(start.model.plant.outputs)
+    signals = {}
+    for name, field in SAMPLED.items():
+        values = np.array(getattr(message, name))
+        if not samples or values.size % samples:
+            msg = (
+                f"match request: {values.size} values of {name} do not divide evenly among {samples} samples"
+            )
+            raise SignalError(msg)
+        signals[field] = values.reshape(samples, -1)
     lost = np.array(message.lost, dtype=np.int64) - message.first
     if lost.size and not (lost.min() >= 0 and lost.max() < samples):
         msg = f"match request: lost samples {list(message.lost)} lie outside its window of {samples} samples"
         raise SignalError(msg)
     seen = np.ones(samples, dtype=np.bool_)
     seen[lost] = False
-    window = Window(reference, output, entry, message.first, message.period, rows.reshape(samples, -1), seen)
-    start, incumbent = parameters_from(message.start), parameters_of(tree_of_message(message.incumbent))
+    window = Window(**signals, first=message.first, period=message.period, seen=seen)
     return MatchRequest(message.sample, message.operating_point, window, start, incumbent)
 
 

@@ -14,10 +14,11 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from heapq import heappop, heappush
 from typing import Any, NamedTuple
 
+import numpy as np
 from rclpy.serialization import deserialize_message, serialize_message
 
 from twinmatch.nodes.health import Level
-from twinmatch.nodes.messages import nanoseconds
+from twinmatch.nodes.messages import SAMPLED, nanoseconds
 from twinmatch.nodes.node import TwinmatchNode
 from twinmatch.sessions.messages import decode_sample, encode_sample
 from twinmatch.signals import Sample
@@ -72,12 +73,10 @@ class PastRequests:
 
 def samples_of_answer(answer: Past.Response) -> Iterator[Sample]:
     """The samples in an answer."""
-    width = len(answer.disturbances) // max(1, len(answer.index))
-    columns = (answer.index, answer.stamp, answer.reference, answer.output, answer.input)
-    rows = zip(*(column.tolist() for column in columns), strict=True)
-    for k, (index, stamp, reference, output, u) in enumerate(rows):
-        disturbances = answer.disturbances[k * width : (k + 1) * width].tolist()
-        yield Sample(index, stamp, reference, output, u, tuple(disturbances))
+    size = len(answer.index)
+    signals = [np.array(getattr(answer, name)).reshape(size, -1).tolist() for name in SAMPLED] if size else []
+    for index, stamp, *rows in zip(answer.index.tolist(), answer.stamp.tolist(), *signals, strict=True):
+        yield Sample(index, stamp, *map(tuple, rows))
 
 
 class Missing(NamedTuple):

@@ -111,15 +111,25 @@ def structure_of(plant: type[Plant], values: Mapping[str, float]) -> str:
     return next(having, next(iter(plant.structures)))
 
 
+_SET_POINT: Final = "set-point"
+
+
 def description_of(plant: type[Plant]) -> Description:
     """Names and units of a plant and its signals."""
-    y, u = plant.output, plant.drive
+    outputs = plant.outputs.values()
     return Description(
         plant=plant.name,
         title=plant.title,
-        reference=Quantity("set-point", f"set-point of {y.text or y.name}", y.unit),
-        output=Quantity(y.name, y.text, y.unit, *y.span),
-        input=Quantity(u.name, u.text, u.unit, *u.limits),
+        references=tuple(
+            Quantity(
+                _SET_POINT if len(outputs) == 1 else f"{_SET_POINT} of {y.name}",
+                f"{_SET_POINT} of {y.text or y.name}",
+                y.unit,
+            )
+            for y in outputs
+        ),
+        outputs=tuple(Quantity(y.name, y.text, y.unit, *y.span) for y in outputs),
+        inputs=tuple(Quantity(u.name, u.text, u.unit, *u.limits) for u in plant.drives.values()),
         disturbances=tuple(Quantity(d.name, d.text, d.unit) for d in plant.disturbances.values()),
         states=tuple(Quantity(s.name, s.text, s.unit, *s.span) for s in plant.states.values()),
         structures=tuple(plant.structures),

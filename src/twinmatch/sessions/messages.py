@@ -22,13 +22,14 @@ import os
 import re
 import struct
 import sys
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache
+from itertools import accumulate
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from twinmatch.sessions.files import SessionError
-from twinmatch.signals import Sample, not_one_loop
+from twinmatch.signals import Sample, incomplete
 
 _PRIMITIVE = {"bool", "byte", "char", "string", "wstring", "float32", "float64"} | {
     f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)
@@ -225,10 +226,14 @@ PLANT_TOPICS = (SAMPLE, TEMPERATURE_READING, REFERENCE)
 """Topics that follow from the samples alone; the *applied* PWM does not."""
 
 
-def plant_topics(output_unit: str, *, has_reference: bool) -> tuple[Topic, ...]:
-    """Topics of a plant whose output has this unit; only °C is a temperature, only a loop has a reference."""
-    left_out = ([] if output_unit == "°C" else [TEMPERATURE_READING]) + ([] if has_reference else [REFERENCE])
-    return tuple(topic for topic in PLANT_TOPICS if topic not in left_out)
+def plant_topics(output_units: Sequence[str], *, has_reference: bool) -> tuple[Topic, ...]:
+    """Topics of a plant whose outputs have these units; only °C is a temperature, only a loop has set-points.
+
+    Of several outputs there are samples only.
+    """
+    unit = output_units[0] if len(output_units) == 1 else None
+    wanted = (True, unit == "°C", has_reference and unit is not None)
+    return tuple(topic for topic, is_wanted in zip(PLANT_TOPICS, wanted, strict=True) if is_wanted)
 
 
 def plant_messages(samples: Iterable[Sample], topics: Collection[Topic] = PLANT_TOPICS) -> Iterator[Message]:
@@ -300,8 +305,6 @@ NANOSECONDS = 1_000_000_000
 _LITTLE = b"\x00\x01\x00\x00"
 _ORDER = {b"\x00\x00": ">", b"\x00\x01": "<"}
 _HEADER = {order: struct.Struct(order + "iII") for order in "<>"}
-_ARRAYS = {order: struct.Struct(order + "QI4xdI4xdI4xdI") for order in "<>"}
-"""One reference, one output, one input, and the number of disturbances that follow."""
 _LENGTH = {order: struct.Struct(order + "I") for order in "<>"}
 _FLOAT64 = struct.Struct("<4sd")
 
@@ -328,10 +331,24 @@ def encode_sample(sample: Sample, frame: str = FRAME) -> bytes:
         SessionError: the stamp is negative or past 2038.
     """
     head = _header(sample.stamp, frame)
-    number = len(sample.disturbances)
-    fields = "QI4xdI4xdI4xdI" + (f"4x{number}d" if number else "")
-    signals = 1, sample.reference, 1, sample.output, 1, sample.input, number, *sample.disturbances
-    return _stamped(head[-1], fields).pack(*head, sample.index, *signals)
+    r, y, u, d = sample.references, sample.outputs, sample.inputs, sample.disturbances
+    signals = len(r), *r, len(y), *y, len(u), *u, len(d), *d
+    return _stamped(head[-1], _arrays(sample.shape)).pack(*head, sample.index, *signals)
+
+
+@lru_cache(maxsize=16)
+def _arrays(lengths: tuple[int, ...]) -> str:
+    """Layout of an index and of sequences of float64 with these lengths."""
+    fields, whole = "Q", True
+    for length in lengths:
+        fields += "I" if not length else f"I4x{length}d" if whole else f"I{length}d"
+        whole = bool(length) or not whole
+    return fields
+
+
+@lru_cache(maxsize=16)
+def _reader(order: str, lengths: tuple[int, ...]) -> struct.Struct:
+    return struct.Struct(order + _arrays(lengths))
 
 
 def encode_temperature(stamp: int, temperature: float, variance: float = 0.0, frame: str = FRAME) -> bytes:
@@ -353,7 +370,7 @@ def decode_sample(data: bytes) -> Sample:
     """Decode the sample of a `twinmatch_msgs/msg/LoopSample`, in either byte order.
 
     Raises:
-        SessionError: another encoding than CDR, too few bytes, or not one reference, output and input.
+        SessionError: another encoding than CDR, too few bytes, or no reference, output or input.
     """
     order = _ORDER.get(bytes(data[:2]))
     if order is None:
@@ -363,23 +380,27 @@ def decode_sample(data: bytes) -> Sample:
         seconds, nanoseconds, length = _HEADER[order].unpack_from(data, 4)
         at = 4 + (12 + length + 7) // 8 * 8
         lengths = _lengths(order, data, at + 8)
-        if lengths != [1, 1, 1]:
-            (index,) = struct.unpack_from(f"{order}Q", data, at)
-            raise SessionError(f"session: {not_one_loop(index, lengths)}")
-        index, _, reference, _, output, _, computed, number = _ARRAYS[order].unpack_from(data, at)
-        behind = at + _ARRAYS[order].size + 4
-        disturbances = struct.unpack_from(f"{order}{number}d", data, behind) if number else ()
+        index, *_ = values = _reader(order, lengths).unpack_from(data, at)
     except struct.error:
         msg = f"session: a LoopSample of {len(data)} bytes is too short for its fields"
         raise SessionError(msg) from None
-    stamp = seconds * NANOSECONDS + nanoseconds
-    return Sample(index, stamp, reference, output, computed, disturbances)
+    if missing := incomplete(index, lengths[:3]):
+        raise SessionError(f"session: {missing}")
+    _, outputs, inputs, behind = accumulate((length + 1 for length in lengths[:3]), initial=2)
+    return Sample(
+        index,
+        seconds * NANOSECONDS + nanoseconds,
+        values[2 : outputs - 1],
+        values[outputs : inputs - 1],
+        values[inputs : behind - 1],
+        values[behind:],
+    )
 
 
-def _lengths(order: str, data: bytes, at: int) -> list[int]:
-    """Lengths of the first three sequences of float64; `at` is the position of the first."""
+def _lengths(order: str, data: bytes, at: int) -> tuple[int, ...]:
+    """Lengths of the four sequences of float64; `at` is the position of the first."""
     found = []
-    for _ in range(3):
+    for _ in range(4):
         found.append(_LENGTH[order].unpack_from(data, at)[0])
         at = 4 + (at + 7) // 8 * 8 + 8 * found[-1] if found[-1] else at + 4
-    return found
+    return tuple(found)

@@ -345,7 +345,7 @@ def _clock(samples: list[Sample]) -> list[str]:
     return []
 
 
-VALUES = ("reference", "output", "input")
+SIGNALS = ("references", "outputs", "inputs")
 
 
 def check_samples(samples: Sequence[Sample], place: str) -> None:
@@ -360,12 +360,14 @@ def check_samples(samples: Sequence[Sample], place: str) -> None:
     """
     if not samples:
         raise SessionError(f"{place}: has no samples")
-    for sample in samples:
-        for name in VALUES:
-            value = getattr(sample, name)
-            if not math.isfinite(value):
-                msg = f"{place}: {name} of sample {sample.index} is {value}; only finite values can be used"
-                raise SessionError(msg)
+    for name in SIGNALS:
+        for sample in samples:
+            values = getattr(sample, name)
+            if not all(map(math.isfinite, values)):
+                raise SessionError(
+                    f"{place}: {name.removesuffix('s')} of sample {sample.index} is "
+                    f"{', '.join(map(str, values))}; only finite values can be used"
+                )
 
 
 def gaps_of(samples: Sequence[Sample]) -> list[tuple[int, int]]:

@@ -131,10 +131,11 @@ SAMPLES_BETWEEN = 10_000
 
 def samples_of(window: Window, start: int = EPOCH) -> list[Sample]:
     """The samples of a window, stamped `start` (ns) + index · period."""
-    columns = zip(window.reference.tolist(), window.output.tolist(), window.input.tolist(), strict=True)
+    signals = window.references, window.outputs, window.inputs, window.disturbances
+    rows = zip(*(map(tuple, columns.tolist()) for columns in signals), strict=True)
     return [
         Sample(index, start + round(index * window.period * 1e9), *values)
-        for index, values in enumerate(columns, start=window.first)
+        for index, values in enumerate(rows, start=window.first)
     ]
 
 
@@ -146,7 +147,7 @@ def write_session(
     progress: ProgressCallback | None = None,
     records: Mapping[str, Mapping[str, str]] | None = None,
     gaps: bool = False,
-    topics: Sequence[Topic] = PLANT_TOPICS,
+    topics: Sequence[Topic] | None = None,
 ) -> Path:
     """Write samples as a session with the topics `plant/sample`, `plant/temperature`, `plant/reference`.
 
@@ -160,7 +161,7 @@ def write_session(
         progress: called with the number of samples written and the total.
         records: metadata records, under the names in `settings`.
         gaps: whether indices may skip; otherwise they must be consecutive.
-        topics: fewer topics, for a plant without a temperature or a loop; see `plant_topics`.
+        topics: which of the topics, see `plant_topics`; default: all of a single loop, else the samples.
 
     Returns:
         The folder.
@@ -173,6 +174,8 @@ def write_session(
     check_samples(samples, f"session {target.name}")
     _check_gaps(samples, target, allowed=gaps)
     _check_target(target, overwrite)
+    if topics is None:
+        topics = PLANT_TOPICS if samples[0].shape[:3] == (1, 1, 1) else (SAMPLE,)
     what = "written"
     try:
         target.parent.mkdir(parents=True, exist_ok=True)

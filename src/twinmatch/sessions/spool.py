@@ -10,6 +10,7 @@ import tempfile
 from array import array
 from bisect import bisect_right
 from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,22 +18,21 @@ from numpy.typing import NDArray
 from twinmatch.signals import Sample, SignalError, Window
 
 Rows = NDArray[np.void]
+SIGNALS: Final = ("references", "outputs", "inputs", "disturbances")
+"""Columns of the rows beside index and stamp, each with a value for each signal."""
 
 
 class SampleSpool:
     """Samples by index."""
 
-    def __init__(self, disturbances: int = 0) -> None:
-        """Start empty; every sample has this number of measured disturbances."""
-        self.disturbances = disturbances
+    def __init__(self, shape: tuple[int, int, int, int] = (1, 1, 1, 0)) -> None:
+        """Start empty; every sample has this shape."""
+        self.shape = shape
         self._row = np.dtype(
             [
                 ("index", "<u8"),
                 ("stamp", "<i8"),
-                ("reference", "<f8"),
-                ("output", "<f8"),
-                ("input", "<f8"),
-                ("disturbances", "<f8", (disturbances,)),
+                *((name, "<f8", (width,)) for name, width in zip(SIGNALS, shape, strict=True)),
             ]
         )
         self._file = tempfile.TemporaryFile(prefix="twinmatch-samples-")  # noqa: SIM115 - closed with the object
@@ -47,7 +47,7 @@ class SampleSpool:
 
     def continued_by(self, sample: Sample) -> bool:
         """Whether a sample is a later one of the same session."""
-        return sample.index >= self.end and len(sample.disturbances) == self.disturbances
+        return sample.index >= self.end and sample.shape == self.shape
 
     def push(self, sample: Sample) -> None:
         """Append a sample; its index must be greater than the previous one."""
@@ -55,9 +55,7 @@ class SampleSpool:
             self._firsts.append(sample.index)
             self._rows.append(self._count)
         row = np.zeros(1, self._row)
-        row[0] = (
-            sample.index, sample.stamp, sample.reference, sample.output, sample.input, sample.disturbances,
-        )  # fmt: skip
+        row[0] = (sample.index, sample.stamp, *(getattr(sample, name) for name in SIGNALS))
         self._file.seek(0, 2)
         self._file.write(row.tobytes())
         self._count += 1
@@ -87,10 +85,7 @@ class SampleSpool:
         lengths = np.diff(np.append(begins, self._count))
         run = int(np.argmax(lengths))
         rows = self.rows(self._firsts[run], int(lengths[run]), int(lengths[run]))
-        return Window(
-            rows["reference"], rows["output"], rows["input"],
-            first=self._firsts[run], period=period, disturbances=rows["disturbances"],
-        )  # fmt: skip
+        return Window(**{name: rows[name] for name in SIGNALS}, first=self._firsts[run], period=period)
 
     def close(self) -> None:
         """Close the file, which deletes it."""
