@@ -21,6 +21,8 @@ from twinmatch.sessions import read_session, write_session
 HERE = Path(__file__).resolve().parent
 LENGTH = 640
 """Samples of the session: enough for two nominal candidates."""
+WHEELS = {n: os.environ[n] for n in ("LD_LIBRARY_PATH", "_ROS_WHEELS_BOOTSTRAP_COMPLETE") if n in os.environ}
+"""Where the libraries of wheels are found by a process that was forked."""
 
 
 def domain() -> int:
@@ -40,6 +42,11 @@ class Programs:
         """Start a Python program with a stranger's environment and these variables."""
         environment = {**self._environment, **variables}
         return self._processes.start(python, *command, environment=environment, folder=self._folder)
+
+    def start_ours(self, *command: object, **variables: str) -> Process:
+        """Start a program of twinmatch beside them, with these variables: its start is not what is tested."""
+        environment = {**self._environment, **WHEELS, **variables}
+        return self._processes.python(*command, environment=environment, folder=self._folder)
 
     def start_reader(self, *arguments: str, python: str = sys.executable, **variables: str) -> Process:
         """Start reader.py and wait until it has subscribed."""

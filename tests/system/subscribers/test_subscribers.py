@@ -93,7 +93,7 @@ def replayed(lasting_programs: Any, session: Path, project: Path) -> Replayed:
         cyclone = start.start(HERE / "cyclone_reader.py")
         cyclone.said("^ready$")
     elsewhere = {name: network.sockets_elsewhere(reader.id) for name, reader in readers.items()}
-    replay = start.start(project / "launch_scripts" / "replay.py", session, "--rate", RATE)
+    replay = start.start_ours(project / "launch_scripts" / "replay.py", session, "--rate", RATE)
     readers["no settings"].said("{")
     hanging.freeze()
     dying.kill()
@@ -184,7 +184,7 @@ def test_cyclone_reads_every_sample(replayed: Replayed, session: Path) -> None:
 @pytest.fixture(scope="module")
 def last_verdict(lasting_programs: Any, session: Path) -> Any:
     """The last verdict on a session that was played to a twin, which is latched for late subscribers."""
-    start = lasting_programs.start
+    start = lasting_programs.start_ours
     scores = lasting_programs.start_reader(
         "twinmatch_msgs/ModelScore", "/late/twin/model_score", "everything"
     )
@@ -237,7 +237,7 @@ def test_rigs_do_not_mix(programs: Any, session: Path, tmp_path: Path) -> None:
     for rig in "ab":
         part = write_session(tmp_path / rig, read_session(session).samples[: LENGTHS[rig]])
         players.append(
-            programs.start(
+            programs.start_ours(
                 *("-m", "twinmatch.nodes", "player", "--ros-args", "-r", f"__ns:=/rig_{rig}"),
                 *("-p", f"session:={part}", "-p", "rate:=200.0", "-p", "clock:=false"),
             )

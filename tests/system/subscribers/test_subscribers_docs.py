@@ -56,11 +56,11 @@ def start_shell(programs: Any, page: Path, text: str, more: str = "", **variable
 
 def start_player(programs: Any, session: Path, *more: str, rate: float = 80.0, **variables: str) -> Any:
     options = ("-p", f"session:={session}", "-p", f"rate:={rate}", "-p", "wait_timeout:=60.0", *more)
-    return programs.start("-m", "twinmatch.nodes", "player", "--ros-args", *options, **variables)
+    return programs.start_ours("-m", "twinmatch.nodes", "player", "--ros-args", *options, **variables)
 
 
 def start_twin(programs: Any, *more: str) -> Any:
-    return programs.start("-m", "twinmatch.nodes", "twin", *(["--ros-args", *more] if more else []))
+    return programs.start_ours("-m", "twinmatch.nodes", "twin", *(["--ros-args", *more] if more else []))
 
 
 WAITING = """import rclpy, sys, time

@@ -103,7 +103,7 @@ def test_environment_of_a_running_node_has_to_be_stripped(
 def test_it_reads_the_verdicts(programs: Any, other_python: str, session: Path, project: Path) -> None:
     verdicts = programs.start_reader("twinmatch_msgs/ModelScore", "twin/model_score", python=other_python)
     samples = programs.start_reader("twinmatch_msgs/LoopSample", "plant/sample", python=other_python)
-    replay = programs.start(project / "launch_scripts" / "replay.py", session, "--rate", 80)
+    replay = programs.start_ours(project / "launch_scripts" / "replay.py", session, "--rate", 80)
     assert replay.wait() == 0, replay.text
     last = read_session(session).samples[-1]
     samples.said(f'"index": {last.index},')
