@@ -20,19 +20,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_options(parser, "session", nargs="?", help="session or recording to play instead")
     fastest = "highest speed of the virtual rig, times real time (default: as fast as the machine allows)"
     add_options(parser, "--speed", default=math.inf, help=fastest)
+    add_options(parser, "--config", help="parameters of the virtual rig's nodes (default: config/demo.yaml)")
     add_page_options(parser)
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the demonstration; returns the exit code."""
     with page_of(options, options.parser) as page:
-        code = _live(options.speed) if options.session is None else _recorded(options.session)
+        code = _live(options.speed, options.config) if options.session is None else _recorded(options.session)
         if code == 0:
             page.stay()
         return code
 
 
-def _live(speed: float) -> int:
+def _live(speed: float, config: Path | None) -> int:
     """Run the virtual rig through its set-points; returns the exit code."""
     from twinmatch.launching.live import Live, run_live  # noqa: PLC0415 — needs ROS
     from twinmatch.launching.plan import LivePlan, VirtualPlan  # noqa: PLC0415
@@ -44,7 +45,9 @@ def _live(speed: float) -> int:
         rehearse(Peltier, TwinSettings(), progress.advance)
     session = Path("out") / time.strftime("demo_%Y-%m-%d_%H-%M-%S")
     plan = LivePlan(
-        config=shipped("config/demo.yaml"), session=session, virtual=VirtualPlan(speed=speed, board="python")
+        config=config or shipped("config/demo.yaml"),
+        session=session,
+        virtual=VirtualPlan(speed=speed, board="python"),
     )
     return run_live(Live(plan)) or _look_back(session)
 
