@@ -44,6 +44,7 @@ class Run:
         self.forecasts = listener.hear(Forecast, "twin/forecast", EVERYTHING)
         self._folder = folder
         self.folders: list[Path] = []
+        assert not listener.health
         self.record()
         self.twin = start("twin")
         topics = ("twin/match", "twin/model_score", "twin/state", "twin/forecast")
@@ -137,6 +138,7 @@ class Run:
 
     def verify(self) -> list[Verification]:
         """The folders that can be judged: a recorder killed soon after its start may lack what that takes."""
+        self.listener.spin_until(lambda: self.listener.said("ended: all"), "the player's end")
         self.recorder.end()
         found = []
         for folder in self.folders[:-1]:

@@ -156,6 +156,7 @@ class Inside:
             code = None
             while code is None and not self._stop.is_set():
                 code = self._nodes.spin_once()
+            self._nodes.linger()
             self._code = code or 0
         finally:
             assert self._nodes.close(), "a thread continues"

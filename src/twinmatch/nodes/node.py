@@ -178,6 +178,8 @@ class TwinmatchNode(Node):
     """Why a parameter that is not changeable cannot be set while the node runs."""
     CLOSING: ClassVar[int] = 0
     """Time that `close` may take in addition to the runner's `TEARDOWN`, s."""
+    LINGER: ClassVar[float] = 0.0
+    """Time after a signal in which messages are still taken: those that were sent before it, s."""
     step: InStep | None = None
     """Keeps a virtual plant in step with this process, if it runs faster than real time."""
     failed: Exception | None = None

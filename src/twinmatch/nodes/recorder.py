@@ -185,6 +185,7 @@ class RecorderNode(TwinmatchNode):
     """
 
     NAME = "recorder"
+    LINGER: ClassVar = 0.3
     PARAMETERS: ClassVar = (
         Setting("folder", "sessions", "Folder for the sessions; created if missing."),
         Setting("name", "", "Name of the session; empty: rig_ and the date and time of the start."),

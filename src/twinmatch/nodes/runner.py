@@ -14,6 +14,7 @@ import os
 import re
 import signal
 import sys
+import time
 import traceback
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -84,6 +85,7 @@ def run(kinds: Sequence[type[TwinmatchNode]], arguments: Sequence[str] | None = 
         nodes.start(kinds, arguments)
         while code is None and not stop.is_set():
             code = nodes.spin_once()
+        nodes.linger()
     except TwinmatchError as error:
         print(error, file=sys.stderr, flush=True)
         code = EXIT_USER_ERROR
@@ -149,6 +151,12 @@ class Nodes:
                 raise node.failure
         ended = [node.exit_code for node in self._nodes if node.exit_code is not None]
         return ended[0] if ended and not any(node.busy for node in self._nodes) else None
+
+    def linger(self) -> None:
+        """Let the nodes take what was sent before the end and has not reached their callbacks yet."""
+        until = time.monotonic() + max((node.LINGER for node in self._nodes), default=0.0)
+        while time.monotonic() < until:
+            self.spin_once()
 
     def close(self) -> bool:
         """Close everything; nothing of ROS is left then. Returns whether all threads ended."""
