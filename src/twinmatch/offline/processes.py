@@ -7,6 +7,7 @@ import gc
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor
@@ -20,8 +21,6 @@ R = TypeVar("R")
 
 GARBAGE: Final = 50_000
 """Objects between two collections: imports, fits and figures make many objects and hardly any garbage."""
-LONG: Final = 1800
-"""Samples from which a session is worth a second process, which takes two seconds to start."""
 
 
 @contextlib.contextmanager
@@ -54,13 +53,14 @@ def cores() -> int:
 
 
 @contextlib.contextmanager
-def pool(processes: int) -> Iterator[ProcessPoolExecutor]:
+def pool(processes: int, *, forked: bool = False) -> Iterator[ProcessPoolExecutor]:
     """This many processes; they are terminated at once if the block is left by an exception.
 
-    They are spawned, not forked, since a fork would copy locked locks. Ctrl-C is handled by this one only.
+    They are spawned unless `forked`: a fork needs no imports, but copies the locks that other threads hold.
+    Ctrl-C is handled by this process only.
     """
     before = set(multiprocessing.active_children())
-    context = multiprocessing.get_context("spawn")
+    context = multiprocessing.get_context("fork" if forked else "spawn")
     made = ProcessPoolExecutor(processes, mp_context=context, initializer=_begin)
     finished = False
     try:
@@ -123,11 +123,11 @@ class Beside:
 
 
 @contextlib.contextmanager
-def beside(samples: int, *, possible: bool = True) -> Iterator[Beside]:
-    """A second process for work on a session with this many samples; none for a short one, on a single core,
-    or where it is not `possible`."""
-    if not possible or samples < LONG or cores() < 2:
+def beside(*, possible: bool = True) -> Iterator[Beside]:
+    """A second process, a copy of this one; none on a single core, where it is not `possible`, or if another
+    thread may hold a lock that the copy would wait for."""
+    if not (possible and sys.platform == "linux" and cores() > 1 and threading.active_count() == 1):
         yield Beside()
         return
-    with pool(1) as second:
+    with pool(1, forked=True) as second:
         yield Beside(second)

@@ -334,16 +334,18 @@ def backtest_session(
         plant: name or file of the plant, if the session does not name it or it is in a file.
         watch: called with the progress.
         progress: called with the amount of the file read and the total.
-        second: whether a second process may forecast meanwhile; it imports the program's main module again.
+        second: whether a second process may forecast meanwhile; it is a fork of this one.
     """
-    session = open_any(path, progress=progress, plant=plant)
-    terms = terms_from_files(session, config, candidates)
-    with beside(len(session.samples), possible=second and portable(terms.settings.plant)) as work:
-        return backtest(session, terms, choices, watch=watch, work=work)
+    with beside(possible=second) as work:
+        session = open_any(path, progress=progress, plant=plant)
+        terms = terms_from_files(session, config, candidates)
+        return backtest(
+            session, terms, choices, watch=watch, work=work if portable(terms.settings.plant) else None
+        )
 
 
 def portable(plant: type[Plant]) -> bool:
-    """Whether another process finds all structures of a plant: not those that were added as FMUs here."""
+    """Whether another process can run all structures of a plant: not FMUs, which answer this one."""
     return not any(structure.external for structure in plant.structures.values())
 
 

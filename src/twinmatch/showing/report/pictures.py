@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -42,6 +42,8 @@ if TYPE_CHECKING:
 
 FORMATS = ("png", "pdf")
 """File formats of `write_pictures`."""
+_QUEUE: Final = {"leader_forecasts": -2, "forecasts": -1, "responses": 1}
+"""Pictures that take longest, and so are begun first by one of two processes: those at either end."""
 _SHOWN = 6
 """Forecasts of the leader that fit into one figure."""
 
@@ -75,15 +77,15 @@ def pictures(
         tested: gives the backtest, which may not be complete yet.
         work: draws some of them, if it has a second process.
     """
-    early = _drawn([*_of_session(judgement), *_of_family(judgement, members)], work)
-    late = _drawn(_of_forecasts(judgement, tested()), work)
-    return {picture.name: picture for picture in (*early[:2], *late, *early[2:])}
-
-
-def _drawn(planned: Iterable[Picture], work: Beside) -> list[Picture]:
-    """The pictures; this process begins with the last."""
-    given = [(picture, work.give(_svg, picture.draw)) for picture in planned]
-    return [replace(picture, svg=result()) for picture, result in reversed(given)][::-1]
+    planned = [
+        *_of_session(judgement),
+        *_of_forecasts(judgement, tested()),
+        *_of_family(judgement, members),
+    ]
+    queue = sorted(planned, key=lambda picture: _QUEUE.get(picture.name, 0))
+    given = [(picture.name, work.give(_svg, picture.draw)) for picture in queue]
+    drawn = {name: result() for name, result in reversed(given)}  # this process begins with the last
+    return {picture.name: replace(picture, svg=drawn[picture.name]) for picture in planned}
 
 
 def _svg(draw: Callable[[], Figure]) -> str:

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from functools import cached_property
+from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -373,13 +374,15 @@ def make_report(
         watch: called with the progress.
         progress: called with the amount of the file read and the total.
         command: command line shown in the report.
-        second: whether a second process may help; it imports the program's main module again.
+        second: whether a second process may help; it is a fork of this one.
 
     Raises:
         TwinmatchError: one of the files cannot be used.
     """
-    session = open_any(path, progress=progress, plant=plant)
-    terms, unlike = _terms(session, config, candidates)
-    with beside(len(session.samples), possible=second and portable(terms.settings.plant)) as work:
+    with beside(possible=second) as second_process:
+        second_process.give(import_module, "matplotlib.backends.backend_svg")  # while it has nothing to do
+        session = open_any(path, progress=progress, plant=plant)
+        terms, unlike = _terms(session, config, candidates)
+        work = second_process if portable(terms.settings.plant) else Beside()
         judged = _judged(session, terms, unlike, peers=peers, watch=watch, work=work)
         return build_report(judged, path, command=command, work=work)
