@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import os
 import subprocess
@@ -20,7 +21,10 @@ from twinmatch.offline.archive import ClusterError
 from twinmatch.sessions import open_any, write_session
 from twinmatch.showing.summary import document
 
-pytest.importorskip("distributed", reason="distributed is not installed; it is in the extra 'cluster'")
+pytestmark = pytest.mark.skipif(
+    importlib.util.find_spec("distributed") is None,
+    reason="distributed is not installed; it is in the extra 'cluster'",
+)
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 

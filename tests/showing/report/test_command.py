@@ -7,7 +7,6 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from pypdf import PdfReader
 
 from tests.support.processes import run_twinmatch
 from tests.support.steps import quarter_of_an_hour
@@ -27,6 +26,8 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_report_and_figures_are_written_and_named(report: Path) -> None:
+    from pypdf import PdfReader
+
     assert "twinmatch report" in report.read_text(encoding="utf-8")
     figures = {path.name: PdfReader(path) for path in (report.parent / "figures").iterdir()}
     assert figures.keys() >= {"session.pdf", "nu_gap.pdf"}
@@ -34,6 +35,8 @@ def test_report_and_figures_are_written_and_named(report: Path) -> None:
 
 
 def test_it_prints_on_numbered_a4_pages(report: Path, tmp_path: Path) -> None:
+    from pypdf import PdfReader
+
     chromium = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
     if chromium is None:
         pytest.skip("chromium is not installed: apt-get install chromium")
