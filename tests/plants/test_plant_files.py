@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
+import os
 import pickle
 import sys
 from functools import partial
@@ -12,6 +13,7 @@ from zlib import crc32
 import pytest
 
 from tests.support.plant_files import plant_file
+from tests.support.processes import no_plant_files
 from twinmatch.dynamics import Plant, PlantError, equations
 from twinmatch.dynamics.equations import at_most
 from twinmatch.plants import Peltier, files, find_plant, plant_named, written_name
@@ -63,6 +65,17 @@ def test_a_plant_may_use_a_file_beside_it(tmp_path: Path) -> None:
     before = list(sys.path)
     assert find_plant(str(path)).drive.limits == (0.0, 80.0)
     assert sys.path == before
+
+
+def test_an_edit_within_the_second_that_leaves_the_size_is_seen(tmp_path: Path) -> None:
+    path = plant_file(tmp_path, "block_edited")
+    found = []
+    for limit in ("100.0", "120.0"):
+        path.write_text(path.read_text().replace("limits=(0.0, 100.0)", f"limits=(0.0, {limit})"))
+        os.utime(path, (1_000_000_000, 1_000_000_000))
+        with no_plant_files():  # as in a new process
+            found.append(find_plant(str(path)).drive.limits)
+    assert found == [(0.0, 100.0), (0.0, 120.0)]
 
 
 OTHER = """\

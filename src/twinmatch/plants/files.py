@@ -17,9 +17,10 @@ import importlib.util
 import sys
 import traceback
 from functools import lru_cache
+from importlib.machinery import SourceFileLoader
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
-from types import ModuleType
+from types import CodeType, ModuleType
 from typing import Final
 
 from twinmatch.dynamics import Plant, PlantError
@@ -114,10 +115,19 @@ def source_of(plant: type[Plant]) -> str:
     return _WRITTEN[plant.name] if _BY_NAME.get(plant.name) is plant else ""
 
 
+class _FromSource(SourceFileLoader):
+    """Python takes the bytecode it has kept for the file's if second and size are the same: an edit may be
+    missed, so none is kept of plant files."""
+
+    def get_code(self, fullname: str) -> CodeType:  # noqa: ARG002
+        return self.source_to_code(self.get_data(self.path), self.path)
+
+
 def _run(path: Path, name: str) -> ModuleType:
     """Import the module in a file."""
-    digest = hashlib.sha256(str(path).encode()).hexdigest()[:16]
-    spec = importlib.util.spec_from_file_location(f"{_MODULES}{digest}", path)
+    module_name = _MODULES + hashlib.sha256(str(path).encode()).hexdigest()[:16]
+    loader = _FromSource(module_name, str(path))
+    spec = importlib.util.spec_from_file_location(module_name, path, loader=loader)
     if spec is None or spec.loader is None:
         raise PlantError(f"{name}: is not a Python module; give a file of Python code")
     module = importlib.util.module_from_spec(spec)
