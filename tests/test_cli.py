@@ -25,6 +25,7 @@ from tests.support.places import PROJECT, SHIPPED
 from tests.support.processes import run_twinmatch
 from tests.support.steps import drive_lost, quarter_of_an_hour
 from twinmatch.cli import main
+from twinmatch.launching.forking import fork_server
 from twinmatch.offline.judging import judge, terms_from_files
 from twinmatch.offline.processes import held_interrupts
 from twinmatch.sessions import open_any, read_session, samples_of, write_session
@@ -126,23 +127,28 @@ def fault_session(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_session(tmp_path_factory.mktemp("fault") / "drive_lost", drive_lost())
 
 
-def run_on_terminal(*arguments: object, width: int, **environment: str) -> tuple[int, str, str]:
-    """Exit code, all that was written to a pseudo-terminal of this width, and what still stands on it."""
+def run_on_terminal(
+    *arguments: object, width: int, until: str = "", **environment: str
+) -> tuple[int, str, str]:
+    """Exit code, all that was written to a pseudo-terminal of this width, and what still stands on it.
+
+    It is killed as soon as the pattern `until` was written.
+    """
     ours, theirs = pty.openpty()
     fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 60, width, 0, 0))
     kept = {k: v for k, v in os.environ.items() if k not in TERMINAL_VARIABLES}
-    process = subprocess.Popen(
-        [sys.executable, "-m", "twinmatch.cli", *map(str, arguments)],
-        stdin=subprocess.DEVNULL,
-        stdout=theirs,
-        stderr=theirs,
-        env={**kept, "TERM": "xterm-256color", **environment},
+    process = fork_server().start(
+        *("-m", "twinmatch.cli", *map(str, arguments)),
+        output=theirs,
+        environment={**kept, "TERM": "xterm-256color", **environment},
     )
     os.close(theirs)
     written = b""
     try:
         while chunk := os.read(ours, 65536):
             written += chunk
+            if until and re.search(until, written.decode(errors="ignore")):
+                process.kill()
     except OSError as error:  # how Linux tells that the other side was closed
         if error.errno != errno.EIO:
             raise
@@ -179,8 +185,9 @@ def test_a_terminal_shows_the_progress_of_reading_a_session(tmp_path: Path) -> N
         ["forecast", "--at", "3500"],
         ["report", "-o", tmp_path / "r.html"],
     ):
-        _, written, _ = run_on_terminal(command[0], session, *command[1:], width=100)
-        assert re.search(r"reading .* \d+%", written), (command, written[:2000])
+        shown = r"reading .* \d+%"
+        _, written, _ = run_on_terminal(command[0], session, *command[1:], width=100, until=shown)
+        assert re.search(shown, written), (command, written[:2000])
 
 
 def test_a_narrow_terminal_without_colours_cuts_no_number(fault_session: Path) -> None:

@@ -64,9 +64,15 @@ def start_process(processes: Processes) -> Start:
 
 @pytest.fixture
 def start_script(tmp_path: Path) -> Iterator[Start]:
-    """Start a Python program given as text."""
+    """Start a Python program given as text; what nodes need is imported already, unless it is `cold`."""
     made = Processes(tmp_path / "scripts")
-    yield lambda text: made.start(sys.executable, "-c", text)
+    script = tmp_path / "program.py"
+
+    def begin(text: str, *, cold: bool = False) -> Process:
+        script.write_text(text)
+        return made.start(sys.executable, script, forked=not cold)
+
+    yield begin
     made.end()
 
 

@@ -16,7 +16,7 @@ from twinmatch.nodes.messages import record_of
 from twinmatch.nodes.topics import EVERYTHING
 from twinmatch.offline.judging import TermsError
 from twinmatch.offline.verification import Verification, VerifyError, verify_session
-from twinmatch.sessions import SessionError, read_session
+from twinmatch.sessions import SessionError, read_session, write_session
 from twinmatch.signals import Sample
 from twinmatch.twin import Outcome
 from twinmatch_msgs.msg import Forecast, Match, ModelScore, TwinState
@@ -24,9 +24,11 @@ from twinmatch_msgs.msg import Forecast, Match, ModelScore, TwinState
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
 
-TWIN_KILLED = (40, 112, 328, 688)
+LENGTH = 700
+"""Samples that are played: the first match comes at about 440."""
+TWIN_KILLED = (40, 112, 328, 560)
 """Samples at which the twin is killed, 3.6 to 18 s apart: back or still catching up."""
-RECORDER_KILLED = range(100, 780, 272)
+RECORDER_KILLED = range(100, 620, 230)
 """Samples at which the recorder is killed: three times; the first verdict comes before them."""
 
 AROUND = 20
@@ -148,7 +150,20 @@ class Run:
 
 
 @pytest.fixture
-def begin(start_process: Start, listener: Listener, session: Path, tmp_path: Path) -> Callable[[float], Run]:
+def steps(steps: list[Sample]) -> list[Sample]:
+    return steps[:LENGTH]
+
+
+@pytest.fixture
+def offline(offline: list[Outcome]) -> list[Outcome]:
+    return offline[:LENGTH]
+
+
+@pytest.fixture
+def begin(
+    start_process: Start, listener: Listener, steps: list[Sample], tmp_path: Path
+) -> Callable[[float], Run]:
+    session = write_session(tmp_path / "steps", steps)
     return lambda rate: Run(start_process, listener, session, tmp_path, rate)
 
 

@@ -51,7 +51,7 @@ sys.modules["rclpy.experimental.events_executor"] = None  # as before rclpy 7.1.
 
 def test_nodes_run_without_the_events_executor(start_script: Start) -> None:
     process = start_script(
-        WITHOUT_EVENTS + program(before="print(runner.EventsExecutor.__name__, flush=True)")
+        WITHOUT_EVENTS + program(before="print(runner.EventsExecutor.__name__, flush=True)"), cold=True
     )
     process.said("^SingleThreadedExecutor$")
     process.said("^up$")

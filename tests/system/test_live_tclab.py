@@ -42,7 +42,9 @@ def test_a_heater_that_is_lost_is_reported_and_the_session_verifies(
     )
     session = tmp_path / "run"
     words = ("--plant", "tclab", "--virtual", "--speed", "max", "--config", config, "--session", session)
-    process = Process(sys.executable, LIVE, *words, "--fault", "drive-lost@330", output=tmp_path / "live.txt")
+    process = Process(
+        sys.executable, LIVE, *words, "--fault", "drive-lost@330", output=tmp_path / "live.txt", forked=True
+    )
     running.append(process)
     assert process.wait(6 * PATIENCE) == 0, process.text
     found = verify_session(session)
@@ -70,7 +72,7 @@ def test_what_a_process_of_the_run_refuses_is_one_line_and_exit_code_two(
     tmp_path: Path, running: list[Process], options: tuple[str, ...], words: str
 ) -> None:
     command = (sys.executable, LIVE, "--plant", "tclab", "--no-record", *options)
-    process = Process(*command, output=tmp_path / "live.txt")
+    process = Process(*command, output=tmp_path / "live.txt", forked=True)
     running.append(process)
     assert process.wait() == 2, process.text
     assert words in process.text
