@@ -25,7 +25,7 @@ pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
 
 LENGTH = 700
-"""Samples that are played: the first match comes at about 440."""
+"""Samples that are played: two matches, on samples 300 and 600, and a verdict a minute."""
 TWIN_KILLED = (40, 112, 328, 560)
 """Samples at which the twin is killed, 3.6 to 18 s apart: back or still catching up."""
 RECORDER_KILLED = range(100, 620, 230)
@@ -149,26 +149,27 @@ class Run:
         return [*found, verify_session(self.folders[-1])]
 
 
-@pytest.fixture
-def steps(steps: list[Sample]) -> list[Sample]:
+@pytest.fixture(scope="module")
+def played(steps: list[Sample]) -> list[Sample]:
     return steps[:LENGTH]
 
 
-@pytest.fixture
-def offline(offline: list[Outcome]) -> list[Outcome]:
+@pytest.fixture(scope="module")
+def said(offline: list[Outcome]) -> list[Outcome]:
+    """Of them, offline."""
     return offline[:LENGTH]
 
 
 @pytest.fixture
 def begin(
-    start_process: Start, listener: Listener, steps: list[Sample], tmp_path: Path
+    start_process: Start, listener: Listener, played: list[Sample], tmp_path: Path
 ) -> Callable[[float], Run]:
-    session = write_session(tmp_path / "steps", steps)
+    session = write_session(tmp_path / "steps", played)
     return lambda rate: Run(start_process, listener, session, tmp_path, rate)
 
 
 def test_a_twin_that_is_killed_again_and_again_comes_back(
-    begin: Callable[[float], Run], steps: list[Sample], offline: list[Outcome]
+    begin: Callable[[float], Run], played: list[Sample], said: list[Outcome]
 ) -> None:
     run = begin(20.0)
     for index in TWIN_KILLED:
@@ -176,27 +177,27 @@ def test_a_twin_that_is_killed_again_and_again_comes_back(
         before = run.readers("discriminator")
         run.shoot()
     run.hold_until_back("discriminator", before)
-    run.check(steps, offline, shots=len(TWIN_KILLED))
+    run.check(played, said, shots=len(TWIN_KILLED))
     (found,) = run.verify()
     assert found.identical, found.difference
-    assert found.verdicts == sum(len(outcome.verdicts) for outcome in offline)
+    assert found.verdicts == sum(len(outcome.verdicts) for outcome in said)
 
 
 def test_a_twin_that_stood_still_is_given_what_it_missed(
-    begin: Callable[[float], Run], steps: list[Sample], offline: list[Outcome]
+    begin: Callable[[float], Run], played: list[Sample], said: list[Outcome]
 ) -> None:
     run = begin(20.0)
     run.until_state(100)
     run.stand_still(10.0)
     run.listener.spin_until(lambda: run.matches, "a match")  # its verdict is being made
     run.stand_still(10.0)
-    run.check(steps, offline)
+    run.check(played, said)
     (found,) = run.verify()
     assert found.identical, found.difference
 
 
 def test_a_recorder_that_is_killed_leaves_sessions_that_verify(
-    begin: Callable[[float], Run], steps: list[Sample], offline: list[Outcome]
+    begin: Callable[[float], Run], played: list[Sample], said: list[Outcome]
 ) -> None:
     """Each of them from its beginning; the last one has everything."""
     run = begin(30.0)
@@ -210,8 +211,8 @@ def test_a_recorder_that_is_killed_leaves_sessions_that_verify(
     before = run.readers("discriminator")
     run.shoot()
     run.hold_until_back("discriminator", before)
-    run.check(steps, offline, shots=1)
+    run.check(played, said, shots=1)
     found = run.verify()
     assert [one.difference for one in found] == [None] * len(found)
-    assert found[-1].verdicts == sum(len(outcome.verdicts) for outcome in offline)
-    assert read_session(run.folders[-1]).samples == steps
+    assert found[-1].verdicts == sum(len(outcome.verdicts) for outcome in said)
+    assert read_session(run.folders[-1]).samples == played
