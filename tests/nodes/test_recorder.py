@@ -285,7 +285,8 @@ def test_a_recorded_run_of_the_twin_verifies(
         ),
         "the twin and the recorder",
     )
-    start_process("player", "-p", f"session:={session}", "-p", "rate:=200.0", "-p", "wait_for:=3")
+    options = ("-p", "rate:=200.0", "-p", "wait_for:=3", "-p", "wait_timeout:=60.0")
+    start_process("player", "-p", f"session:={session}", *options)
     scores = listener.hear(ModelScore, "twin/model_score", EVERYTHING)
     listener.spin_until(lambda: scores and scores[-1].sample >= 910 - 60, "the verdicts")
     wait_for_recorded(tmp_path / "run", twin__model_score=len(scores), plant__sample=920)

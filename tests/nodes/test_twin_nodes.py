@@ -52,7 +52,8 @@ def test_live_verdicts_are_the_offline_ones_whatever_is_published_beside(
     requests = listener.hear(MatchRequest, "twin/match_request", EVERYTHING)
     topics = ("twin/match", "twin/match_request", "twin/model_score", "twin/state")
     listener.spin_until(lambda: all(map(listener.node.count_publishers, topics)), "the nodes")
-    start_process("player", "-p", f"session:={session}", "-p", "rate:=0.0", "-p", "wait_for:=2")
+    options = ("-p", "rate:=0.0", "-p", "wait_for:=2", "-p", "wait_timeout:=60.0")
+    start_process("player", "-p", f"session:={session}", *options)
     drawn, rounds = Nonsense(46), iter(range(0, len(steps), 20))
     beside = {"plant/sample": LoopSample, "twin/match": Match, "twin/match_request": MatchRequest}
     make, due = listener.node.create_publisher, 0

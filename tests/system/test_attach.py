@@ -133,10 +133,10 @@ def test_what_cannot_be_used_is_one_line(options: tuple[str, ...], words: str, t
 def test_a_topic_that_has_no_publisher_ends_it_with_those_there_are(
     processes: Processes, attach: Callable[..., Process], tmp_path: Path
 ) -> None:
-    processes.python(RIG, "--period", PERIOD)
+    processes.python(RIG, "--period", PERIOD).said(r"^\[")
     config = tmp_path / "my_rig.yaml"
     config.write_text(
-        "sampler:\n  ros__parameters:\n    wait_timeout: 2.0\n    map:\n"
+        "sampler:\n  ros__parameters:\n    wait_timeout: 5.0\n    map:\n"
         "      output: /oven/temp\n      input: /oven/heater\n"
     )
     run = attach("--config", config)

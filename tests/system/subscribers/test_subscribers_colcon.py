@@ -80,7 +80,17 @@ def test_nodes_and_messages_of_the_install_space(programs: Any, installed: Path,
     theirs = programs.start_reader("twinmatch_msgs/LoopSample", "plant/sample")
     player = installed / "twinmatch" / "lib" / "twinmatch" / "player"
     assert os.access(player, os.X_OK)
-    options = ("--ros-args", "-p", f"session:={session}", "-p", "rate:=200.0", "-p", "wait_for:=2")
+    options = (
+        "--ros-args",
+        "-p",
+        f"session:={session}",
+        "-p",
+        "rate:=200.0",
+        "-p",
+        "wait_for:=2",
+        "-p",
+        "wait_timeout:=60.0",
+    )
     played = start(programs, installed, player, *options)
     assert played.wait() == 0, played.text
     last = read_session(session).samples[-1]

@@ -90,9 +90,11 @@ def test_verdicts_nominal_forecasts_and_what_if(programs: Any, page: Path, sessi
     verdicts = start_shell(programs, page, blocks("sh")[0])
     forecasts = programs.start(page / "forecasts.py", **KEPT_IN)
     early.said("^forecast: there is no candidate yet; the first comes with the first match")
+    for topic in ("twin/model_score", "twin/forecast"):
+        wait_for_reader(programs, topic)
     player = start_player(programs, session, "-p", "wait_for:=2")
-    verdicts.said("sample 600: trusted, 70 °C")
     assert player.wait() == 0, player.text
+    verdicts.said("sample 600: trusted, 70 °C")
     assert network.sockets_elsewhere(verdicts.id) == []
     last = read_session(session).samples[-1].index
     forecasts.said(rf"^sample {last}: -?\d+\.\d °C in a minute \(-?\d+\.\d to -?\d+\.\d\)$")
