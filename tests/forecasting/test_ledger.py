@@ -297,6 +297,20 @@ def test_a_plant_of_its_form_is_forecast_exactly(gains: PidGains | None) -> None
     np.testing.assert_allclose(found, came, atol=1e-6)
 
 
+def test_a_plant_of_its_form_with_several_signals_is_forecast_exactly() -> None:
+    """Three outputs that act on one another, two inputs and a disturbance."""
+    random = np.random.default_rng(2)
+    by_y, by_step, by_u = (random.uniform(-0.1, 0.1, shape) for shape in ((3, 3), (3, 3), (3, 2)))
+    u, room, y = random.uniform(-1.0, 1.0, (300, 2)), random.uniform(size=300), np.zeros((300, 3))
+    for k in range(1, 299):
+        rate = by_y @ y[k] + by_step @ (y[k] - y[k - 1]) + by_u @ (u[k] + 0.5 * u[k - 1]) + 0.1 * room[k]
+        y[k + 1] = 0.9 * y[k] + rate
+    rows = zip(y.tolist(), u.tolist(), room.tolist(), strict=True)
+    samples = [Sample(k, 0, (0.0,) * 3, tuple(y), tuple(u), (d,)) for k, (y, u, d) in enumerate(rows)]
+    found = fed(samples[:200], None).departure(np.zeros(0)).forecast(u[200:], room[199:, None])
+    np.testing.assert_allclose(found, np.hstack([y[200:], u[200:]]).T, atol=1e-9)
+
+
 def test_until_there_are_enough_samples_nothing_changes() -> None:
     samples, states = record(12, GAINS)
     found = fed(samples, GAINS).departure(states[11]).forecast(np.ones(4), np.ones((5, 1)))
@@ -340,7 +354,7 @@ def test_older_samples_weigh_less() -> None:
             y,
             s.input,
         )
-    slopes = [fed(doubled, None, kept).departure(np.zeros(0)).coefficients[3] for kept in (1.0, 0.9)]
+    slopes = [fed(doubled, None, kept).departure(np.zeros(0)).coefficients[0, 3] for kept in (1.0, 0.9)]
     assert slopes[1] == pytest.approx(0.4, abs=1e-3)
     assert slopes[0] < 0.38
 

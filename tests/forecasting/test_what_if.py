@@ -173,9 +173,9 @@ def forecast(output: FloatArray, input: FloatArray, width: float = 0.0, period: 
         structure="held sink",
         confidence=CONFIDENCE,
         time=period * np.arange(1, size + 1),
-        reference=np.zeros(size),
-        output=Band(output, output - width, output + width),
-        input=Band(input, input - width, input + width),
+        references=np.zeros(size),
+        outputs=(Band(output, output - width, output + width),),
+        inputs=(Band(input, input - width, input + width),),
     )
 
 

@@ -19,9 +19,14 @@ from twinmatch.comparing.verdict import CandidateScore
 from twinmatch.description import Quantity
 from twinmatch.dynamics import Parameters, PlantError
 from twinmatch.fitting import Fit, Match, Status
+from twinmatch.forecasting import Band, Forecast
+from twinmatch.nodes.expected import check
+from twinmatch.nodes.fields import MessageError
 from twinmatch.nodes.messages import (
     description_from,
     description_message,
+    forecast_from,
+    forecast_message,
     message_of,
     one_of,
     parameters_from,
@@ -311,6 +316,24 @@ def test_a_description_is_carried_whole() -> None:
     message.input = []
     with pytest.raises(SignalError, match="description of peltier: has 1, 1, 0 references, outputs and"):
         description_from(message)
+
+
+def test_a_forecast_of_several_signals_is_carried_sample_by_sample() -> None:
+    rows = np.arange(24.0).reshape(6, 4)
+    bands = [Band(row, row - 0.5, row + 1.5) for row in rows]
+    foretold = Forecast(
+        3, "c", "s", 0.9, np.arange(1.0, 5.0), rows[:2].T, tuple(bands[:2]), tuple(bands[2:5])
+    )
+    message = there_and_back(forecast_message(foretold, 5))
+    check(message)
+    assert list(message.output) == [0.0, 4.0, 1.0, 5.0, 2.0, 6.0, 3.0, 7.0]
+    assert repr(forecast_from(message)) == repr(foretold)
+    message.output = [1.0] * 7
+    with pytest.raises(MessageError, match="output has 7 values for its times; expected 4, or that of each"):
+        check(message)
+    message.output = [1.0] * 4
+    with pytest.raises(MessageError, match="output_low has 8 values for its means; expected 4"):
+        check(message)
 
 
 @pytest.mark.parametrize("kind", [messages.Match, messages.ModelScore])

@@ -266,9 +266,9 @@ def forecast(
         structure="no sink",
         confidence=0.9,
         time=np.arange(1.0, size + 1),
-        reference=np.array(reference, dtype=np.float64),
-        output=Band(mean, mean - half, mean + half),
-        input=Band(entry, np.maximum(entry - 10, -255), np.minimum(entry + 10, 255)),
+        references=np.array(reference, dtype=np.float64),
+        outputs=(Band(mean, mean - half, mean + half),),
+        inputs=(Band(entry, np.maximum(entry - 10, -255), np.minimum(entry + 10, 255)),),
     )
 
 

@@ -24,16 +24,16 @@ def forecast(mean: float, half: float, samples: int = 100) -> Forecast:
         structure="s",
         confidence=0.9,
         time=np.arange(1.0, samples + 1),
-        reference=np.zeros(samples),
-        output=band,
-        input=band,
+        references=np.zeros(samples),
+        outputs=(band,),
+        inputs=(band,),
     )
 
 
 def test_errors_of_the_expected_size_leave_six_tenths_of_the_half_width() -> None:
     """A normal error has a standard deviation of 1/1.645 of the half width that holds 90 % of it."""
     errors = np.random.default_rng(3).normal(0.0, 2.0 / 1.6449, (2, 20_000))
-    found = check_band(forecast(50.0, 2.0, 20_000), 50.0 + errors[0], 50.0 + errors[1])
+    found = check_band(forecast(50.0, 2.0, 20_000), 50.0 + errors[:1], 50.0 + errors[1:])
     assert found.miss_y == pytest.approx(0.608, abs=0.01)  # 20 000 draws: standard error 0.003
     assert found.inside_y == pytest.approx(0.9, abs=0.01)
     assert found.inside_u == pytest.approx(0.9, abs=0.01)
@@ -41,7 +41,7 @@ def test_errors_of_the_expected_size_leave_six_tenths_of_the_half_width() -> Non
 
 @given(st.floats(0.1, 10.0), st.floats(0.0, 5.0))
 def test_a_miss_counts_in_half_widths(half: float, off: float) -> None:
-    values = np.full(60, 20.0 + off * half)
+    values = np.full((1, 60), 20.0 + off * half)
     found = check_band(forecast(20.0, half), values, values)
     assert found.miss_y == pytest.approx(off, abs=1e-9)
     assert found.miss == max(found.miss_y, found.miss_u)
@@ -50,16 +50,16 @@ def test_a_miss_counts_in_half_widths(half: float, off: float) -> None:
 def test_the_newest_samples_are_held_against_the_end_of_the_forecast() -> None:
     band = Band(np.arange(100.0), np.arange(100.0) - 1, np.arange(100.0) + 1)
     told = forecast(0.0, 1.0)
-    told = Forecast(0, "c", "s", 0.9, told.time, told.reference, band, band)
-    newest = np.arange(90.0, 100.0)
+    told = Forecast(0, "c", "s", 0.9, told.time, told.reference, (band,), (band,))
+    newest = np.arange(90.0, 100.0)[None]
     assert check_band(told, newest, newest) == BandCheck(0.0, 1.0, 0.0, 1.0)
 
 
 def test_a_band_on_the_limit_of_the_controller_has_one_side() -> None:
     """Where the mean is the limit, what comes below is judged by the side that is there."""
     on_limit = Band(np.full(60, 255.0), np.full(60, 253.0), np.full(60, 255.0))
-    told = Forecast(0, "c", "s", 0.9, np.arange(1.0, 61.0), np.zeros(60), on_limit, on_limit)
-    found = check_band(told, np.full(60, 255.0), np.full(60, 251.0))
+    told = Forecast(0, "c", "s", 0.9, np.arange(1.0, 61.0), np.zeros(60), (on_limit,), (on_limit,))
+    found = check_band(told, np.full((1, 60), 255.0), np.full((1, 60), 251.0))
     assert found.miss_y == 0.0
     assert found.miss_u == pytest.approx(2.0)
 

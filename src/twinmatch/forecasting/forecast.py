@@ -1,4 +1,4 @@
-"""A forecast: mean and band of output and input, sample by sample."""
+"""A forecast: mean and band of outputs and inputs, sample by sample."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from twinmatch.errors import TwinmatchError
-from twinmatch.signals import FloatArray
+from twinmatch.signals import FloatArray, one_of_each, only
 
 
 class ForecastError(TwinmatchError):
@@ -44,14 +44,33 @@ class Forecast:
     """Share of the samples that the band is to hold."""
     time: FloatArray
     """Seconds after `sample`, shape (N,); the first is one period."""
-    reference: FloatArray
-    """Set-points for which it is made, shape (N,); NaN if the loop is not known: it is made for `input`."""
-    output: Band
-    input: Band
+    references: FloatArray
+    """Set-points for which it is made, shape (N, r), or (N,) for one; NaN if the loop is not known: it is
+    made for `inputs`."""
+    outputs: tuple[Band, ...]
+    inputs: tuple[Band, ...]
     notes: tuple[str, ...] = ()
     """Sentences on what the band does not cover: a fault, a level never visited."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "references", np.reshape(self.references, (self.time.size, -1)))
 
     @property
     def closed(self) -> bool:
         """Whether it is made for set-points; otherwise for inputs."""
-        return bool(np.isfinite(self.reference).any())
+        return bool(np.isfinite(self.references).any())
+
+    @property
+    def reference(self) -> FloatArray:
+        """Set-points of a single loop, shape (N,)."""
+        return only("reference", self.references)
+
+    @property
+    def output(self) -> Band:
+        """The output of a single loop."""
+        return one_of_each("output", self.outputs)
+
+    @property
+    def input(self) -> Band:
+        """The input of a single loop."""
+        return one_of_each("input", self.inputs)

@@ -23,10 +23,11 @@ from twinmatch.dynamics import (
     Parameters,
     PlantError,
 )
-from twinmatch.dynamics.laws import HIGH, LOW
+from twinmatch.dynamics.laws import LOW
 from twinmatch.dynamics.pace import usual_scale
+from twinmatch.forecasting.baselines import Visited
 from twinmatch.forecasting.forecast import CONFIDENCE, Band, Forecast, ForecastError
-from twinmatch.signals import FloatArray, Sample
+from twinmatch.signals import FloatArray, Sample, Signals
 
 DRIFT: Final = 2e-4
 """Least drift of a state from the equations per second, in units of its span, at a time constant of 100 s:
@@ -65,7 +66,7 @@ class StateFilter:
         self.covariance = np.zeros((0, 0)) if covariance is None else covariance
         self._states = states
         self._observer: Observer | None = None
-        self._input = 0.0
+        self._inputs: Signals = ()
 
     def push(self, sample: Sample) -> None:
         """Take one sample, the next one in sequence.
@@ -74,27 +75,27 @@ class StateFilter:
         """
         row = np.array(sample.disturbances) if sample.disturbances else None
         if self._observer is not None:
-            self._observer.predict(self._input)
+            self._observer.predict(self._inputs)
             try:
                 if sample.seen:
-                    self._observer.correct(sample.output, row)
+                    self._observer.correct(sample.outputs, row)
             except PlantError:
                 self.restart()
         if self._observer is None:
             self._observer = Observer(
                 self.parameters,
-                sample.output,
+                sample.outputs,
                 period=self.period,
                 drift=drift_of(self.parameters.model),
                 start=UNKNOWN * _spans(self.parameters.model),
-                input=sample.input,
+                input=sample.inputs,
                 disturbances=row,
                 states=self._states,
                 limit=LIMIT,
                 adaptive=True,
             )
-            self._observer.correct(sample.output, row)
-        self._input = sample.input
+            self._observer.correct(sample.outputs, row)
+        self._inputs = sample.inputs
 
     def follow(self, samples: Iterable[Sample]) -> None:
         """Take several samples, the next ones in sequence, each as `push` does."""
@@ -103,11 +104,11 @@ class StateFilter:
             if self._observer is None or self.parameters.model.is_external:
                 self.push(left.pop(0))
                 continue
-            inputs, outputs = [self._input, *(s.input for s in left)], [s.output for s in left]
+            inputs, outputs = [self._inputs, *(s.inputs for s in left)], [s.outputs for s in left]
             rows = [s.disturbances for s in left] if left[0].disturbances else None
             seen = [s.seen for s in left]
             [taken] = ObserverBank([self._observer]).push(inputs[:-1], outputs, seen, rows)
-            self._input = inputs[taken]
+            self._inputs = inputs[taken]
             del left[:taken]
             if left:
                 self.restart()
@@ -168,9 +169,9 @@ class Followers:
         if observers != self._observers or self._bank is None:
             self._observers, self._bank = observers, ObserverBank(observers)
         rows = [sample.disturbances] if sample.disturbances else None
-        found = self._bank.push((following[0]._input,), (sample.output,), (sample.seen,), rows)
+        found = self._bank.push((following[0]._inputs,), (sample.outputs,), (sample.seen,), rows)
         for each, taken in zip(following, found, strict=True):
-            each._input = sample.input
+            each._inputs = sample.inputs
             if not taken:
                 each.restart()
                 each.push(sample)
@@ -209,10 +210,10 @@ class Outlook:
     leads: tuple[int, ...]
     """Leads at which the widths are known, samples, shape (L,)."""
     widths: FloatArray
-    """Half widths of the band there, in standard deviations, for output and, in closed loop, input; shape
+    """Half widths of the band there, in standard deviations, for outputs and, in closed loop, inputs; shape
     (signals, L)."""
-    visited: tuple[float, float]
-    """Lowest and highest output so far."""
+    visited: Visited
+    """Lowest and highest value of each output so far."""
     notes: tuple[str, ...] = ()
     """Reservations that apply to every forecast made now."""
 
@@ -223,19 +224,20 @@ class Outlook:
 
     @property
     def standing(self) -> float:
-        """The newest set-point, or the newest input if the loop is not known."""
+        """The newest set-point of a single loop, or the newest input if it is not known."""
         return self.sample.reference if self.closed else self.sample.input
 
     @property
     def signal(self) -> Output | Drive:
-        """The plant's output, or its drive if the loop is not known, which declares their range."""
+        """The plant's only output, or its only drive if the loop is not known, which declares their range."""
         plant = self.parameters.model.plant
         return plant.output if self.closed else plant.drive
 
     def predicted(
         self, ahead: ArrayLike, disturbances: ArrayLike | None = None, *, banded: bool = True
     ) -> LoopForecast:
-        """Mean and, if `banded`, variance of the next N samples under these set-points or inputs, shape (N,).
+        """Mean and, if `banded`, variance of the next N samples under these set-points or inputs, shape (N,)
+        or (N, r).
 
         Disturbances stay constant unless they are given, from the newest sample on, shape (N + 1, d).
         """
@@ -251,7 +253,7 @@ class Outlook:
             states=self.states,
             covariance=self.covariance,
             unsure=self.unsure,
-            input=self.sample.input,
+            input=self.sample.inputs,
             drift=drift_of(self.parameters.model),
             controller=self.controller,
             period=self.period,
@@ -259,35 +261,37 @@ class Outlook:
         )
 
     def deviations(self, predicted: LoopForecast) -> FloatArray:
-        """Standard deviations of output and input expected by the twin, shape (2, N)."""
-        least = (_LEAST * self.parameters.model.plant.drive.noise) ** 2
-        deviations: FloatArray = np.sqrt(predicted.variances + np.array([[0.0], [least]]))
+        """Standard deviations of outputs and inputs expected by the twin, shape (o + m, N)."""
+        plant = self.parameters.model.plant
+        least = [0.0] * len(plant.outputs) + [(_LEAST * drive.noise) ** 2 for drive in plant.drives.values()]
+        deviations: FloatArray = np.sqrt(predicted.variances + np.array(least)[:, None])
         return deviations
 
     def forecast(self, ahead: ArrayLike, disturbances: ArrayLike | None = None) -> Forecast:
-        """Forecast under these set-points, or inputs if the loop is not known, shape (N,), from the next
-        sample on; disturbances as in `predicted`.
+        """Forecast under these set-points, or inputs if the loop is not known, shape (N,) or (N, r), from the
+        next sample on; disturbances as in `predicted`.
 
         Raises:
             ForecastError: there is no value, or one that is not finite.
         """
         values = np.array(ahead, dtype=np.float64)
-        if values.ndim != 1 or not values.size or not np.isfinite(values).all():
+        if values.ndim not in (1, 2) or not values.size or not np.isfinite(values).all():
             what = "set-points" if self.closed else "inputs"
             msg = f"forecast: the {what} ahead are not a list of finite numbers; give one for each sample"
             raise ForecastError(msg)
-        predicted = self.predicted(values, disturbances)
-        half = self.deviations(predicted)[: len(self.widths)] * self._widths(values.size)
-        y, u = predicted.means
+        predicted, size = self.predicted(values, disturbances), len(values)
+        half = self.deviations(predicted)[: len(self.widths)] * self._widths(size)
+        many = predicted.outputs.shape[1]
+        y, u = predicted.means[:many], predicted.means[many:]
         return Forecast(
             sample=self.sample.index,
             candidate=self.candidate,
             structure=self.parameters.model.structure_name,
             confidence=CONFIDENCE,
-            time=np.arange(1, values.size + 1, dtype=np.float64) * self.period,
-            reference=values if self.closed else np.full(values.size, np.nan),
-            output=Band(y, y - half[0], y + half[0]),
-            input=self._input_band(u, half[1:]),
+            time=np.arange(1, size + 1, dtype=np.float64) * self.period,
+            references=values if self.closed else np.full((size, many), np.nan),
+            outputs=tuple(Band(mean, mean - by, mean + by) for mean, by in zip(y, half, strict=False)),
+            inputs=self._input_bands(u, half[many:]),
             notes=self.notes + self._assumptions(values, disturbances) + self._unvisited(y),
         )
 
@@ -295,8 +299,9 @@ class Outlook:
         """Notes on assumptions: given inputs, and constant disturbances."""
         plant, notes = self.parameters.model.plant, []
         if not self.closed:
-            stays = bool((ahead == self.sample.input).all())
-            level = f"{self.sample.input:g} {plant.drive.unit}".rstrip()
+            stays = bool((ahead.reshape(len(ahead), -1) == self.sample.inputs).all())
+            drives = zip(self.sample.inputs, plant.drives.values(), strict=True)
+            level = " and ".join(f"{u:g} {drive.unit}".rstrip() for u, drive in drives)
             what = f"a constant input of {level}" if stays else "the given inputs"
             notes.append(f"the loop is not known: the forecast is for {what}")
         if self.sample.disturbances and disturbances is None:
@@ -304,29 +309,35 @@ class Outlook:
             notes.append(f"the forecast assumes that the measured disturbances ({names}) stay constant")
         return tuple(notes)
 
-    def _input_band(self, mean: FloatArray, half: FloatArray) -> Band:
-        """Band of the controller's commands; given inputs have no uncertainty."""
+    def _input_bands(self, means: FloatArray, halves: FloatArray) -> tuple[Band, ...]:
+        """Bands of the controller's commands; given inputs have no uncertainty."""
         if self.gains is None:
-            return Band(mean, mean, mean)
-        limits = self.parameters.model.plant.drive.limits
-        law = self.gains.law
-        low, high = max(float(law[LOW]), limits[0]), min(float(law[HIGH]), limits[1])
-        return Band(mean, np.clip(mean - half[0], low, high), np.clip(mean + half[0], low, high))
+            return tuple(Band(mean, mean, mean) for mean in means)
+        found, law, drives = [], self.gains.law, self.parameters.model.plant.drives.values()
+        for k, (mean, half, drive) in enumerate(zip(means, halves, drives, strict=True)):
+            low = max(float(law[LOW + k]), drive.limits[0])
+            high = min(float(law[LOW + len(means) + k]), drive.limits[1])
+            found.append(Band(mean, np.clip(mean - half, low, high), np.clip(mean + half, low, high)))
+        return tuple(found)
 
     def _widths(self, samples: int) -> FloatArray:
         ahead, knots = np.log(np.arange(1, samples + 1)), np.log(np.array(self.leads, dtype=np.float64))
         return np.stack([np.interp(ahead, knots, row) for row in self.widths])
 
-    def _unvisited(self, output: FloatArray) -> tuple[str, ...]:
-        """A note if the forecast leaves the visited range."""
-        plant = self.parameters.model.plant
-        room, unit = _MARGIN * plant.output.noise, plant.output.unit
-        low, high = self.visited[0] - room, self.visited[1] + room
-        reach = float(output.min()), float(output.max())
-        if low <= reach[0] and reach[1] <= high:
-            return ()
-        span = f"{self.visited[0]:.4g} to {self.visited[1]:.4g} {unit}"
-        went = f"{reach[0]:.4g} to {reach[1]:.4g} {unit}"
-        return (
-            f"the forecast covers {went}, but only {span} was visited: beyond that the band may not hold",
-        )
+    def _unvisited(self, outputs: FloatArray) -> tuple[str, ...]:
+        """A note for each output whose forecast leaves the visited range."""
+        notes = []
+        declared = self.parameters.model.plant.outputs
+        for y, values, visited in zip(declared.values(), outputs, self.visited, strict=True):
+            room = _MARGIN * y.noise
+            reach = float(values.min()), float(values.max())
+            if visited[0] - room <= reach[0] and reach[1] <= visited[1] + room:
+                continue
+            of = f" of {y.name}" if len(declared) > 1 else ""
+            span = f"{visited[0]:.4g} to {visited[1]:.4g} {y.unit}"
+            went = f"{reach[0]:.4g} to {reach[1]:.4g} {y.unit}"
+            notes.append(
+                f"the forecast{of} covers {went}, but only {span} was visited: "
+                "beyond that the band may not hold"
+            )
+        return tuple(notes)

@@ -70,7 +70,7 @@ class Calibration:
             leads: leads at which quotients are learned, samples, shape (L,).
             kept: factor on past weights per forecast.
             recent: the same in the local scale, which follows the newest forecasts.
-            signals: number of forecast signals: output and input, or only the output if inputs are given.
+            signals: number of forecast signals: outputs and inputs, or only the outputs if inputs are given.
             stride: samples between two forecasts.
         """
         self.leads, self._kept, self._recent, self._signals = leads, kept, recent, np.arange(signals)
@@ -83,6 +83,11 @@ class Calibration:
         self._counts = np.zeros(len(leads))  # sums of their weights
         self._quantiles = np.zeros((signals, len(leads)))
         self._stale = set(range(len(leads)))
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """That of the widths: (signals, L)."""
+        return self._signals.size, len(self.leads)
 
     def copy(self) -> Calibration:
         """An independent copy."""
@@ -151,7 +156,7 @@ class Ledger:
 
         Args:
             horizons: number of horizons H.
-            noise: noise of the forecast signals, shape (signals,): output and input, or only the output if
+            noise: noise of the forecast signals, shape (signals,): outputs and inputs, or only the outputs if
                 inputs are given.
             kept: factor on past weights per forecast; below 1, the past is forgotten slowly.
         """

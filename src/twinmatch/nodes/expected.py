@@ -124,9 +124,16 @@ def _check_state(message: Any) -> None:
 
 def _check_forecast(message: Any) -> None:
     bands = [f"{name}{edge}" for name in ("output", "input") for edge in ("", "_low", "_high")]
-    _sized(message, len(message.time), "reference", *bands, of="its times")
-    if not len(message.time):
+    size = len(message.time)
+    if not size:
         raise MessageError("time is empty; a forecast has at least one")
+    for name in ("reference", "output", "input"):
+        values = len(getattr(message, name))
+        if not values or values % size:
+            raise MessageError(f"{name} has {values} values for its times; expected {size}, or that of each")
+    for name in bands:
+        values = len(getattr(message, name.split("_", maxsplit=1)[0]))
+        _sized(message, values, name, of="its means")
     _rising(message, "time")
     _finite(message, "reference", *bands)
     _within(message, 0.0, 1.0, "confidence", absent=False)

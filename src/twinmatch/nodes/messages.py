@@ -21,7 +21,7 @@ from twinmatch.description import Description, Quantity
 from twinmatch.dynamics import Parameters, PlantError
 from twinmatch.forecasting import Band, Forecast, Question, WhatIfResult
 from twinmatch.record import fill, object_of, parameters_of, parameters_tree, tree_of, tree_of_message
-from twinmatch.signals import FloatArray, Sample, SignalError, Window, incomplete
+from twinmatch.signals import Sample, SignalError, Window, incomplete
 from twinmatch.twin import MatchReport, MatchRequest, MirrorState
 from twinmatch_msgs import msg as messages
 from twinmatch_msgs import srv as services
@@ -229,6 +229,10 @@ def shown_samples(period: float, horizons: tuple[int, ...]) -> tuple[int, ...]:
     return tuple(sorted({*horizons, *(ahead for ahead in between if 1 <= ahead <= longest)}))
 
 
+_EDGES: Final = {"": "mean", "_low": "low", "_high": "high"}
+"""Parts of a band by the endings of their fields."""
+
+
 def forecast_message(
     forecast: Forecast, stamp: int, samples: tuple[int, ...] | None = None
 ) -> messages.Forecast:
@@ -240,9 +244,10 @@ def forecast_message(
         samples: how many samples ahead are written, from 1; None: all.
     """
     rows = slice(None) if samples is None else np.array(samples) - 1
-    columns: dict[str, FloatArray] = {"time": forecast.time, "reference": forecast.reference}
-    for name, band in (("output", forecast.output), ("input", forecast.input)):
-        columns |= {name: band.mean, f"{name}_low": band.low, f"{name}_high": band.high}
+    columns = {"time": forecast.time, "reference": forecast.references}
+    for name, bands in (("output", forecast.outputs), ("input", forecast.inputs)):
+        for edge, of in _EDGES.items():
+            columns[f"{name}{edge}"] = np.stack([getattr(band, of) for band in bands], axis=1)
     message = messages.Forecast(
         sample=forecast.sample,
         candidate=forecast.candidate,
@@ -256,8 +261,9 @@ def forecast_message(
 
 def forecast_from(message: messages.Forecast) -> Forecast:
     """A forecast from `Forecast`."""
-    output, entry = (
-        Band(*(np.array(getattr(message, f"{name}{edge}")) for edge in ("", "_low", "_high")))
+    size = len(message.time)
+    outputs, inputs = (
+        [np.array(getattr(message, f"{name}{edge}")).reshape(size, -1).T for edge in _EDGES]
         for name in ("output", "input")
     )
     return Forecast(
@@ -266,9 +272,9 @@ def forecast_from(message: messages.Forecast) -> Forecast:
         structure=message.structure,
         confidence=message.confidence,
         time=np.array(message.time),
-        reference=np.array(message.reference),
-        output=output,
-        input=entry,
+        references=np.array(message.reference),
+        outputs=tuple(map(Band, *outputs)),
+        inputs=tuple(map(Band, *inputs)),
         notes=tuple(message.notes),
     )
 

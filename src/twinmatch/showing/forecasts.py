@@ -122,7 +122,7 @@ def _parts(forecast: Forecast) -> list[Forecast]:
     def part(of: slice) -> Forecast:
         output, entry = (Band(b.mean[of], b.low[of], b.high[of]) for b in (forecast.output, forecast.input))
         time, levels = forecast.time[of], forecast.reference[of]
-        return replace(forecast, time=time, reference=levels, output=output, input=entry)
+        return replace(forecast, time=time, references=levels, outputs=(output,), inputs=(entry,))
 
     return [part(slice(*pair)) for pair in pairwise(ends)]
 

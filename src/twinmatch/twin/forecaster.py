@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from twinmatch.comparing import BASELINES, Candidate, ForecastScore, beaten_words
-from twinmatch.dynamics import Controller, Law, PlantError
+from twinmatch.dynamics import Controller, Law, Plant, PlantError
 from twinmatch.forecasting import (
     HORIZONS,
     Arx,
@@ -137,7 +137,6 @@ class Forecaster:
         """
         self.settings = settings or ForecastSettings()
         self._gains, self._spoilt = gains, spoilt
-        self._signals = 1 if gains is None else 2
         self.period = period = gains.period if gains is not None else period
         self.horizons = tuple(max(round(h / period), 1) for h in self.settings.horizons)
         self._longest = max(self.horizons)
@@ -152,7 +151,6 @@ class Forecaster:
         self._departures: dict[int, _Departure] = {}
         self._run_in = tuple(round(stretch * scale / period) for stretch in _RUN_IN)
         self._recent: deque[Sample] = deque(maxlen=max(self._longest + self._stride, *self._run_in) + 1)
-        self._visited = (np.inf, -np.inf)
         self._pid = None if gains is None else Controller(gains)
         self._followers = Followers()
         self._arx = Arx(gains, float(np.exp(-period / self.settings.memory)))
@@ -229,9 +227,8 @@ class Forecaster:
         if self._recent and sample.index != self._recent[-1].index + 1:
             self._restart()
         self._recent.append(sample)
-        self._visited = min(self._visited[0], sample.output), max(self._visited[1], sample.output)
         if self._pid is not None:
-            self._pid.follow(sample.reference, sample.output, sample.input)
+            self._pid.follow(sample.references, sample.outputs, sample.inputs)
         self._arx.push(sample)
         native = []
         for name, twin in list(self._twins.items()):
@@ -262,8 +259,7 @@ class Forecaster:
         """
         successors = successors or {}
         if self._ledger is None and candidates:
-            plant = candidates[0].parameters.model.plant
-            noise = np.array([plant.output.noise, plant.drive.noise])[: self._signals]
+            noise = forecast_noise(candidates[0].parameters.model.plant, self._gains)
             self._ledger = Ledger(len(self.horizons), noise, self._kept)
         twins = {}
         for candidate in candidates:
@@ -317,8 +313,8 @@ class Forecaster:
             gains=self._gains,
             period=self.period,
             leads=self._leads,
-            widths=twin.calibration.widths if banded else np.full((self._signals, len(self._leads)), np.nan),
-            visited=self._visited,
+            widths=twin.calibration.widths if banded else np.full(twin.calibration.shape, np.nan),
+            visited=self._arx.visited,
             notes=self.notes,
         )
 
@@ -343,11 +339,11 @@ class Forecaster:
                 raise
             return None
         newest_of = came[-samples:]
-        output, input_ = (np.array([getattr(s, name) for s in newest_of]) for name in ("output", "input"))
+        outputs, inputs = np.array([s.outputs for s in newest_of]), np.array([s.inputs for s in newest_of])
         seen = _seen(newest_of)
         if seen is not None and not seen.any():
             return None
-        return check_band(forecast, output, None if self._gains is None else input_, seen)
+        return check_band(forecast, outputs.T, None if self._gains is None else inputs.T, seen)
 
     @contextmanager
     def _removing_lost(self, name: str) -> Iterator[None]:
@@ -363,8 +359,9 @@ class Forecaster:
                 self._ledger.keep(self._twins)
 
     def _condition(self, came: Sequence[Sample]) -> FloatArray:
-        """The actual set-points, or the inputs if the loop is not known, as the forecast's condition."""
-        return np.array([s.input if self._gains is None else s.reference for s in came])
+        """The actual set-points, or the inputs if the loop is not known, as the forecast's condition, shape
+        (N, r)."""
+        return np.array([s.inputs if self._gains is None else s.references for s in came])
 
     def _restart(self) -> None:
         """Start over from readings after a gap; what was learned stays."""
@@ -380,7 +377,8 @@ class Forecaster:
             calibration = before.calibration.copy()
         else:
             newest = float(np.exp(-self._stride / self._longest))
-            calibration = Calibration(self._leads, self._kept, newest, self._signals, self._stride)
+            signals = forecast_noise(candidate.parameters.model.plant, self._gains).size
+            calibration = Calibration(self._leads, self._kept, newest, signals, self._stride)
         for stretch in self._run_in:
             recent = list(self._recent)[-stretch:]
             states = candidate.states_at(recent[0].index) if recent else None
@@ -402,12 +400,13 @@ class Forecaster:
         if ledger is None or self._spoilt(sample, sample + ahead):
             return
         past = list(self._recent)[-ahead - 1 :]
-        given, rows, signals = self._condition(past[1:]), _rows(past), self._signals
-        measured = np.array([[s.output for s in past[1:]], [s.input for s in past[1:]]])[:signals]
+        given, rows, signals = self._condition(past[1:]), _rows(past), ledger.noise.size
+        whole = np.ascontiguousarray(np.array([(*s.outputs, *s.inputs) for s in past]).T)
+        last, measured = whole[:signals, :1], np.ascontiguousarray(whole[:signals, 1:])
         before, seen = max((h for h in self.horizons if h < ahead), default=0), _seen(past[1:])
         if seen is not None and not seen[before:].any():
             return
-        last, leader = np.array([[past[0].output], [past[0].input]])[:signals], departure.snapshot.leader
+        leader = departure.snapshot.leader
         baselines = [measured - last, measured - departure.arx.forecast(given, rows)[:signals]]
         off: dict[str, FloatArray] = {}
         skipped = sample // self._stride % _OTHERS_EVERY
@@ -430,6 +429,13 @@ class Forecaster:
             noise = ledger.noise[:, None]
             paths = {n: float(np.sqrt(np.mean(np.square(o[:, kept] / noise)))) for n, o in off.items()}
             self._leader_confidence.add(paths[leader], min(paths.values()))
+
+
+def forecast_noise(plant: type[Plant], gains: Law | None) -> FloatArray:
+    """Noise of the forecast signals: of all outputs and, where the loop is known, of all inputs; shape
+    (signals,)."""
+    drives = [] if gains is None else [drive.noise for drive in plant.drives.values()]
+    return np.array([*(output.noise for output in plant.outputs.values()), *drives])
 
 
 def _totals(gains: FloatArray) -> FloatArray:

@@ -7,7 +7,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from twinmatch.comparing import TrustLevel
-from twinmatch.forecasting import Forecast
+from twinmatch.forecasting import Band, Forecast
 from twinmatch.signals import BoolArray, FloatArray
 
 _NEIGHBOURS: Final = 10.0
@@ -20,7 +20,10 @@ _DOUBT: Final = 0.5
 
 
 class BandCheck(NamedTuple):
-    """How readings lie in the band forecast for them; the fields are those of a verdict."""
+    """How readings lie in the band forecast for them; the fields are those of a verdict.
+
+    Of several outputs, or inputs, the worst counts.
+    """
 
     miss_y: float = float("nan")
     """RMS of measured minus forecast output, in half widths of its band: 0.6 is usual."""
@@ -37,25 +40,30 @@ class BandCheck(NamedTuple):
 
 
 def check_band(
-    forecast: Forecast, output: FloatArray, input: FloatArray | None, seen: BoolArray | None = None
+    forecast: Forecast, outputs: FloatArray, inputs: FloatArray | None, seen: BoolArray | None = None
 ) -> BandCheck:
-    """Compare the last N samples with a forecast, shape (N,) each; `input` is None where it was given.
+    """Compare the last N samples, shape (o, N) and (m, N), with a forecast; `inputs` is None where they were
+    given.
 
     Only those that were `seen` count; None: all.
     """
     figures: list[float] = []
-    signals = [(output, forecast.output)]
-    if input is not None:
-        signals.append((input, forecast.input))
-    for values, band in signals:
-        parts = (values, *(part[-values.size :] for part in (band.mean, band.low, band.high)))
-        came, mean, low, high = parts if seen is None else (part[seen] for part in parts)
-        half = np.where(came > mean, high - mean, mean - low)
-        # At a limit of the controller a band has one side only.
-        half = np.maximum(half, 0.5 * (high - low))
-        figures.append(float(np.sqrt(np.mean(np.square((came - mean) / half)))))
-        figures.append(float(np.mean((low <= came) & (came <= high))))
+    for values, bands in ((outputs, forecast.outputs), (inputs, forecast.inputs)):
+        if values is not None:
+            each = [_misses(came, band, seen) for came, band in zip(values, bands, strict=True)]
+            figures += [max(miss for miss, _ in each), min(inside for _, inside in each)]
     return BandCheck(*figures)
+
+
+def _misses(values: FloatArray, band: Band, seen: BoolArray | None) -> tuple[float, float]:
+    """RMS of one signal's last samples in half widths of its band, and their share within it."""
+    parts = (values, *(part[-values.size :] for part in (band.mean, band.low, band.high)))
+    came, mean, low, high = parts if seen is None else (part[seen] for part in parts)
+    half = np.where(came > mean, high - mean, mean - low)
+    # At a limit of the controller a band has one side only.
+    half = np.maximum(half, 0.5 * (high - low))
+    miss = float(np.sqrt(np.mean(np.square((came - mean) / half))))
+    return miss, float(np.mean((low <= came) & (came <= high)))
 
 
 class BandHistory:

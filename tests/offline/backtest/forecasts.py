@@ -25,9 +25,9 @@ def forecast_of(
         structure="",
         confidence=CONFIDENCE,
         time=np.arange(1.0, y.size + 1.0),
-        reference=np.zeros(y.size),
-        output=Band(y, y - half[0], y + half[0]),
-        input=Band(u, u - half[1], u + half[1]),
+        references=np.zeros(y.size),
+        outputs=(Band(y, y - half[0], y + half[0]),),
+        inputs=(Band(u, u - half[1], u + half[1]),),
     )
 
 

@@ -180,7 +180,7 @@ def test_any_number_of_candidates_with_long_names_has_room_in_the_matrix(judged:
 def forecast(sample: int) -> Forecast:
     time = np.array([1.0, 10.0, 60.0, 75.0, 90.0, 300.0])
     level = 40.0 + time / 100
-    bands = [Band(level, level - 1.0, level + 1.0), Band(time, time - 9.0, time + 9.0)]
+    bands = [(Band(level, level - 1.0, level + 1.0),), (Band(time, time - 9.0, time + 9.0),)]
     return Forecast(sample, "50 °C", "held sink", 0.9, time, np.full(time.size, 50.0), *bands)
 
 

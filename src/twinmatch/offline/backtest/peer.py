@@ -68,9 +68,9 @@ class Peer(ABC):
             structure="",
             confidence=self._confidence,
             time=np.asarray(past.period * np.arange(1, values.size + 1), dtype=np.float64),
-            reference=np.full(values.size, np.nan) if entry is None else values,
-            output=output,
-            input=given,
+            references=np.full(values.size, np.nan) if entry is None else values,
+            outputs=(output,),
+            inputs=(given,),
         )
 
 

@@ -193,13 +193,13 @@ def with_constant_band(
     twin = response_on(parameters, past, gains)
     output = _around(forecast.output.mean, past.output[SKIPPED:] - twin.output, forecast.confidence)
     if gains is None:
-        return replace(forecast, output=output)
+        return replace(forecast, outputs=(output,))
     low, high = parameters.model.plant.drive.limits
     entry = _around(forecast.input.mean, past.input[SKIPPED:] - twin.input, forecast.confidence)
     return replace(
         forecast,
-        output=output,
-        input=Band(entry.mean, np.clip(entry.low, low, high), np.clip(entry.high, low, high)),
+        outputs=(output,),
+        inputs=(Band(entry.mean, np.clip(entry.low, low, high), np.clip(entry.high, low, high)),),
     )
 
 
