@@ -109,7 +109,7 @@ def test_each_output_has_a_band_of_its_own_that_holds() -> None:
     assert 0.75 < np.mean(inside) < 0.99
 
 
-def test_what_was_not_visited_is_told_of_each_output() -> None:
+def test_a_note_names_the_output_that_leaves_what_was_visited() -> None:
     outlook = list(judged()[1].values())[-1]
     notes = outlook.forecast(np.tile([100.0, 0.0], (150, 1))).notes
     assert any(note.startswith("the forecast of first covers") for note in notes)
