@@ -245,7 +245,7 @@ def test_state(state: MirrorState) -> None:
     """Every figure of the mirror is in the message under its own name."""
     message = there_and_back(state_message(state, "50 °C", NAMES))
     assert (message.index, message.leader) == (state.sample.index, "50 °C")
-    assert repr(list(message.reference)) == repr([state.sample.reference])
+    assert repr(list(message.reference)) == repr(list(state.sample.references))
     for field in dataclasses.fields(state):
         value = getattr(state, field.name)
         if field.name.endswith("_states"):
