@@ -37,7 +37,7 @@ AHEAD, EVERY = 300, 20
 AT = (10, 60, 300)
 SETTINGS = TwinSettings()
 NOISE = np.array([[SETTINGS.noise.output], [SETTINGS.noise.input]])
-BACKTESTED = Choices(every=180.0)
+BACKTESTED = Choices(every=300.0)
 
 
 @dataclass
