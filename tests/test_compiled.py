@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import os
 import shutil
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+
+from tests.support.processes import Process
 
 OURS = "from twinmatch.compiled import compiled"
 NUMBAS = "import numba\ncompiled = numba.njit(cache=True)"
@@ -60,20 +61,26 @@ def change(file: Path, old: str, new: str) -> None:
     file.write_text(text.replace(old, new))
 
 
+START = """
+import runpy, sys, warnings
+warnings.simplefilter("error")
+sys.dont_write_bytecode = True
+sys.path.insert(0, {folder!r})
+runpy.run_path({entry!r}, run_name="__main__")
+"""
+
+
 def run(folder: Path, home: Path | None = None) -> str:
     """What the entry of a new process gives, and whether it had to be compiled."""
     keep = {k: v for k, v in os.environ.items() if not k.startswith("NUMBA")}
     keep |= {"HOME": str(home or folder), "XDG_CACHE_HOME": str((home or folder) / "cache")}
-    done = subprocess.run(
-        [sys.executable, "-W", "error", "-B", "entry.py"],
-        cwd=folder,
-        env=keep | {"PYTHONPATH": str(folder)},
-        capture_output=True,
-        text=True,
-        check=False,
+    start = folder / "start.py"
+    start.write_text(START.format(folder=str(folder), entry=str(folder / "entry.py")))
+    process = Process(
+        *(sys.executable, start), output=folder / "said.txt", environment=keep, folder=folder, forked=True
     )
-    assert done.returncode == 0, done.stderr
-    return done.stdout.strip()
+    assert process.wait() == 0, process.text
+    return process.text.strip()
 
 
 def test_numba_alone_runs_old_mathematics(tmp_path: Path) -> None:

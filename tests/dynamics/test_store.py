@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import os
 import re
-import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
 from tests.support.plants import Box, Lag, Motor
+from tests.support.processes import Process, Processes
 from twinmatch.dynamics.prepare import prepare
 
 SOURCE = Path(__file__).resolve().parents[2] / "src" / "twinmatch"
-Start = Callable[..., subprocess.Popen[str]]
+Start = Callable[..., Process]
 
 PLANT = """
 from twinmatch.dynamics import Drive, Equations, Output, Parameter, Plant, State, Structure
@@ -32,6 +32,8 @@ class Tank(Plant, name="tank"):
                          start={self.height: self.level})
 """
 RUN = """
+import sys
+sys.path.insert(0, "")
 from twinmatch.dynamics import advance, begin
 from tank import Tank
 
@@ -41,62 +43,52 @@ print(advance(tank, begin(tank, 1.0), 1.0, 1.0)[0])
 
 
 @pytest.fixture
-def start(tmp_path: Path) -> Start:
+def start(tmp_path: Path) -> Iterator[Start]:
     """Start a program beside the plant file, with an empty cache that nobody else has."""
     (tmp_path / "tank.py").write_text(PLANT)
-    environment = {**os.environ, "TWINMATCH_CACHE": str(tmp_path / "cache"), "PYTHONPATH": str(tmp_path)}
-
-    def begin(program: str = RUN) -> subprocess.Popen[str]:
-        return subprocess.Popen(
-            [sys.executable, "-c", program],
-            cwd=tmp_path,
-            env=environment,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-
-    return begin
+    (tmp_path / "run.py").write_text(RUN)
+    environment = {**os.environ, "TWINMATCH_CACHE": str(tmp_path / "cache"), "PYTHONDONTWRITEBYTECODE": "1"}
+    processes = Processes(tmp_path / "output", environment)
+    yield lambda: processes.start(sys.executable, tmp_path / "run.py", folder=tmp_path, forked=True)
+    processes.end()
 
 
-def ended(process: subprocess.Popen[str]) -> tuple[str, str]:
-    out, said = process.communicate(timeout=240)
-    assert process.returncode == 0, said
-    return out.strip(), said
+def ended(process: Process) -> str:
+    """All that it has said."""
+    assert process.wait() == 0, process.text
+    return process.text.strip()
 
 
 def test_a_second_use_takes_what_the_first_has_compiled(start: Start, tmp_path: Path) -> None:
-    out, _ = ended(start())
+    out = ended(start())
     assert float(out) == pytest.approx(1.5)
     (kept,) = (tmp_path / "cache").iterdir()
     before = kept.stat()
-    assert ended(start()) == (out, "")
+    assert ended(start()) == out
     assert [kept] == list((tmp_path / "cache").iterdir())
     assert kept.stat().st_mtime_ns == before.st_mtime_ns
 
 
 def test_a_damaged_file_is_compiled_again(start: Start, tmp_path: Path) -> None:
-    out, _ = ended(start())
+    out = ended(start())
     (kept,) = (tmp_path / "cache").iterdir()
     whole = kept.read_bytes()
     for damaged in (b"", whole[: len(whole) // 2], whole[:-1], bytes(reversed(whole))):
         kept.write_bytes(damaged)
-        assert ended(start()) == (out, "")
+        assert ended(start()) == out
     assert kept.read_bytes() == whole
 
 
 def test_two_programs_may_come_at_once(start: Start, tmp_path: Path) -> None:
     first, second = start(), start()
-    assert float(ended(first)[0]) == float(ended(second)[0]) == pytest.approx(1.5)
+    assert float(ended(first)) == float(ended(second)) == pytest.approx(1.5)
     assert [path.suffix for path in (tmp_path / "cache").iterdir() if path.is_file()] == [".code"]
 
 
 def test_a_changed_plant_is_derived_again(start: Start, tmp_path: Path) -> None:
-    assert float(ended(start())[0]) == pytest.approx(1.5)
+    assert float(ended(start())) == pytest.approx(1.5)
     (tmp_path / "tank.py").write_text(PLANT.replace("self.inflow / self.area", "2 * self.inflow / self.area"))
-    out, said = ended(start())
-    assert float(out) == pytest.approx(2.0)
-    assert said == ""
+    assert float(ended(start())) == pytest.approx(2.0)
 
 
 def test_kernels_are_compiled_once_for_all_plants() -> None:
@@ -116,17 +108,11 @@ def test_kernels_are_compiled_once_for_all_plants() -> None:
 def test_a_folder_that_cannot_be_written_is_one_clear_line(tmp_path: Path) -> None:
     blocked = tmp_path / "file"
     blocked.write_text("not a folder")
-    done = subprocess.run(
-        [sys.executable, "-m", "twinmatch.cli", "prepare"],
-        env={**os.environ, "TWINMATCH_CACHE": str(blocked / "cache")},
-        capture_output=True,
-        text=True,
-        timeout=240,
-        check=False,
-    )
-    assert done.returncode == 2
-    assert done.stdout == ""
-    lines = done.stderr.splitlines()
+    environment = {**os.environ, "TWINMATCH_CACHE": str(blocked / "cache")}
+    words = (sys.executable, "-m", "twinmatch.cli", "prepare")
+    done = Process(*words, output=tmp_path / "said.txt", environment=environment, forked=True)
+    assert done.wait() == 2
+    lines = done.lines
     assert len(lines) == 1
     assert lines[0].startswith(f"twinmatch: {blocked / 'cache'}: cannot keep the compiled equations there")
     assert "TWINMATCH_CACHE" in lines[0]

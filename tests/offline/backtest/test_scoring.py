@@ -111,16 +111,6 @@ def test_interval_score_by_hand() -> None:
     np.testing.assert_allclose(score, [4.0, 14.0, 34.0], rtol=1e-12)
 
 
-@given(ends, values, confidences)
-def test_interval_score_is_that_of_scoringrules(
-    interval: list[float], came: list[float], confidence: float
-) -> None:
-    others = pytest.importorskip("scoringrules", reason="needs scoringrules, which needs Python 3.11")
-    x, (low, high) = np.array(came), (np.full(len(came), end) for end in interval)
-    theirs = others.interval_score(x, low, high, 1.0 - confidence)
-    np.testing.assert_allclose(interval_score(low, high, x, confidence), theirs, rtol=1e-9)
-
-
 @given(values, ends, confidences)
 def test_no_interval_costs_less_than_the_quantiles(
     came: list[float], interval: list[float], confidence: float
