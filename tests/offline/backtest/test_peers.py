@@ -240,7 +240,7 @@ def test_models_beat_persistence_on_a_recorded_hour(
     for k in range(1800, len(hour) - 301, 300):
         for one in peers(Peltier)[0]:
             forecast = one.forecast(hour.part(0, k), hour.reference[k + 1 : k + 301])
-            found = marks(forecast, hour.part(k + 1, k + 300), 300.0, Peltier)
+            (found,) = marks(forecast, hour.part(k + 1, k + 300), [300.0], Peltier)
             errors.setdefault(one.name, []).append(found.error)
     medians = {name: np.median(e) for name, e in errors.items()}
     assert all(m < 0.3 * medians["persistence"] for n, m in medians.items() if n != "persistence"), medians
@@ -310,7 +310,7 @@ def test_they_are_those_that_are_asked_and_nothing_is_said_of_the_input() -> Non
     u, y = second_order(260, 0.05, 3)
     past, came = Window(np.zeros(200), y[:200], u[:200]), Window(np.zeros(60), y[200:], u[200:], first=200)
     marked = [
-        Marked("s", 199, 30.0, p.name, marks(p.forecast(past, came.input), came, 30.0, Lag))
+        Marked("s", 199, 30.0, p.name, marks(p.forecast(past, came.input), came, [30.0], Lag)[0])
         for p in (OutputPersistence(Lag), InputArx(Lag))
     ]
     assert all(one.marks.input is None for one in marked)

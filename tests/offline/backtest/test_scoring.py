@@ -134,7 +134,7 @@ def test_marks_count_in_units_of_the_noise() -> None:
     """0.3 and 0.1 °C are 3 and 1 times the output's noise, 14 and 0 counts 2 and 0 times the input's."""
     forecast = forecast_of(9, [50.0, 50.0, 50.0], [20.0, 20.0, 20.0], half=(0.2, 7.0))
     came = Window([60.0] * 3, [50.3, 49.9, 80.0], [34.0, 20.0, 90.0], first=10)
-    found = marks(forecast, came, 2.0, Peltier)
+    (found,) = marks(forecast, came, [2.0], Peltier)
     assert found.output.rms == pytest.approx(np.sqrt(5.0))
     assert found.input.rms == pytest.approx(np.sqrt(2.0))
     assert found.error == pytest.approx(np.sqrt(3.5))
@@ -149,7 +149,7 @@ def test_marks_count_in_units_of_the_noise() -> None:
 def test_a_forecast_of_the_measurements_has_no_error(count: int, seed: int) -> None:
     random = np.random.default_rng(seed)
     y, u = random.normal(50.0, 20.0, count), random.uniform(-255.0, 255.0, count)
-    found = marks(forecast_of(0, y, u), Window(y, y, u, first=1), float(count), Peltier)
+    (found,) = marks(forecast_of(0, y, u), Window(y, y, u, first=1), [float(count)], Peltier)
     assert found.error == found.output.end == found.input.end == 0.0
     assert found.output.coverage == found.input.coverage == 1.0
 
@@ -157,9 +157,9 @@ def test_a_forecast_of_the_measurements_has_no_error(count: int, seed: int) -> N
 def test_samples_that_do_not_follow_the_forecast_are_refused() -> None:
     forecast = forecast_of(9, [50.0] * 5, [0.0] * 5)
     with pytest.raises(BacktestError, match="made at sample 9 cannot be scored from 12 on"):
-        marks(forecast, Window([50.0] * 5, [50.0] * 5, [0.0] * 5, first=12), 5.0, Peltier)
+        marks(forecast, Window([50.0] * 5, [50.0] * 5, [0.0] * 5, first=12), [5.0], Peltier)
     with pytest.raises(BacktestError, match="10 s needs 10 samples; only 5"):
-        marks(forecast, Window([50.0] * 20, [50.0] * 20, [0.0] * 20, first=10), 10.0, Peltier)
+        marks(forecast, Window([50.0] * 20, [50.0] * 20, [0.0] * 20, first=10), [10.0], Peltier)
 
 
 def test_horizons_in_samples() -> None:

@@ -17,7 +17,7 @@ the columns are ordered by lag, so that every lower order is a leading block of 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from scipy.special import ndtri
@@ -46,6 +46,11 @@ class Equation(NamedTuple):
     bic: float
     """Schwarz (1978), up to a constant: N ln V + m ln N with m coefficients."""
 
+    @property
+    def radius(self) -> float:
+        """Largest absolute root for given inputs; above 1 the forecast diverges."""
+        return float(np.abs(np.roots(np.append(1.0, -self.past[:, 0]))).max(initial=0.0))
+
 
 def equations(
     reference: FloatArray, output: FloatArray, entry: FloatArray, highest: int, *others: FloatArray
@@ -62,10 +67,9 @@ def equations(
     past = (output, entry, reference, *others)
     y, u, r = (signal[highest:] for signal in (output, entry, reference))
     lags, one = _lags(past, highest), np.ones(y.size)
-    plant, controller = np.column_stack([one, lags]), np.column_stack([one, r, y, lags])
     found = (
-        _nested(plant, y, highest, direct=0, signals=len(past)),
-        _nested(controller, u, highest, direct=2, signals=len(past)),
+        _nested([one, *lags], y, highest, direct=0, signals=len(past)),
+        _nested([one, r, y, *lags], u, highest, direct=2, signals=len(past)),
     )
     return list(zip(*found, strict=True))
 
@@ -76,21 +80,21 @@ def input_equations(
     """The equation of a plant whose loop is not known: y on the past of y, u and the disturbances; see
     `equations`."""
     past = (output, entry, *others)
-    columns = np.column_stack([np.ones(output.size - highest), _lags(past, highest)])
+    columns = [np.ones(output.size - highest), *_lags(past, highest)]
     return _nested(columns, output[highest:], highest, direct=0, signals=len(past))
 
 
-def _lags(signals: tuple[FloatArray, ...], highest: int) -> FloatArray:
-    """The signals' past, lag by lag, shape (N − highest, highest · signals)."""
+def _lags(signals: tuple[FloatArray, ...], highest: int) -> list[FloatArray]:
+    """The signals' past, lag by lag, highest · signals columns of shape (N − highest,)."""
     count = signals[0].size - highest
-    return np.column_stack([s[highest - lag :][:count] for lag in range(1, highest + 1) for s in signals])
+    return [s[highest - lag :][:count] for lag in range(1, highest + 1) for s in signals]
 
 
 def _nested(
-    columns: FloatArray, target: FloatArray, highest: int, direct: int, signals: int
+    columns: list[FloatArray], target: FloatArray, highest: int, direct: int, signals: int
 ) -> list[Equation]:
-    count = columns.shape[1]
-    held = np.vstack([np.column_stack([columns, target]), _RIDGE * np.eye(count, count + 1)])
+    count = len(columns)
+    held = np.vstack([np.column_stack([*columns, target]), _RIDGE * np.eye(count, count + 1)])
     factor = np.asarray(np.linalg.qr(held, mode="r"), dtype=np.float64)
     samples = max(target.size, 1)
     found = []
@@ -132,9 +136,17 @@ class _Loop(NamedTuple):
         return matrix
 
     @property
+    def bic(self) -> float:
+        """That of both equations."""
+        return self.plant.bic + self.controller.bic
+
+    @property
     def radius(self) -> float:
         """Largest absolute eigenvalue; above 1 the forecast diverges."""
         return float(np.max(np.abs(np.linalg.eigvals(self.transition))))
+
+
+_Model = TypeVar("_Model", Equation, _Loop)
 
 
 class LoopArx(Peer):
@@ -175,13 +187,10 @@ class LoopArx(Peer):
         return self._told(past, ahead, *bands)
 
 
-def _chosen(loops: list[_Loop]) -> _Loop:
-    """The stable loop of least BIC; if none is stable, the one that diverges most slowly."""
-    radii = [loop.radius for loop in loops]
-    stable = [loop for loop, radius in zip(loops, radii, strict=True) if radius < 1.0]
-    if not stable:
-        return loops[int(np.argmin(radii))]
-    return min(stable, key=lambda loop: loop.plant.bic + loop.controller.bic)
+def _chosen(found: list[_Model]) -> _Model:
+    """The stable model of least BIC; if none is stable, the one that diverges most slowly."""
+    stable = (model for model in sorted(found, key=lambda m: m.bic) if model.radius < 1.0)
+    return next(stable, None) or min(found, key=lambda m: m.radius)
 
 
 def _simulated(
@@ -285,20 +294,13 @@ class InputArx(Peer):
         later = (ahead - levels[1]) / self._plant.drive.noise
         others, n = with_disturbances(past, ahead.size, disturbances), len(past)
         highest = min(HIGHEST, n // PER_ORDER)
-        chosen = _chosen_equation(input_equations(y, u, highest, *(d[:n] for d in others.T)))
+        chosen = _chosen(input_equations(y, u, highest, *(d[:n] for d in others.T)))
         given = np.column_stack([np.concatenate([u, later]), others])
         mean = levels[0] + noise * _mean(chosen, y, given, ahead.size)
         reach = ndtri((1.0 + self._confidence) / 2.0) * noise * _spread(chosen, ahead.size)
         low, high = self._plant.output.span
         band = Band(np.clip(mean, low, high), mean - reach, mean + reach)
         return self._told(past, ahead, band)
-
-
-def _chosen_equation(found: list[Equation]) -> Equation:
-    """The stable equation of least BIC; if none is stable, the one that diverges most slowly."""
-    radii = [float(np.abs(np.roots(np.append(1.0, -e.past[:, 0]))).max(initial=0.0)) for e in found]
-    stable = [e for e, radius in zip(found, radii, strict=True) if radius < 1.0]
-    return min(stable, key=lambda e: e.bic) if stable else found[int(np.argmin(radii))]
 
 
 def _mean(equation: Equation, output: FloatArray, given: FloatArray, count: int) -> FloatArray:

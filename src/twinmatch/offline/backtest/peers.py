@@ -46,7 +46,8 @@ class Persistence(Peer):
         longest = min(count, signals.shape[1] - _LEAST)
         lags = np.unique(np.geomspace(1, longest, _LAGS).round().astype(np.int64))
         tails = ((1.0 - self._confidence) / 2.0, (1.0 + self._confidence) / 2.0)
-        ends = np.array([np.quantile(signals[:, lag:] - signals[:, :-lag], tails, axis=1) for lag in lags])
+        moved = (signals[:, lag:] - signals[:, :-lag] for lag in lags)
+        ends = np.array([np.quantile(m, tails, axis=1, overwrite_input=True) for m in moved])
         ahead = np.arange(1, count + 1)
         growth = np.sqrt(np.maximum(ahead / longest, 1.0))
         found = []

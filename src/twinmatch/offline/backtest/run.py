@@ -131,10 +131,10 @@ def mark(
 ) -> list[Marked]:
     """Score a forecast at every horizon for which all samples exist."""
     came = origin.came
+    over = [horizon for horizon in horizons if samples_within(horizon, came.period) <= origin.count]
     return [
-        Marked(session, origin.sample, horizon, who, marks(forecast, came, horizon, plant), candidate)
-        for horizon in horizons
-        if samples_within(horizon, came.period) <= origin.count
+        Marked(session, origin.sample, horizon, who, found, candidate)
+        for horizon, found in zip(over, marks(forecast, came, over, plant), strict=True)
     ]
 
 

@@ -97,41 +97,46 @@ def samples_within(horizon: float, period: float) -> int:
     return count
 
 
-def marks(forecast: Forecast, came: Window, horizon: float, plant: type[Plant]) -> Marks:
-    """Score the first `horizon` seconds of a forecast by the actual samples.
+def marks(forecast: Forecast, came: Window, horizons: Sequence[float], plant: type[Plant]) -> list[Marks]:
+    """Score a forecast by the actual samples, up to each horizon.
 
     Args:
         forecast: the forecast.
-        came: samples beginning with the one after `forecast.sample`; at least as many as the horizon has.
-        horizon: length of the path that is scored, s.
+        came: samples beginning with the one after `forecast.sample`; at least as many as a horizon has.
+        horizons: lengths of the paths that are scored, s.
         plant: declares the noise of output and input.
 
     Raises:
         BacktestError: the samples are not those of the forecast, or one of both is too short.
     """
-    count = samples_within(horizon, came.period)
     if came.first != forecast.sample + 1:
         msg = f"backtest: a forecast made at sample {forecast.sample} cannot be scored from {came.first} on"
         raise BacktestError(msg)
     held = min(len(came), forecast.output.mean.size, forecast.input.mean.size)
-    if held < count:
-        msg = f"backtest: a horizon of {horizon:g} s needs {count} samples; only {held} can be compared"
-        raise BacktestError(msg)
-    confidence = forecast.confidence
-    return Marks(
-        _signal(forecast.output, came.output, count, plant.output.noise, confidence),
-        _signal(forecast.input, came.input, count, plant.drive.noise, confidence)
-        if forecast.closed
-        else None,
-    )
+    counts = [samples_within(horizon, came.period) for horizon in horizons]
+    for horizon, count in zip(horizons, counts, strict=True):
+        if held < count:
+            msg = f"backtest: a horizon of {horizon:g} s needs {count} samples; only {held} can be compared"
+            raise BacktestError(msg)
+    outputs = _signal(forecast.output, came.output, counts, plant.output.noise, forecast.confidence)
+    if not forecast.closed:
+        return [Marks(output, None) for output in outputs]
+    inputs = _signal(forecast.input, came.input, counts, plant.drive.noise, forecast.confidence)
+    return list(map(Marks, outputs, inputs))
 
 
-def _signal(band: Band, came: FloatArray, count: int, noise: float, confidence: float) -> SignalMarks:
-    x, mean, low, high = (a[:count] / noise for a in (came, band.mean, band.low, band.high))
+def _signal(
+    band: Band, came: FloatArray, counts: Sequence[int], noise: float, confidence: float
+) -> list[SignalMarks]:
+    held = max(counts, default=0)
+    x, mean, low, high = (a[:held] / noise for a in (came, band.mean, band.low, band.high))
     error = x - mean
     inside, scores = (low <= x) & (x <= high), interval_score(low, high, x, confidence)
-    square, coverage, width, score = np.array([error**2, inside, high - low, scores]).mean(axis=1).tolist()
-    return SignalMarks(math.sqrt(square), float(error[-1]), coverage, width, score)
+    everything, found = np.array([error**2, inside, high - low, scores]), []
+    for count in counts:
+        square, coverage, width, score = everything[:, :count].mean(axis=1).tolist()
+        found.append(SignalMarks(math.sqrt(square), float(error[count - 1]), coverage, width, score))
+    return found
 
 
 HINDSIGHT = "best in hindsight"

@@ -121,7 +121,8 @@ def fill_matrix(axes: Axes, verdict: Verdict) -> None:
         red, green, blue, _ = image.cmap(image.norm(matrix[i, j]))
         dark = 0.299 * red + 0.587 * green + 0.114 * blue < 0.5
         font: dict[str, Any] = {"fontsize": 7 if small else 8, "color": "white" if dark else TEXT}
-        axes.text(j, i, f"{matrix[i, j]:.2f}", ha="center", va="center", **font)
+        number = axes.text(j, i, f"{matrix[i, j]:.2f}", ha="center", va="center", **font)
+        number.set_in_layout(False)  # it lies within its cell
     names = [c.name for c in verdict.candidates]
     rows = [f"{c.name}  Σ {c.nu_gap_sum:.2f}" for c in verdict.candidates]
     axes.set_xticks(range(len(names)), names, rotation=45 if len(names) > 4 else 0)
