@@ -13,6 +13,8 @@ import scipy.io
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.support import exchanging
+from tests.support.exchanging import Heaters
 from tests.support.plant_files import plant_file
 from tests.support.plants import Motor
 from tests.support.processes import run_twinmatch
@@ -23,8 +25,10 @@ from twinmatch.sessions import RecordingError, read_session, write_session
 from twinmatch.sessions.column_map import ColumnMap, Source, columns_of, parse_map, proposed, read_map
 from twinmatch.sessions.mapped import Mapped, map_samples, with_plant_names
 from twinmatch.sessions.metadata import PLANT
+from twinmatch.sessions.recording import EPOCH
 from twinmatch.sessions.tables import read_table
 from twinmatch.sessions.times import read_times
+from twinmatch.signals import Sample
 
 
 @pytest.fixture(scope="module")
@@ -44,6 +48,35 @@ MAP = ["time=t", "output=T1, T2", "heater=on; scale=100", "room=room"]
 
 def mapped(folder: Path, plant: type[Plant], text: str = CSV, entries: list[str] | None = None) -> Mapped:
     return map_samples(read_table(written(folder, text)), parse_map(entries or MAP), plant)
+
+
+TWO = "s,T1,T2,Q1,Q2,SP1,SP2\n0,21,31,10,20,40,50\n2,22,32,11,20,40,50\n4,23,33,12,20,45,55\n"
+OF_TWO = ["time=s; unit=s", "first=T1", "second=T2", "first_power=Q1", "second_power=Q2"]
+
+
+def test_a_table_of_several_signals_is_imported(tmp_path: Path) -> None:
+    closed = [*OF_TWO, "first_reference=SP1", "second_reference=SP2"]
+    found = mapped(tmp_path, Heaters, TWO, closed)
+    assert found.has_reference
+    assert found.samples[2] == Sample(2, EPOCH + 4 * 10**9, (45.0, 55.0), (23.0, 33.0), (12.0, 20.0))
+    driven = mapped(tmp_path, Heaters, TWO, OF_TWO)
+    assert not driven.has_reference
+    assert {s.references for s in driven.samples} == {(21.0, 31.0)}
+    with pytest.raises(RecordingError, match="first_reference is given, but not second_reference; give all"):
+        mapped(tmp_path, Heaters, TWO, closed[:-1])
+    with pytest.raises(RecordingError, match="no column is mapped to second and none to second_power"):
+        mapped(tmp_path, Heaters, TWO, [OF_TWO[0], OF_TWO[1], OF_TWO[3]])
+    with pytest.raises(
+        RecordingError, match=r"first_power is 300 % \(and in 2 more\), beyond the limits of its"
+    ):
+        mapped(tmp_path, Heaters, TWO, [*OF_TWO[:3], "first_power=Q1; offset=290", OF_TWO[4]])
+    plant, session = Path(exchanging.__file__), tmp_path / "two"
+    made = run_twinmatch("import", written(tmp_path, TWO), "--plant", plant, "--map", *closed, "-o", session)
+    assert made.returncode == 0, made.stderr
+    assert read_session(session).samples == found.samples
+    judged = run_twinmatch("replay", session, "--plant", plant)
+    assert judged.returncode == 2
+    assert "heaters: it has 2 outputs (first, second); this is for plants with one input" in judged.stderr
 
 
 def test_means_switches_and_disturbances_are_taken_as_the_map_says(

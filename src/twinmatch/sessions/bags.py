@@ -264,7 +264,9 @@ def map_bag(
 
     Raises:
         RecordingError: as `open_bag`, `Bag.series` and `map_samples`; a signal that is not mapped.
+        PlantError: the plant has several outputs or inputs.
     """
+    _ = plant.output, plant.drive  # the rows are those of the only output
     sources = by_signal(plant, given.sources)
     if TIME in sources:
         raise RecordingError("--map time: a bag has the times of its messages; leave it out")

@@ -15,7 +15,8 @@ or as YAML, which may also give the plant and the sampling period:
       room: {column: t1, scale: 0.1, offset: -40}
 
 A signal is scale · column + offset, converted from the given unit (by default the one in the column's title)
-to the plant's. Several columns give their mean.
+to the plant's. Several columns give their mean. The signals of a plant with several outputs or inputs have
+the names in its file, and the set-point of an output `y` is `y_reference`.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Final, NamedTuple
 
@@ -18,7 +18,7 @@ from twinmatch.sessions.resampling import Gaps, Kind, Resampled, repeated, resam
 from twinmatch.sessions.sampler import INPUT, OUTPUT, REFERENCE
 from twinmatch.sessions.tables import Table, split_title
 from twinmatch.sessions.times import Times, read_times, row_times
-from twinmatch.signals import FloatArray, Sample
+from twinmatch.signals import FloatArray, Sample, Signals
 from twinmatch.units import Conversion, conversion, measure
 
 TIME: Final = "time"
@@ -36,7 +36,7 @@ class Mapped(NamedTuple):
     sources: Mapping[str, Source]
     """By signal, with the titles as in the table."""
     has_reference: bool
-    """Whether the table has set-points; without, every sample has the same meaningless reference."""
+    """Whether the table has set-points; without, every sample has the same meaningless references."""
     notes: list[str]
     """Sentences for the user."""
 
@@ -48,6 +48,25 @@ class PlantSignal(NamedTuple):
     unit: str
     low: float = -math.inf
     high: float = math.inf
+
+
+class LoopNames(NamedTuple):
+    """Names of a plant's signals in a map: `reference`, `output` and `input`, if there is one of each."""
+
+    references: tuple[str, ...]
+    outputs: tuple[str, ...]
+    inputs: tuple[str, ...]
+
+    @classmethod
+    def of(cls, plant: type[Plant]) -> LoopNames:
+        """Of several outputs or inputs, the names are those of the plant file; `y_reference` is the set-point
+        of an output y."""
+        outputs, inputs = tuple(plant.outputs), tuple(plant.drives)
+        return cls(
+            (REFERENCE,) if len(outputs) == 1 else tuple(f"{y}_{REFERENCE}" for y in outputs),
+            (OUTPUT,) if len(outputs) == 1 else outputs,
+            (INPUT,) if len(inputs) == 1 else inputs,
+        )
 
 
 def with_plant_names(table: Table, plant: type[Plant], given: ColumnMap) -> ColumnMap:
@@ -118,15 +137,18 @@ def map_samples(
     notes.insert(0, done.sentence[0].upper() + done.sentence[1:] + ".")
     start = EPOCH if times.origin is None else round((times.origin + float(done.time[0])) * 1e9)
     samples = _samples(plant, done, start)
-    return Mapped(samples, done.period, sources, REFERENCE in done.columns, notes)
+    has_reference = LoopNames.of(plant).references[0] in done.columns
+    return Mapped(samples, done.period, sources, has_reference, notes)
 
 
 def _names(plant: type[Plant]) -> dict[str, tuple[str, ...]]:
+    loop = LoopNames.of(plant)
+    more = ("setpoint", "set_point", "set-point") if loop.references == (REFERENCE,) else ()
     return {
         TIME: (TIME,),
-        OUTPUT: (OUTPUT, plant.output.name),
-        INPUT: (INPUT, plant.drive.name),
-        REFERENCE: (REFERENCE, "setpoint", "set_point", "set-point"),
+        **{signal: (signal, name) for signal, name in zip(loop.outputs, plant.outputs, strict=True)},
+        **{signal: (signal, name) for signal, name in zip(loop.inputs, plant.drives, strict=True)},
+        **{signal: (signal, *more) for signal in loop.references},
         **{name: (name,) for name in plant.disturbances},
     }
 
@@ -163,13 +185,13 @@ def _found(table: Table, source: Source) -> Source:
     return Source(tuple(map(table.find, columns)), source.unit, source.scale, source.offset)
 
 
-def require_columns(table: Table, given: ColumnMap) -> None:
-    """Check that a map has what every plant needs: output, input, and times or the distance of the rows.
+def require_columns(table: Table, given: ColumnMap, needed: Sequence[str] = (OUTPUT, INPUT)) -> None:
+    """Check that a map has these signals, and times or the distance of the rows.
 
     Raises:
         RecordingError: something is missing.
     """
-    missing = [signal for signal in (OUTPUT, INPUT) if signal not in given.sources]
+    missing = [signal for signal in needed if signal not in given.sources]
     missing = missing if given.period is not None or TIME in given.sources else [TIME, *missing]
     if missing:
         msg = (
@@ -181,12 +203,19 @@ def require_columns(table: Table, given: ColumnMap) -> None:
 
 
 def _wanted(table: Table, plant: type[Plant], given: ColumnMap) -> tuple[dict[str, PlantSignal], list[str]]:
-    require_columns(table, given)
-    sources = given.sources
-    y, u = plant.output, plant.drive
-    signals = {OUTPUT: PlantSignal("reading", y.unit, *y.span), INPUT: PlantSignal("held", u.unit, *u.limits)}
-    if REFERENCE in sources:
-        signals[REFERENCE] = PlantSignal("set", y.unit)
+    loop, sources = LoopNames.of(plant), given.sources
+    require_columns(table, given, (*loop.outputs, *loop.inputs))
+    outputs, signals = plant.outputs.values(), {}
+    for name, y in zip(loop.outputs, outputs, strict=True):
+        signals[name] = PlantSignal("reading", y.unit, *y.span)
+    for name, u in zip(loop.inputs, plant.drives.values(), strict=True):
+        signals[name] = PlantSignal("held", u.unit, *u.limits)
+    closed = [name for name in loop.references if name in sources]
+    if closed and len(closed) < len(loop.references):
+        left = next(name for name in loop.references if name not in sources)
+        raise RecordingError(f"--map: {closed[0]} is given, but not {left}; give all set-points, or none")
+    for name, y in zip(closed, outputs, strict=False):
+        signals[name] = PlantSignal("set", y.unit)
     notes = []
     for name, disturbance in plant.disturbances.items():
         if name in sources:
@@ -194,7 +223,7 @@ def _wanted(table: Table, plant: type[Plant], given: ColumnMap) -> tuple[dict[st
         else:
             value = f"{disturbance.default:g} {disturbance.unit}".strip()
             notes.append(f"{name} is not in the table: the plant's default, {value}, is used.")
-    if REFERENCE not in sources:
+    if not closed:
         notes.append(
             "The table has no set-point: the loop is treated as unknown, the twin is driven by the input."
         )
@@ -257,7 +286,7 @@ def check_range(
         return []
     first = int(outside[0])
     others = f" (and in {outside.size - 1} more)" if outside.size > 1 else ""
-    what = "limits of its drive" if signal == INPUT else "span of its output"
+    what = "limits of its drive" if known.kind == "held" else "span of its output"
     found = (
         f"{signal} is {values[first]:g} {known.unit}{others}, beyond the {what}, "
         f"{known.low:g} to {known.high:g}"
@@ -286,18 +315,18 @@ def _hint(signal: str, known: PlantSignal, values: FloatArray) -> str:
 
 
 def _samples(plant: type[Plant], done: Resampled, start: int) -> list[Sample]:
-    columns, size = done.columns, done.index.size
-    # Without set-points the twin is driven by the input and ignores the reference, which must be finite.
-    reference = columns.get(REFERENCE, np.full(size, columns[OUTPUT][0]))
-    rows = [columns.get(name, np.full(size, d.default)) for name, d in plant.disturbances.items()]
-    disturbances = np.array(rows).reshape(len(rows), size).T
+    columns, size, loop = done.columns, done.index.size, LoopNames.of(plant)
+    # Without set-points the twin is driven by the inputs and ignores the references, which must be finite.
+    usual = {name: columns[y][0] for name, y in zip(loop.references, loop.outputs, strict=True)}
+    usual |= {name: d.default for name, d in plant.disturbances.items()}
+
+    def rows(names: Sequence[str]) -> list[Signals]:
+        each = [columns[name] if name in columns else np.full(size, usual[name]) for name in names]
+        return list(map(tuple, np.array(each).reshape(len(each), size).T.tolist()))
+
     stamps = np.empty(size, dtype=np.int64)
     for stretch in done.stretches:
         begin = start + round(float(done.time[stretch.start] - done.time[0]) * 1e9)
         stamps[stretch] = [begin + round(k * done.period * 1e9) for k in range(stretch.stop - stretch.start)]
-    return [
-        Sample(int(index), int(stamp), float(r), float(y), float(u), tuple(map(float, d)))
-        for index, stamp, r, y, u, d in zip(
-            done.index, stamps, reference, columns[OUTPUT], columns[INPUT], disturbances, strict=True
-        )
-    ]
+    signals = [*map(rows, loop), rows(list(plant.disturbances))]
+    return [Sample(*row) for row in zip(done.index.tolist(), stamps.tolist(), *signals, strict=True)]

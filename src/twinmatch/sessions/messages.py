@@ -236,6 +236,11 @@ def plant_topics(output_units: Sequence[str], *, has_reference: bool) -> tuple[T
     return tuple(topic for topic, is_wanted in zip(PLANT_TOPICS, wanted, strict=True) if is_wanted)
 
 
+def topics_of(samples: Sequence[Sample]) -> tuple[Topic, ...]:
+    """All plant topics, if the samples are those of a single loop; otherwise the samples alone."""
+    return PLANT_TOPICS if samples[0].shape[:3] == (1, 1, 1) else (SAMPLE,)
+
+
 def plant_messages(samples: Iterable[Sample], topics: Collection[Topic] = PLANT_TOPICS) -> Iterator[Message]:
     """The messages that the plant publishes for these samples, in the order of a live loop.
 

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from twinmatch.sessions.files import ProgressCallback, SessionError
-from twinmatch.sessions.messages import PLANT_TOPICS, SAMPLE, Message, Topic, plant_messages
+from twinmatch.sessions.messages import SAMPLE, Message, Topic, plant_messages, topics_of
 from twinmatch.sessions.metadata import METADATA, distro_of, files_listed, mcap_files
 from twinmatch.sessions.reader import check_samples, gaps_of
 from twinmatch.sessions.scan import Scan
@@ -174,8 +174,7 @@ def write_session(
     check_samples(samples, f"session {target.name}")
     _check_gaps(samples, target, allowed=gaps)
     _check_target(target, overwrite)
-    if topics is None:
-        topics = PLANT_TOPICS if samples[0].shape[:3] == (1, 1, 1) else (SAMPLE,)
+    topics = topics_of(samples) if topics is None else topics
     what = "written"
     try:
         target.parent.mkdir(parents=True, exist_ok=True)

@@ -28,7 +28,7 @@ from twinmatch.plants.files import is_plant_file
 from twinmatch.sessions.files import ProgressCallback, RecordingError, SessionError, open_regular
 from twinmatch.sessions.mapped import TIME, PlantSignal, check_range
 from twinmatch.sessions.matlab import MAT_BEGINNING
-from twinmatch.sessions.messages import PLANT_TOPICS, SAMPLE, plant_messages
+from twinmatch.sessions.messages import SAMPLE, plant_messages, topics_of
 from twinmatch.sessions.reader import Session, read_session
 from twinmatch.sessions.recording import samples_of
 from twinmatch.sessions.resampling import period_of_ticks
@@ -175,18 +175,19 @@ def session_of(path: Path, samples: list[Sample], *, plant: str, has_reference: 
         plant: name of the plant.
         has_reference: whether the set-points are meaningful.
     """
-    counts = Counter(message.topic.name for message in plant_messages(samples))
+    topics = topics_of(samples)
+    counts = Counter(message.topic.name for message in plant_messages(samples, topics))
     return Session(
         name=path.stem,
         path=path,
         topic=SAMPLE.name,
         samples=samples,
-        topics=list(PLANT_TOPICS),
-        counts={topic.name: counts[topic.name] for topic in PLANT_TOPICS},
+        topics=list(topics),
+        counts={topic.name: counts[topic.name] for topic in topics},
         start=samples[0].stamp,
         end=samples[-1].stamp,
         notes=[],
-        source=lambda: plant_messages(samples),
+        source=lambda: plant_messages(samples, topics),
         plant=plant,
         has_reference=has_reference,
     )
