@@ -14,7 +14,7 @@ from twinmatch.fitting import match
 from twinmatch.forecasting import Outlook
 from twinmatch.sessions import samples_of
 from twinmatch.signals import Sample, SignalError, Window
-from twinmatch.twin import Forecaster, ForecastSettings
+from twinmatch.twin import Forecaster, ForecastSettings, Mirror
 
 TRUTH = Heaters.model().parameters(exchange=0.03, first_gain=0.012, loss=0.008)
 WRONG = TRUTH.replace(exchange=0.01, second_gain=0.014)
@@ -140,6 +140,20 @@ def test_a_loop_with_several_signals_is_forecast_with_its_commands() -> None:
     for band, low, high in zip(forecast.inputs, LAW.low, LAW.high, strict=True):
         assert (band.low >= low).all()
         assert (band.high <= high).all()
+
+
+def test_both_twins_run_beside_it() -> None:
+    """A plant that is the twin leaves nothing, in closed loop nor driven."""
+    steps = np.repeat([[45.0, 38.0], [55.0, 40.0]], 60, axis=0)
+    run = simulate_closed_loop(TRUTH, steps, states=begin(TRUTH, [40.0, 35.0]), gains=LAW)
+    mirror, other = Mirror(TRUTH, LAW), Mirror(WRONG, None, period=PERIOD)
+    for sample in samples_of(Window(steps, run.outputs, run.inputs, period=PERIOD)):
+        state, alone = mirror.push(sample), other.push(sample)
+        np.testing.assert_allclose(state.closed_output, sample.outputs, atol=1e-9)
+        np.testing.assert_allclose(state.closed_input, sample.inputs, atol=1e-9)
+        np.testing.assert_allclose(state.driven_residual_y, [0.0, 0.0], atol=1e-9)
+    assert np.isnan([*alone.closed_output, *alone.closed_rms_u]).all()
+    assert min(np.abs(alone.driven_rms_y)) > 0.1
 
 
 def test_lost_samples_of_several_signals_count_nowhere() -> None:

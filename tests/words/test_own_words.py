@@ -104,7 +104,7 @@ def test_a_page_uses_the_plants_words(shown: Shown) -> None:
     for sample in judged.samples:
         state.push_sample(sample, 0.0)
         twin = mirror.push(sample)
-        state.push_twin(sample.index, TwinRow(**{name: getattr(twin, name) for name in TwinRow._fields}))
+        state.push_twin(sample.index, TwinRow(**{name: getattr(twin, name)[0] for name in TwinRow._fields}))
     for verdict in judged.verdicts:
         state.push_verdict(verdict)
     update_sentence(state, judged.settings.gains)

@@ -190,9 +190,17 @@ def advance(
 
 def read(parameters: Parameters, states: FloatArray, disturbances: FloatArray | None = None) -> float:
     """The output y of a plant with one output, at some states, shape (n,)."""
+    return float(only("output", readings(parameters, states, disturbances)))
+
+
+def readings(
+    parameters: Parameters, states: FloatArray, disturbances: FloatArray | None = None
+) -> FloatArray:
+    """The outputs y, shape (o,), at some states, shape (n,)."""
     model = parameters.model
     row = model.disturbance_row(disturbances)
-    return float(only("output", model.kernels.outputs_at(parameters.vector, states, model.rest, row)[0]))
+    outputs: FloatArray = model.kernels.outputs_at(parameters.vector, states, model.rest, row)[0]
+    return outputs
 
 
 def quantities(

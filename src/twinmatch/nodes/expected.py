@@ -22,7 +22,7 @@ from twinmatch.comparing import ADMITTED, REFUSED
 from twinmatch.dynamics import Plant
 from twinmatch.nodes import messages as converted
 from twinmatch.nodes.fields import GREATEST_INDEX, Expected, MessageError, check_fields
-from twinmatch.nodes.messages import LOOP, SAMPLED, nanoseconds, one_of, sample_from
+from twinmatch.nodes.messages import LOOP, SAMPLED, nanoseconds, sample_from
 from twinmatch.signals import counted, incomplete
 from twinmatch.twin import MatchRequest
 from twinmatch_msgs import msg as ours
@@ -117,8 +117,12 @@ def _check_signals(message: Any, plant: type[Plant]) -> None:
 
 
 def _check_state(message: Any) -> None:
-    for name in ("reference", *converted.STATE_FIGURES):
-        one_of(message, name)
+    outputs, inputs = len(message.closed_output), len(message.closed_input)
+    if not (len(message.reference) and outputs and inputs):
+        raise MessageError("has no reference, no output or no input; a plant has at least one of each")
+    for name in converted.STATE_FIGURES:
+        size, of = (inputs, "its inputs") if name.endswith(("_input", "_u")) else (outputs, "its outputs")
+        _sized(message, size, name, of=of)
     _sized(message, len(message.driven_states), "closed_states", of="the states of the driven twin")
 
 

@@ -108,7 +108,7 @@ def state_message(state: MirrorState, leader: str, states: Iterable[str]) -> mes
         reference=list(state.sample.references),
         closed_states=[state.closed_states.get(name, math.nan) for name in order],
         driven_states=[state.driven_states.get(name, math.nan) for name in order],
-        **{name: [getattr(state, name)] for name in STATE_FIGURES},
+        **{name: list(getattr(state, name)) for name in STATE_FIGURES},
     )
     return stamped(message, state.sample.stamp)
 

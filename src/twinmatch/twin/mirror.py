@@ -22,13 +22,13 @@ from twinmatch.dynamics import (
     begin,
     begin_window,
     gains_for,
-    read,
+    readings,
     simulate_driven,
     simulate_window,
 )
 from twinmatch.fitting.problem import unknown_starts
 from twinmatch.forecasting import StateFilter
-from twinmatch.signals import FloatArray, Sample, Window, bridge, only
+from twinmatch.signals import FloatArray, Sample, Signals, Window, bridge
 
 _ESTIMATED_OVER: Final = 300.0
 """Newest stretch over which the states of a new structure are estimated, s, at a scale of 1."""
@@ -36,31 +36,31 @@ _ESTIMATED_OVER: Final = 300.0
 
 @dataclass(frozen=True)
 class MirrorState:
-    """Both twins at one tick, before the tick's input acts on them.
+    """Both twins at one tick, before the tick's inputs act on them; each signal as in `Sample`.
 
     Where the loop is not known there is only the driven twin; the values of the other are NaN.
     """
 
     sample: Sample
-    closed_output: float
-    """Output of the closed-loop twin, which follows the set-point with its own controller."""
-    closed_input: float
-    """Input from this controller."""
+    closed_output: Signals
+    """Outputs of the closed-loop twin, which follows the set-points with its own controller."""
+    closed_input: Signals
+    """Inputs from this controller."""
     closed_states: Mapping[str, float]
     """States of that twin by name, each in its unit."""
-    driven_output: float
-    """Output of the driven twin, which gets the plant's input."""
+    driven_output: Signals
+    """Outputs of the driven twin, which gets the plant's inputs."""
     driven_states: Mapping[str, float]
-    closed_residual_y: float
-    """Measured minus closed-loop output."""
-    closed_residual_u: float
-    """Measured minus closed-loop input."""
-    driven_residual_y: float
-    """Measured minus driven output."""
-    closed_rms_y: float
+    closed_residual_y: Signals
+    """Measured minus closed-loop outputs."""
+    closed_residual_u: Signals
+    """Measured minus closed-loop inputs."""
+    driven_residual_y: Signals
+    """Measured minus driven outputs."""
+    closed_rms_y: Signals
     """RMS of the residuals above over the newest samples, same units."""
-    closed_rms_u: float
-    driven_rms_y: float
+    closed_rms_u: Signals
+    driven_rms_y: Signals
 
 
 class Mirror:
@@ -99,7 +99,7 @@ class Mirror:
         self._parameters, self._gap = parameters, gap
         self._gains = gains_for(parameters.model.plant, period, gains)
         self._period = period if self._gains is None else self._gains.period
-        self._recent: deque[tuple[float, float, float]] = deque(maxlen=recent)
+        self._recent: deque[list[float]] = deque(maxlen=recent)
         self._samples: deque[Sample] = deque(maxlen=max(round(_ESTIMATED_OVER * scale / self._period), 1))
         self._previous: Sample | None = None
         self._started = 0
@@ -129,32 +129,32 @@ class Mirror:
             self._restart(sample)
         row = _disturbances(sample)
         state = self._open(sample, row) if self._pid is None else self._looped(sample, self._pid, row)
-        self._driven = advance(self._parameters, self._driven, sample.input, self._period, row)
+        self._driven = advance(self._parameters, self._driven, sample.inputs, self._period, row)
         self._previous = sample
         self._samples.append(sample)
         return state
 
     def _open(self, sample: Sample, row: FloatArray | None) -> MirrorState:
         """The driven twin alone."""
-        return self._observe(sample, float("nan"), float("nan"), row)
+        closed, commands = np.full(len(sample.outputs), np.nan), np.full(len(sample.inputs), np.nan)
+        return self._observe(sample, closed, commands, row)
 
     def _looped(self, sample: Sample, pid: Controller, row: FloatArray | None) -> MirrorState:
         """Both twins; advances the closed-loop one to the next tick."""
-        closed = read(self._parameters, self._closed, row)
+        closed = readings(self._parameters, self._closed, row)
         if self._started < 2:
             # The controller's state follows from two recorded samples; until then it is the plant's.
-            state = self._observe(sample, closed, sample.input, row)
-            pid.follow(sample.reference, sample.output, sample.input)
+            state = self._observe(sample, closed, np.array(sample.inputs), row)
+            pid.follow(sample.references, sample.outputs, sample.inputs)
             self._started += 1
         else:
-            u = float(only("input", pid.step(sample.reference, closed)))
-            state = self._observe(sample, closed, u, row)
+            state = self._observe(sample, closed, pid.step(sample.references, closed), row)
         self._closed = advance(self._parameters, self._closed, state.closed_input, self._period, row)
         return state
 
     def _restart(self, sample: Sample) -> None:
         row = _disturbances(sample)
-        start = begin(self._parameters, sample.output, input=sample.input, disturbances=row)
+        start = begin(self._parameters, sample.outputs, input=sample.inputs, disturbances=row)
         self._closed = start if self._gains is not None else np.full(start.size, np.nan)
         self._driven = start
         self._pid = None if self._gains is None else Controller(self._gains)
@@ -173,30 +173,32 @@ class Mirror:
         state_filter = StateFilter(new, self._period)
         state_filter.follow(self._samples)
         newest = self._samples[-1]
-        return advance(new, state_filter.states, newest.input, self._period, _disturbances(newest))
+        return advance(new, state_filter.states, newest.inputs, self._period, _disturbances(newest))
 
     def _observe(
-        self, sample: Sample, closed: float, closed_input: float, row: FloatArray | None
+        self, sample: Sample, closed: FloatArray, commands: FloatArray, row: FloatArray | None
     ) -> MirrorState:
-        driven = read(self._parameters, self._driven, row)
-        residual = (sample.output - closed, sample.input - closed_input, sample.output - driven)
+        driven = readings(self._parameters, self._driven, row)
+        y, u = np.array(sample.outputs), np.array(sample.inputs)
+        residual = [*(y - closed).tolist(), *(u - commands).tolist(), *(y - driven).tolist()]
         if sample.seen or not self._recent:
             self._recent.append(residual)
-        closed_rms_y, closed_rms_u, driven_rms_y = np.sqrt(np.mean(np.square(self._recent), axis=0)).tolist()
+        rms = np.sqrt(np.mean(np.square(self._recent), axis=0)).tolist()
+        of_y, of_u, of_driven = slice(y.size), slice(y.size, y.size + u.size), slice(y.size + u.size, None)
         names = self._parameters.model.states
         return MirrorState(
             sample=sample,
-            closed_output=closed,
-            closed_input=closed_input,
+            closed_output=tuple(closed.tolist()),
+            closed_input=tuple(commands.tolist()),
             closed_states=dict(zip(names, self._closed.tolist(), strict=True)),
-            driven_output=driven,
+            driven_output=tuple(driven.tolist()),
             driven_states=dict(zip(names, self._driven.tolist(), strict=True)),
-            closed_residual_y=residual[0],
-            closed_residual_u=residual[1],
-            driven_residual_y=residual[2],
-            closed_rms_y=closed_rms_y,
-            closed_rms_u=closed_rms_u,
-            driven_rms_y=driven_rms_y,
+            closed_residual_y=tuple(residual[of_y]),
+            closed_residual_u=tuple(residual[of_u]),
+            driven_residual_y=tuple(residual[of_driven]),
+            closed_rms_y=tuple(rms[of_y]),
+            closed_rms_u=tuple(rms[of_u]),
+            driven_rms_y=tuple(rms[of_driven]),
         )
 
 
