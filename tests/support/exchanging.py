@@ -19,7 +19,10 @@ class Heaters(Plant):
     exchange = Parameter(unit="1/s", default=0.02, bounds=(1e-3, 0.5), positive=True)
     first_gain = Parameter(unit="°C/s/%", default=0.015, bounds=(1e-3, 0.3), positive=True)
     second_gain = Parameter(unit="°C/s/%", default=0.01, bounds=(1e-3, 0.3), positive=True)
-    structures: ClassVar = {"all": Structure(free=("loss", "exchange", "first_gain", "second_gain"))}
+    structures: ClassVar = {
+        "all": Structure(free=("loss", "exchange", "first_gain", "second_gain")),
+        "apart": Structure(free=("loss", "first_gain", "second_gain"), fixed={"exchange": 1e-3}),
+    }
 
     def equations(self, parts: frozenset[str]) -> Equations:  # noqa: ARG002
         one, two = self.rates_of({name: getattr(self, name) for name in self.parameters})(

@@ -14,7 +14,7 @@ from twinmatch.fitting import match
 from twinmatch.forecasting import Outlook
 from twinmatch.sessions import samples_of
 from twinmatch.signals import Sample, SignalError, Window
-from twinmatch.twin import Forecaster, ForecastSettings, Mirror
+from twinmatch.twin import Forecaster, ForecastSettings, Mirror, choose_structure
 
 TRUTH = Heaters.model().parameters(exchange=0.03, first_gain=0.012, loss=0.008)
 WRONG = TRUTH.replace(exchange=0.01, second_gain=0.014)
@@ -140,6 +140,22 @@ def test_a_loop_with_several_signals_is_forecast_with_its_commands() -> None:
     for band, low, high in zip(forecast.inputs, LAW.low, LAW.high, strict=True):
         assert (band.low >= low).all()
         assert (band.high <= high).all()
+
+
+def test_the_structure_that_the_samples_support_is_chosen() -> None:
+    models = [Heaters.model("apart"), Heaters.model("all")]
+    found = choose_structure(driven().part(0, 599), models, gains=None)
+    assert found.chosen == "all"
+    apart, whole = found.scores
+    assert [len(score.signals) for score in found.scores] == [2, 2]
+    for free, error in zip(models[1].structure.free, whole.fitted.covariance.diagonal() ** 0.5, strict=True):
+        assert abs(found.parameters[free] - TRUTH[free]) < 4.0 * error, free
+    assert np.isnan(whole.fit[1])
+    assert whole.fit[0] > 0.95 > apart.fit[0]
+    looped = choose_structure(closed(), models, gains=LAW)
+    assert looped.chosen == "all"
+    assert len(looped.score.signals) == 4
+    assert min(looped.score.fit) > 0.8
 
 
 def test_both_twins_run_beside_it() -> None:

@@ -54,7 +54,7 @@ class StructureFit:
     starts: tuple[Mapping[str, float], ...]
     """Unknown states at the third sample of each window, by name."""
     measured: tuple[FloatArray, ...]
-    """Output and, in closed loop, input of each window, shape (outputs, M)."""
+    """Outputs and, in closed loop, inputs of each window, shape (signals, M)."""
     simulated: tuple[FloatArray, ...]
     """The same for the twin."""
     converged: bool
@@ -81,13 +81,16 @@ class StructureFit:
 
     @property
     def fit(self) -> tuple[float, float]:
-        """NRMSE of output and input over all windows; 1 is perfect, NaN for the input of a driven twin."""
+        """NRMSE of outputs and inputs over all windows, each the worst; 1 is perfect.
+
+        NaN for the inputs of a driven twin.
+        """
         measured, simulated = np.hstack(self.measured), np.hstack(self.simulated)
         spread = np.linalg.norm(measured - measured.mean(axis=1, keepdims=True), axis=1)
         left = np.linalg.norm(measured - simulated, axis=1)
         figures = [1.0 - a / b if b > 0 else float("nan") for a, b in zip(left, spread, strict=True)]
-        y, u = [*figures, float("nan")][:2]
-        return float(y), float(u)
+        outputs = len(self.model.plant.outputs)
+        return float(np.min(figures[:outputs])), float(np.min(figures[outputs:] or [np.nan]))
 
 
 def fit_structure(
@@ -218,16 +221,18 @@ class _Problem:
     def fitted(self, found: Descended) -> StructureFit:
         """The fit from the result of a search."""
         parts = [found.values[self._places(window)] for window in range(len(self._runs))]
-        outputs = 2 if self._runs[0].closed else 1
+        plant = self._runs[0].model.plant
+        signals = len(plant.outputs) + (len(plant.drives) if self._runs[0].closed else 0)
         simulated, states = [], []
         for run, part in zip(self._runs, parts, strict=True):
             response = run.simulate(part)
-            simulated.append(np.stack([response.output, response.input])[:outputs, SETTLE:])
+            both = np.concatenate([response.outputs.T, response.inputs.T])
+            simulated.append(both[:signals, SETTLE:])
             states.append(response.states[SETTLE:-1])
         if not all(np.isfinite(rows).all() for rows in simulated):
             msg = f"structures: {self._runs[0].model.title} has no finite response at the best parameters"
             raise FittingError(msg)
-        measured = tuple(run.measured[:outputs, SETTLE:] for run in self._runs)
+        measured = tuple(run.measured[:signals, SETTLE:] for run in self._runs)
         return StructureFit(
             parameters=self._runs[0].parameters_at(parts[0]),
             starts=tuple(run.starts_at(part) for run, part in zip(self._runs, parts, strict=True)),

@@ -46,12 +46,12 @@ class StructureScore:
 
     fitted: StructureFit
     signals: tuple[Criteria, ...]
-    """Criteria of the output and, in closed loop, of the input."""
+    """Criteria of each output and, in closed loop, of each input."""
     total: Criteria
     evidence: Criteria
     """`total` plus that of all previous choices on earlier samples."""
     loss: tuple[float, ...]
-    """Mean square of the prediction errors of output and input, in their units squared."""
+    """Mean square of the prediction errors of these signals, in their units squared."""
 
     @property
     def name(self) -> str:
@@ -65,7 +65,7 @@ class StructureScore:
 
     @property
     def fit(self) -> tuple[float, float]:
-        """NRMSE of output and input in closed loop on the windows of the choice."""
+        """NRMSE of output and input in closed loop on the windows of the choice, the worst of several."""
         return self.fitted.fit
 
 
@@ -183,9 +183,9 @@ def choose_structure(
 def score_structure(fitted: StructureFit, decimals: int = 2) -> StructureScore:
     """Score a fit on the windows on which it was made."""
     scores, losses = [], []
-    offsets = (fitted.model.plant.output.absolute, 0.0)
+    offsets = [output.absolute for output in fitted.model.plant.outputs.values()]
     for row in range(len(fitted.measured[0])):
-        offset = offsets[row]
+        offset = offsets[row] if row < len(offsets) else 0.0
         measured = [window[row] for window in fitted.measured]
         simulated = [window[row] for window in fitted.simulated]
         errors = prediction_errors([m - s for m, s in zip(measured, simulated, strict=True)])
