@@ -13,7 +13,7 @@ import pytest
 
 from tests.support.processes import Process, Processes
 from tests.support.steps import quarter_of_an_hour
-from tests.support.waiting import wait_for
+from tests.support.waiting import PATIENCE, wait_for
 from twinmatch.offline.judging import Judgement, judge_samples
 from twinmatch.signals import Sample
 from twinmatch.twin import TwinSettings
@@ -72,6 +72,7 @@ class Browser:
             options.add_argument(flag)
         options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
         self.driver = webdriver.Chrome(options=options, service=Service(str(shutil.which("chromedriver"))))
+        self.driver.set_script_timeout(PATIENCE)
 
     def wait_for(self, condition: Callable[[], Any], what: str) -> Any:
         """Look less often than elsewhere: a look at a page keeps its browser busy."""
