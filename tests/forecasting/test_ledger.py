@@ -168,8 +168,8 @@ def test_it_holds_what_it_promises_whatever_the_errors_are_like(of: str) -> None
 
 
 def test_it_follows_errors_that_grow() -> None:
-    """They are three times as large from the 300th of 600 forecasts on, in 100 runs of two signals."""
-    sizes = np.abs(np.random.default_rng(8).normal(size=(600, 200)))
+    """They are three times as large from the 300th of 600 forecasts on, in 50 runs of two signals."""
+    sizes = np.abs(np.random.default_rng(8).normal(size=(600, 100)))
     sizes[300:] *= 3.0
     _, inside = learned(sizes)
     assert inside[300:310].mean() < 0.75, "this test has to see the change"
@@ -183,7 +183,7 @@ def test_it_holds_while_the_noise_drifts() -> None:
     worst twenty minutes, and the interval score over that of the true quantile, with a local scale and with
     one that is as slow as the quantile."""
     sizes = np.exp(np.log(2.0) * np.sin(2.0 * np.pi * np.arange(600) / 120.0))[:, None]
-    drawn = np.abs(sizes * np.random.default_rng(9).normal(size=(600, 200)))
+    drawn = np.abs(sizes * np.random.default_rng(9).normal(size=(600, 100)))
 
     def scored(widths: FloatArray) -> float:
         return float(np.mean(2.0 * widths + 20.0 * np.maximum(drawn - widths, 0.0)))
