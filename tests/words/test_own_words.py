@@ -47,7 +47,7 @@ def test_a_replay_uses_the_plants_words(shown: Shown, tmp_path: Path, capsys: Ca
 
 def test_a_forecast_uses_the_plants_words(shown: Shown, tmp_path: Path, capsys: Capture) -> None:
     out = tmp_path / "out.json"
-    asked = ("--at", 900, "--horizon", 10, "--json", out)
+    asked = ("--at", 700, "--horizon", 10, "--json", out)
     text = said(capsys, "forecast", shown.folder, "--config", shown.config, *asked)
     shown.speaks_of_itself(text)
     shown.speaks_of_itself(out.read_text("utf-8"), '"y"')

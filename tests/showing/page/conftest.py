@@ -5,7 +5,6 @@ from __future__ import annotations
 import shutil
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -76,7 +75,7 @@ class Browser:
 
     def wait_for(self, condition: Callable[[], Any], what: str) -> Any:
         """Look less often than elsewhere: a look at a page keeps its browser busy."""
-        return wait_for(condition, what, meanwhile=lambda: time.sleep(0.1))
+        return wait_for(condition, what, meanwhile=lambda: time.sleep(0.2))
 
     def run(self, script: str, *arguments: Any) -> Any:
         return self.driver.execute_script(DEEP + script, *arguments)
@@ -98,17 +97,15 @@ class Browser:
             )
         )
 
-    @contextmanager
-    def sized(self, width: int, height: int) -> Iterator[None]:
-        """The page loaded again in a window of this size, a telephone's if it is narrow."""
-        narrow = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 600}
-        self.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", narrow)
-        try:
+    def sized(self, *sizes: tuple[int, int]) -> Iterator[tuple[int, int]]:
+        """The page loaded again in windows of these widths and heights, a telephone's if it is narrow."""
+        for width, height in sizes:
+            window = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 600}
+            self.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", window)
             self.open(self.driver.current_url)
-            yield
-        finally:
-            self.driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
-            self.open(self.driver.current_url)
+            yield width, height
+        self.driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+        self.open(self.driver.current_url)
 
     def keys(self, *keys: str) -> None:
         """Press keys, wherever the focus is."""
