@@ -95,7 +95,6 @@ class Tracker:
         """Begin with these parameters; `levels` are factors on the model error of a real rig."""
         model = parameters.model
         free, declared = model.structure.free, model.declared
-        kernels = model.kernels
         self.parameters = parameters
         self.free = free
         n, m = len(model.states), len(free)
@@ -103,22 +102,55 @@ class Tracker:
         self.at = {name: n + j for j, name in enumerate(free)}
         """Indices of the parameters in a belief."""
         self.share, self.offset, self.passing, self.fading, self.push, self.rate = range(n + m, self.size)
-        values = np.array([parameters[name] for name in free])
-        bounds = np.array([declared[name].bounds for name in free])
         logged = [declared[k].relative and parameters[k] > 0 and math.isinf(declared[k].most) for k in free]
         self.logged = np.array(logged)
+        self._scales = np.array(
+            [1.0 if log else declared[k].scale for k, log in zip(free, logged, strict=True)]
+        )
+        scale = slow_scale(model.plant, period)
+        push_time = _PUSH_TIME * scale
+        self._fixed = self._constants(period, push_time, _OFFSET_TIME * scale)
+        self._track = model.kernels.track
+        noise = model.plant.output.noise
+        scales = np.array([state.scale for state in model.declared_states])
+        slopes = model.kernels.slopes_at(
+            parameters.vector, begin(parameters, 0.0), model.rest, model.disturbances
+        )
+        slope = slopes[4][0]
+        self._shown = slope != 0.0
+        seen = np.where(self._shown, noise / np.where(self._shown, np.abs(slope), 1.0), 0.0)
+        self._first = np.concatenate([
+            np.where(self._shown, 3.0 * seen, 0.5 * scales),
+            np.where(self.logged, _LOG_SPREAD, _SPREAD * self._scales),
+        ])  # fmt: skip
+        drift = np.zeros(self.size)
+        drift[:n] = np.where(self._shown, _MODEL_ERROR[0] * seen, _MODEL_ERROR[1] * scales)
+        drift[n : n + m] = _MODEL_ERROR[2] * self._scales / math.sqrt(scale)
+        drift[:n] /= math.sqrt(period)  # a plant sampled faster is assumed to be faster
+        self._fading = _MODEL_ERROR[3] * noise / period
+        drift[self.fading] = self._fading * math.sqrt(2.0 / push_time)
+        self._drifts = [level * drift for level in levels]
+        self._swift = [level * float(_MODEL_ERROR[4]) for level in levels]
+        self._closed = np.zeros(self.size)
+        self._none = no_traces(self.size)
+        self._levels = levels
+
+    def _constants(self, period: float, push_time: float, offset_time: float) -> TrackerConstants:
+        """What stays the same at all samples; times in seconds."""
+        parameters, free = self.parameters, self.free
+        model, kernels = parameters.model, parameters.model.kernels
+        values = np.array([parameters[name] for name in free])
+        bounds = np.array([model.declared[name].bounds for name in free])
         floor = np.maximum(bounds[:, 0], 0.01 * values)
         # Limits lie outside the bounds: clipping a mean breaks its correlation with the other numbers.
         width = bounds[:, 1] - bounds[:, 0]
         with np.errstate(invalid="ignore", divide="ignore"):
             least = np.where(self.logged, np.log(floor / values), bounds[:, 0] - width - values)
             most = np.where(self.logged, np.log(bounds[:, 1] / values), bounds[:, 1] + width - values)
-        scale = slow_scale(model.plant, period)
-        push_time = _PUSH_TIME * scale
         keeps = np.ones(self.size)
         keeps[self.fading] = math.exp(-period / push_time)
-        keeps[self.passing] = math.exp(-period / (_OFFSET_TIME * scale))
-        self._fixed = TrackerConstants(
+        keeps[self.passing] = math.exp(-period / offset_time)
+        return TrackerConstants(
             vector=parameters.vector.copy(),
             places=np.array([kernels.PARAMETERS.index(k) for k in free], dtype=np.int64),
             which=np.array([kernels.UNKNOWN.index(k) for k in free], dtype=np.int64),
@@ -130,32 +162,6 @@ class Tracker:
             period=float(period),
             steps=2 * parameters.steps(period),  # parameters move, and a fast plant may become faster
         )
-        self._scales = np.array(
-            [1.0 if log else declared[k].scale for k, log in zip(free, logged, strict=True)]
-        )
-        self._track = kernels.track
-        noise = model.plant.output.noise
-        scales = np.array([state.scale for state in model.declared_states])
-        slope = kernels.slopes_at(parameters.vector, begin(parameters, 0.0), model.rest, model.disturbances)[
-            4
-        ][0]
-        self._shown = slope != 0.0
-        seen = np.where(self._shown, noise / np.where(self._shown, np.abs(slope), 1.0), 0.0)
-        self._first = np.concatenate([
-            np.where(self._shown, 3.0 * seen, 0.5 * scales),
-            np.where(self.logged, _LOG_SPREAD, _SPREAD * self._scales),
-        ])  # fmt: skip
-        drift = np.zeros(self.size)
-        drift[:n] = np.where(self._shown, _MODEL_ERROR[0] * seen, _MODEL_ERROR[1] * scales)
-        drift[n : n + m] = _MODEL_ERROR[2] * self._scales / math.sqrt(scale)
-        drift[:n] /= math.sqrt(period)  # a plant sampled faster is assumed to be faster
-        drift[self.fading] = _MODEL_ERROR[3] * noise / period * math.sqrt(2.0 / push_time)
-        self._fading = _MODEL_ERROR[3] * noise / period
-        self._drifts = [level * drift for level in levels]
-        self._swift = [level * float(_MODEL_ERROR[4]) for level in levels]
-        self._closed = np.zeros(self.size)
-        self._none = no_traces(self.size)
-        self._levels = levels
 
     def begin(self, output: float, input: float, disturbances: FloatArray, level: int) -> Belief:
         """The belief at the first reading, after a given input."""
