@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import stat
 import subprocess
 import sys
@@ -182,7 +183,7 @@ def test_a_link_is_not_unpacked(exchange_fmu: Path, tmp_path: Path) -> None:
 def test_a_bomb_is_not_unpacked(exchange_fmu: Path, tmp_path: Path) -> None:
     fmu = _changed(exchange_fmu, tmp_path)
     with (
-        zipfile.ZipFile(fmu, "a", zipfile.ZIP_DEFLATED) as opened,
+        zipfile.ZipFile(fmu, "a", zipfile.ZIP_DEFLATED, compresslevel=1) as opened,
         opened.open("resources/zeros", "w") as file,
     ):
         for _ in range(1 + archive.MOST_BYTES // (1 << 24)):
@@ -208,8 +209,7 @@ def test_a_broken_description_is_one_line(
     lines = capsys.readouterr().err.strip().splitlines()
     assert len(lines) == 1
     assert str(fmu) in lines[0]
-    with pytest.raises(FmuError, match=words):
-        adopt_fmus(write_map(tmp_path, fmu))
+    assert re.search(words, lines[0])
 
 
 @pytest.mark.parametrize(
