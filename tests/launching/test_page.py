@@ -97,7 +97,7 @@ def test_after_a_replay_it_stays_until_ctrl_c(ros_domain: int, tmp_path: Path) -
     session = write_session(tmp_path / "short", samples)
     environment = {**os.environ, "PYTHONUNBUFFERED": "1", "ROS_LOG_DIR": str(tmp_path)}
     command = [sys.executable, LAUNCH_SCRIPTS / "replay.py", session, "--rate", "0", "--dashboard", "0"]
-    replay = Process(*command, output=tmp_path / "output.txt", environment=environment)
+    replay = Process(*command, output=tmp_path / "output.txt", environment=environment, forked=True)
     try:
         replay.said("the page stays open until Ctrl-C")
         address = replay.said(r"page: (\S+)")[1]

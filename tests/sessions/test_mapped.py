@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -346,11 +344,7 @@ def test_the_command_lists_imports_and_says_of_which_plant_a_session_is(tmp_path
     assert session.plant == "block_command"
     assert session.samples[1].disturbances == (19.5,)
     assert session.counts == {"/plant/sample": 4, "/plant/temperature": 4}  # nobody recorded a set-point
-    # A process that does not know the plant yet.
-    command = [sys.executable, "-m", "twinmatch.cli", "replay", str(tmp_path / "session")]
-    again = subprocess.run(
-        command, capture_output=True, text=True, check=False
-    )  # that does not know the plant
+    again = run_twinmatch("replay", tmp_path / "session")  # which does not know the plant
     assert again.returncode == 2
     assert "plant 'block_command': not known" in again.stderr
     assert "--plant block_command.py" in again.stderr
