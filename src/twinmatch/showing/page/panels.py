@@ -183,10 +183,11 @@ def _sample_pill(state: DashboardState, now: float) -> str:
     if state.received_at is None:
         return _pill(TrustLevel.UNKNOWN, "waiting for the first sample")
     quiet, patience = now - state.received_at, SILENCE * max(1.0, state.period)
-    if quiet > patience and state.nodes.ended is None:
-        return _pill(TrustLevel.DOUBTFUL, f"no sample for {quiet:.0f} s")
     at = (state.sample or 0) * state.period
-    return _pill(TrustLevel.TRUSTED, f"sample {state.sample}, {number(at, 0 if state.period >= 1 else 1)} s")
+    newest = f"sample {state.sample}, {number(at, 0 if state.period >= 1 else 1)} s"
+    if quiet > patience and state.nodes.ended is None:
+        return _pill(TrustLevel.DOUBTFUL, f"no sample for {quiet:.0f} s after {newest}")
+    return _pill(TrustLevel.TRUSTED, newest)
 
 
 def alarm(state: DashboardState) -> str:
