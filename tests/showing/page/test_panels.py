@@ -91,7 +91,10 @@ def test_silence_and_trouble_are_in_the_first_line() -> None:
     state.push_sample(Sample(12, 0, 50.0, 49.0, 3.0), 100.0)
     state.push_health("matcher: health", 0, "working", {}, 100.0)
     assert words(panels.status(state, 101.0)) == ["sample 12, 12 s", "1 node is OK"]
-    assert words(panels.status(state, 160.0)) == ["no sample for 60 s after sample 12, 12 s", "1 of 1 nodes need attention"]
+    assert words(panels.status(state, 160.0)) == [
+        "no sample for 60 s after sample 12, 12 s",
+        "1 of 1 nodes need attention",
+    ]
     state.push_health("matcher: health", 2, "trouble", {}, 160.0)
     assert "1 of 1 nodes need attention" in words(panels.status(state, 160.0))
     assert words(panels.nodes(state.nodes, 160.0)) == ["matcher", "error", "trouble"]
