@@ -14,6 +14,7 @@ import functools
 import hashlib
 import importlib.util
 import itertools
+import os
 import pickle
 import secrets
 import sys
@@ -31,10 +32,20 @@ from numba.core.dispatcher import Dispatcher
 from numba.core.environment import Environment, lookup_environment
 from numba.core.runtime import rtsys
 
-# numba numbers compiled functions from one in every process, so kernels cached by two processes may have the
-# same name. If such a kernel is loaded twice, alone and inside another, one uses the other's data and fails
-# ("'descr' is NULL"). So every process starts from a different number.
-FunctionIdentity._unique_ids = itertools.count(secrets.randbits(48))
+
+def _number_apart() -> None:
+    """Start numba's numbers of compiled functions somewhere else than in any other process.
+
+    It starts from one in every process, so kernels cached by two processes could have the same name. If such
+    a kernel is loaded twice, alone and inside another, one uses the other's data and fails
+    ("'descr' is NULL").
+    """
+    FunctionIdentity._unique_ids = itertools.count(secrets.randbits(48))
+
+
+_number_apart()
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_number_apart)
 
 
 def _load_lapack() -> None:

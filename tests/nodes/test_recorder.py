@@ -18,6 +18,7 @@ from sensor_msgs.msg import Image, Temperature
 from std_msgs.msg import Float64, String
 
 from tests.support.processes import Start
+from tests.support.recorded import wait_for_recorded, written
 from tests.support.ros import Listener
 from tests.support.schemas import bare
 from tests.support.waiting import wait_for
@@ -77,26 +78,6 @@ def record(start: Start, tmp_path: Path) -> Start:
 def messages_of(session: Session, topic: str, kind: Any) -> list[Any]:
     """The messages of a topic; their bytes differ from others of the same content in the padding."""
     return [deserialize_message(message.data, kind) for message in session.messages([topic])]
-
-
-def written(folder: Path) -> Session | None:
-    """What is in the file of a recorder that runs; None before the first sample."""
-    try:
-        return read_session(folder)
-    except SessionError:
-        return None
-
-
-def wait_for_recorded(folder: Path, **counts: int) -> None:
-    """Until so many messages of some topics are in the file; the recorder writes it out every half second."""
-
-    def enough() -> bool:
-        found = written(folder)
-        return found is not None and all(
-            found.counts.get(f"/{name.replace('__', '/')}", 0) >= count for name, count in counts.items()
-        )
-
-    wait_for(enough, lambda: str(written(folder)))
 
 
 def test_everything_is_recorded_as_it_was_sent(record: Start, rig: Rig, tmp_path: Path) -> None:

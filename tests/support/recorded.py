@@ -9,8 +9,9 @@ from typing import Any
 
 from rclpy.serialization import serialize_message
 
+from tests.support.waiting import wait_for
 from twinmatch.nodes.messages import message_of
-from twinmatch.sessions import Qos, SessionWriter, Topic
+from twinmatch.sessions import Qos, Session, SessionError, SessionWriter, Topic, read_session
 from twinmatch.sessions.messages import SAMPLE, encode_sample, schema_of
 from twinmatch.sessions.metadata import CANDIDATES, parameters_record
 from twinmatch.signals import Sample
@@ -57,3 +58,23 @@ def write_judged(
             for message in messages:
                 writer.write(topic.name, serialize_message(message), samples[-1].stamp)
     return folder
+
+
+def written(folder: Path) -> Session | None:
+    """What is in the file of a recorder that runs; None before the first sample."""
+    try:
+        return read_session(folder)
+    except SessionError:
+        return None
+
+
+def wait_for_recorded(folder: Path, **counts: int) -> None:
+    """Until so many messages of some topics are in the file; the recorder writes it out every half second."""
+
+    def enough() -> bool:
+        found = written(folder)
+        return found is not None and all(
+            found.counts.get(f"/{name.replace('__', '/')}", 0) >= count for name, count in counts.items()
+        )
+
+    wait_for(enough, lambda: str(written(folder)))

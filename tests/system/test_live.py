@@ -22,6 +22,7 @@ from rclpy.serialization import deserialize_message
 
 from tests.support.places import PROJECT
 from tests.support.processes import Process, run_twinmatch
+from tests.support.recorded import wait_for_recorded
 from tests.support.waiting import PATIENCE
 from twinmatch.emulation.faults import tell
 from twinmatch.offline.verification import verify_session
@@ -188,7 +189,7 @@ def test_processes_are_restarted_and_without_the_rig_the_output_is_off(
     for name in ("twin", "recorder", "plant_clock"):
         run.restarts(name)
     run.wait_until((run.folder / "run_2").is_dir, "another folder")
-    run.process.said(r"^ *\d+ +(unknown|doubtful|trusted)")  # a verdict
+    wait_for_recorded(run.folder / "run_2", twin__model_score=1)
     run.wait_until(lambda: abs(run.state()["pwm"]) > 5, "a driven plate")
     run.shoot("rig")
     after = before = run.state()["time"]

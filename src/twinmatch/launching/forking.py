@@ -12,11 +12,9 @@ import atexit
 import ctypes
 import errno
 import gc
-import itertools
 import json
 import os
 import runpy
-import secrets
 import signal
 import socket
 import subprocess
@@ -29,8 +27,6 @@ from functools import cache
 from importlib import import_module
 from pathlib import Path
 from typing import Final
-
-from numba.core.bytecode import FunctionIdentity
 
 from twinmatch.nodes import problem
 
@@ -210,8 +206,6 @@ def _prepare(output: int, words: list[str], environment: dict[str, str], folder:
     os.chdir(folder)
     name = words[2] if words[0] == "-m" and len(words) > 2 else words[0]
     _LIBC.prctl(_PR_SET_NAME, Path(name).name.encode()[:15])
-    # As `twinmatch.compiled` has it: no two processes give one name to what they compile.
-    FunctionIdentity._unique_ids = itertools.count(secrets.randbits(48))
     return words
 
 
