@@ -253,6 +253,19 @@ def test_a_node_that_was_killed_before_it_answered_is_asked_again(
     rig.listener.spin_until(lambda: seed() == 7, "the parameters of the other matcher")
 
 
+def test_a_reader_that_stood_still_is_given_what_it_missed(
+    start_process: Start, rig: Rig, tmp_path: Path
+) -> None:
+    """A thousand messages are kept for it: more than DDS had room for on the way."""
+    process = start_process("recorder", *into(tmp_path))
+    rig.wait_for_reader()
+    process.freeze()
+    for index in range(1000):
+        rig.sample(index)
+    process.thaw()
+    wait_for_recorded(tmp_path / "run", plant__sample=1000)
+
+
 def test_a_recorded_run_of_the_twin_verifies(
     record: Start, start_process: Start, listener: Listener, session: Path, tmp_path: Path
 ) -> None:
