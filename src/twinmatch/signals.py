@@ -108,29 +108,17 @@ class Sample:
     @property
     def reference(self) -> float:
         """Set-point of a single loop."""
-        try:
-            (r,) = self.references
-        except ValueError:
-            raise _several("reference", len(self.references)) from None
-        return r
+        return one_of_each("reference", self.references)
 
     @property
     def output(self) -> float:
         """Output of a single loop."""
-        try:
-            (y,) = self.outputs
-        except ValueError:
-            raise _several("output", len(self.outputs)) from None
-        return y
+        return one_of_each("output", self.outputs)
 
     @property
     def input(self) -> float:
         """Command of a single loop."""
-        try:
-            (u,) = self.inputs
-        except ValueError:
-            raise _several("input", len(self.inputs)) from None
-        return u
+        return one_of_each("input", self.inputs)
 
     @property
     def shape(self) -> tuple[int, int, int, int]:
