@@ -13,9 +13,10 @@ from hypothesis import strategies as st
 
 pytest.importorskip("rosbags", reason="rosbags is not installed; it is in the extra 'bags'")
 
-from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.typesys import get_types_from_msg
 
+from tests.support.bags import START, STORE, bag, header, number, temperature
 from tests.support.plant_files import plant_file
 from tests.support.processes import run_twinmatch
 from twinmatch.errors import TwinmatchError
@@ -24,37 +25,17 @@ from twinmatch.sessions import bags, read_session
 from twinmatch.sessions.bags import _means, _Signal, map_bag
 from twinmatch.sessions.column_map import parse_map
 
-STORE = get_typestore(Stores.ROS2_JAZZY)
 STORE.register(get_types_from_msg("float32 value\nstring name", "lab_msgs/msg/Reading"))
 STORE.register(get_types_from_msg("std_msgs/Header header\nReading[] readings", "lab_msgs/msg/Rack"))
-START = 1_700_000_000
 TICKS = 60
 PERIOD = 0.5
 MAP = ["output=/rack:readings[1].value", "input=/heater", "reference=/sp:data", "room=/room:temperature"]
-
-
-def stamp(at: float) -> Any:
-    return STORE.types["builtin_interfaces/msg/Time"](
-        sec=START + int(at), nanosec=round(at % 1 * 1e9) % 1_000_000_000
-    )
-
-
-def header(at: float) -> Any:
-    return STORE.types["std_msgs/msg/Header"](stamp=stamp(at), frame_id="")
-
-
-def number(value: float) -> Any:
-    return STORE.types["std_msgs/msg/Float64"](data=value)
 
 
 def rack(at: float, value: float) -> Any:
     reading = STORE.types["lab_msgs/msg/Reading"]
     readings = [reading(value=0.0, name="spare"), reading(value=value, name="block")]
     return STORE.types["lab_msgs/msg/Rack"](header=header(at), readings=readings)
-
-
-def temperature(at: float, value: float) -> Any:
-    return STORE.types["sensor_msgs/msg/Temperature"](header=header(at), temperature=value, variance=0.0)
 
 
 def messages(ticks: int = TICKS, hole: tuple[int, int] = (0, 0)) -> list[tuple[float, str, Any]]:
@@ -70,24 +51,6 @@ def messages(ticks: int = TICKS, hole: tuple[int, int] = (0, 0)) -> list[tuple[f
             made.append((k * PERIOD, "/room", temperature(k * PERIOD, 18.0 + 0.1 * k)))
     made.append((ticks * PERIOD, "/said", STORE.types["std_msgs/msg/String"](data="done")))
     return made
-
-
-def bag(
-    folder: Path, storage: StoragePlugin, made: list[tuple[float, str, Any]], behind: float = 0.0
-) -> Path:
-    """Write a bag whose messages are written 30 ms after they were sent, and `behind` s more."""
-    with Writer(folder, version=9, storage_plugin=storage) as writer:
-        known: dict[str, Any] = {}
-        for name, kind in (("/sp", None), ("/empty", "std_msgs/msg/Float64")):
-            if kind:
-                known[name] = writer.add_connection(name, kind, typestore=STORE)
-        for at, name, message in sorted(made, key=lambda entry: entry[0]):
-            kind = message.__msgtype__
-            if name not in known:
-                known[name] = writer.add_connection(name, kind, typestore=STORE)
-            logged = round((START + at + 0.03 + behind) * 1e9)
-            writer.write(known[name], logged, STORE.serialize_cdr(message, kind))
-    return folder
 
 
 @pytest.fixture(scope="module")

@@ -13,12 +13,13 @@ import subprocess
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import pytest
-from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.typesys import Stores, get_typestore
+from rosbags.rosbag2 import StoragePlugin
 
+from tests.support.bags import bag as write_bag
+from tests.support.bags import number, temperature
 from tests.support.oven import RIG, oven_file
 from tests.support.places import PROJECT, SHIPPED
 from tests.support.processes import Processes, run_twinmatch
@@ -197,23 +198,13 @@ def bag(folder: Path, plant: None) -> None:  # noqa: ARG001
     periods are refused at import, rightly."""
     if (folder / "bag").is_dir():
         return
-    store = get_typestore(Stores.ROS2_JAZZY)
-    number, reading = "std_msgs/msg/Float64", "sensor_msgs/msg/Temperature"
-    with Writer(folder / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        topics = {
-            name: writer.add_connection(name, kind, typestore=store)
-            for name, kind in (("/sp", number), ("/camera", reading), ("/cmd", number))
-        }
-        for tick in range(100):
-            at = tick * 100_000_000
-            stamp = store.types["builtin_interfaces/msg/Time"](*divmod(at, 10**9))
-            header = store.types["std_msgs/msg/Header"](stamp, "")
-            for name, message in (
-                ("/sp", store.types[number](30.0)),
-                ("/camera", store.types[reading](header, 30.0 - 10.0 * 0.9**tick, 0.0)),
-                ("/cmd", store.types[number](20.0 + 40.0 * 0.9**tick)),
-            ):
-                writer.write(topics[name], at, store.serialize_cdr(message, message.__msgtype__))
+    made: list[tuple[float, str, Any]] = []
+    for tick in range(100):
+        at, left = tick / 10, 0.9**tick
+        made.append((at, "/sp", number(30.0)))
+        made.append((at, "/camera", temperature(at, 30.0 - 10.0 * left)))
+        made.append((at, "/cmd", number(20.0 + 40.0 * left)))
+    write_bag(folder / "bag", StoragePlugin.MCAP, made)
 
 
 @pytest.fixture

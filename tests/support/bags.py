@@ -1,0 +1,50 @@
+"""Other people's bags, written message by message."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+
+STORE = get_typestore(Stores.ROS2_JAZZY)
+"""The types of messages; a test may register its own."""
+START = 1_700_000_000
+"""Time from which those of messages count, s since the epoch."""
+
+
+def stamp(at: float) -> Any:
+    return STORE.types["builtin_interfaces/msg/Time"](
+        sec=START + int(at), nanosec=round(at % 1 * 1e9) % 1_000_000_000
+    )
+
+
+def header(at: float) -> Any:
+    return STORE.types["std_msgs/msg/Header"](stamp=stamp(at), frame_id="")
+
+
+def number(value: float) -> Any:
+    return STORE.types["std_msgs/msg/Float64"](data=value)
+
+
+def temperature(at: float, value: float) -> Any:
+    return STORE.types["sensor_msgs/msg/Temperature"](header=header(at), temperature=value, variance=0.0)
+
+
+def bag(
+    folder: Path, storage: StoragePlugin, made: list[tuple[float, str, Any]], behind: float = 0.0
+) -> Path:
+    """Write a bag whose messages are written 30 ms after they were sent, and `behind` s more.
+
+    On its topic `/empty` there is no message.
+    """
+    with Writer(folder, version=9, storage_plugin=storage) as writer:
+        known = {"/empty": writer.add_connection("/empty", "std_msgs/msg/Float64", typestore=STORE)}
+        for at, name, message in sorted(made, key=lambda entry: entry[0]):
+            kind = message.__msgtype__
+            if name not in known:
+                known[name] = writer.add_connection(name, kind, typestore=STORE)
+            logged = round((START + at + 0.03 + behind) * 1e9)
+            writer.write(known[name], logged, STORE.serialize_cdr(message, kind))
+    return folder
