@@ -7,10 +7,28 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.fmus import build_c_fmu, build_c_fmu_3, build_python_fmu, write_map
+from tests.support.fmus import ForkedWorker, build_c_fmu, build_c_fmu_3, build_python_fmu, write_map
 from twinmatch.dynamics import Model
-from twinmatch.fmu import adopt_fmus, is_fmu
+from twinmatch.fmu import adopt_fmus, is_fmu, process
 from twinmatch.plants import Peltier
+
+STARTED = process.started
+
+
+@pytest.fixture(autouse=True, scope="package")
+def forked_workers() -> Iterator[None]:
+    """Processes of FMUs are forked, unless a test undoes this because their start is what it tests."""
+    with pytest.MonkeyPatch.context() as changed:
+        changed.setattr(process, "started", ForkedWorker)
+        yield
+
+
+@pytest.fixture
+def own_programs() -> Iterator[None]:
+    """Processes of FMUs are started as users start them."""
+    with pytest.MonkeyPatch.context() as changed:
+        changed.setattr(process, "started", STARTED)
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -125,38 +125,29 @@ def test_one_that_is_lost_while_it_leads_leaves(adopted: Callable[..., Model], e
     assert any("a test took it away" in note for note in forecaster.notes)
 
 
+@pytest.mark.usefixtures("adopted")
 def test_a_configuration_lets_fmus_run_and_a_recording_does_not(exchange_fmu: Path, tmp_path: Path) -> None:
     maps = write_map(tmp_path, exchange_fmu, "from a file")
     config = tmp_path / "twin.yaml"
     config.write_text(yaml.safe_dump({"/**": {"ros__parameters": {"allow_fmu": str(maps)}}}))
     recorded_values("session x", {"plant": "peltier", "allow_fmu": str(maps)})
     assert not [name for name in Peltier.structures if is_fmu(name)]
-    try:
-        read_settings(config)
-        (name,) = [name for name in Peltier.structures if is_fmu(name)]
-        assert name.startswith("from a file (FMU ")
-        assert Peltier.structures[name].watched
-    finally:
-        for name in [name for name in Peltier.structures if is_fmu(name)]:
-            Peltier.structures[name].external.close()  # type: ignore[union-attr]
-            Peltier.disown(name)
+    read_settings(config)
+    (name,) = [name for name in Peltier.structures if is_fmu(name)]
+    assert name.startswith("from a file (FMU ")
+    assert Peltier.structures[name].watched
     config.write_text(yaml.safe_dump({"/**": {"ros__parameters": {"allow_fmu": "nowhere.yaml"}}}))
     with pytest.raises(ParameterError, match=r"nowhere\.yaml"):
         read_settings(config)
 
 
-@pytest.mark.usefixtures("only_fmus")
+@pytest.mark.usefixtures("adopted", "only_fmus")
 def test_a_report_is_written_with_an_fmu(exchange_fmu: Path, tmp_path: Path) -> None:
     maps = write_map(tmp_path, exchange_fmu, "for the report")
     write_session(tmp_path / "run", a_session(600))
     page = tmp_path / "run.html"
-    try:
-        assert main(["report", str(tmp_path / "run"), "--allow-fmu", str(maps), "-o", str(page)]) == 0
-        (name,) = [name for name in Peltier.structures if is_fmu(name)]
-    finally:
-        for name in [name for name in Peltier.structures if is_fmu(name)]:
-            Peltier.structures[name].external.close()  # type: ignore[union-attr]
-            Peltier.disown(name)
+    assert main(["report", str(tmp_path / "run"), "--allow-fmu", str(maps), "-o", str(page)]) == 0
+    (name,) = [name for name in Peltier.structures if is_fmu(name)]
     assert name in page.read_text(encoding="utf-8")
 
 

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+import os
 import shutil
+import signal
 import subprocess
+import sys
 import textwrap
 import zipfile
+from collections.abc import Mapping
 from pathlib import Path
 
 import yaml
+
+from twinmatch.fmu import worker
+from twinmatch.launching.forking import Forked
 
 PARAMETERS = {
     "seebeck": 0.075,
@@ -140,6 +147,34 @@ def write_map(folder: Path, fmu: Path, name: str = "the shop's", **changes: obje
     tree = {"plant": "peltier", "structures": {name: entry}}
     file.write_text(yaml.safe_dump(tree, allow_unicode=True), encoding="utf-8")
     return file
+
+
+class ForkedWorker(Forked):
+    """The program of an FMU's process, forked from this one: its start is nearly all imports."""
+
+    def __init__(self, folder: Path, environment: Mapping[str, str]) -> None:
+        """As `twinmatch.fmu.process.started`, but its environment also holds what this process began with."""
+        (asked, ask), (answers, answer) = os.pipe(), os.pipe()
+        process = os.fork()
+        if process == 0:
+            try:
+                os.setsid()
+                for place, end in enumerate((asked, answer, os.open(os.devnull, os.O_WRONLY))):
+                    os.dup2(end, place)
+                os.closerange(3, os.sysconf("SC_OPEN_MAX"))
+                sys.stdout, sys.stderr = (os.fdopen(place, "w", closefd=False) for place in (1, 2))
+                for number in (signal.SIGALRM, signal.SIGINT, signal.SIGTERM):
+                    signal.signal(number, signal.SIG_DFL)
+                os.environ.clear()
+                os.environ.update(environment)
+                os.chdir(folder)
+                worker.main()
+            finally:
+                os._exit(1)
+        os.close(asked)
+        os.close(answer)
+        super().__init__(["twinmatch.fmu.worker"], process)
+        self.stdin, self.stdout = os.fdopen(ask, "wb"), os.fdopen(answers, "rb")
 
 
 _XML = """<?xml version="1.0" encoding="UTF-8"?>

@@ -147,6 +147,19 @@ def _marked(wanted: bytes) -> list[int]:
     return found
 
 
+def started(folder: Path, environment: Mapping[str, str]) -> subprocess.Popen[bytes]:
+    """The program of `worker.py`, started in a folder."""
+    return subprocess.Popen(
+        [sys.executable, "-m", "twinmatch.fmu.worker"],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        cwd=folder,
+        env=environment,
+        start_new_session=True,
+    )
+
+
 class ProcessLostError(Exception):
     """The process gave no valid answer, and has been killed."""
 
@@ -160,16 +173,7 @@ class FmuProcess:
         self.folder = Path(self._folder.name)
         self._lock = threading.Lock()
         mark = secrets.token_hex(16)
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", "twinmatch.fmu.worker"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            cwd=self.folder,
-            env={**_environment(), MARK: mark},
-            close_fds=True,
-            start_new_session=True,
-        )
+        self._process = started(self.folder, {**_environment(), MARK: mark})
         self._ended = weakref.finalize(self, _end, self._process, self._folder, mark)
         self._first = True
 
