@@ -385,7 +385,7 @@ def test_the_ends_are_where_a_fit_of_the_others_has_risen_to_the_limit(
         def residuals(x: np.ndarray, i: int = i, end: float = end, others: list[int] = others) -> np.ndarray:
             values = np.empty(3)
             values[i], values[others] = end, x
-            return posed.residuals(values)
+            return posed.residuals(values).ravel()
 
         fits = [
             least_squares(
@@ -447,7 +447,9 @@ def test_ends_beside_an_unknown_start_are_where_the_sum_has_risen(record: Record
     least = found.chi2 * found.residuals.size
     for end in (low, high):
         fitted_start = least_squares(
-            lambda x, end=end: posed.residuals(np.array([end, x[0]])), [found.values[1]], diff_step=1e-6
+            lambda x, end=end: posed.residuals(np.array([end, x[0]])).ravel(),
+            [found.values[1]],
+            diff_step=1e-6,
         )
         assert (2 * fitted_start.cost - least) / rise == pytest.approx(1.0, abs=0.05)
     assert low < found.values[0] < high

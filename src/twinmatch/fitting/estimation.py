@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from twinmatch.compiled import compiled
-from twinmatch.dynamics import Descended, Parameters, box_step
+from twinmatch.dynamics import Parameters, box_step
 from twinmatch.fitting.problem import Evaluation, Problem
 from twinmatch.signals import FloatArray
 
@@ -45,7 +45,7 @@ class Estimate:
     @cached_property
     def residuals(self) -> FloatArray:
         """Weighted residuals of the compared signals, shape (outputs, N − 2)."""
-        return self.problem.residuals(self.values).reshape(self.problem.compared, -1)
+        return self.problem.residuals(self.values)
 
     @property
     def chi2(self) -> float:
@@ -68,14 +68,11 @@ def starts_for(problem: Problem, start: Parameters) -> list[FloatArray]:
 
 def solve(problem: Problem, starts: Sequence[FloatArray]) -> Estimate:
     """The best of the fits from several starts; of equals the first."""
-    best: Descended | None = None
-    for start in starts:
+    best = problem.descend(starts[0], _MOST_EVALUATIONS)
+    for start in starts[1:]:
         found = problem.descend(start, _MOST_EVALUATIONS, best)
-        if best is None or found.cost < best.cost:
+        if found.cost < best.cost:
             best = found
-    if best is None:
-        msg = "solve: no start; give at least one"
-        raise ValueError(msg)
     return Estimate(problem, best.values, best.converged)
 
 
@@ -120,9 +117,8 @@ def uncertainty(problem: Problem, estimate: Estimate) -> Uncertainty:
     m_k the residuals caused by noise at sample k alone, scaled so that the noise explains the actual
     residuals.
     """
-    evaluation = problem.evaluate(estimate.values)
-    _, _, fisher = evaluation.normal
-    sums, expected = evaluation.noise_scores
+    fisher = problem.evaluate(estimate.values).hessian
+    sums, expected = problem.noise_scores(estimate.values)
     free_samples = 1.0 - len(problem.names) / estimate.residuals.size
     scores = sums.T @ sums * (estimate.chi2 / free_samples / expected)
     return _known(fisher, scores, problem.scales)
@@ -154,7 +150,13 @@ def profile_intervals(problem: Problem, values: FloatArray, covariance: FloatArr
     cuts off is infinite; if that bound is zero, the end is zero, because zero is a physical limit.
     """
     here = problem.evaluate(values)
-    rises = QUANTILE * np.diag(covariance) / _white_variance(problem, here)
+    scales = problem.scales
+    try:
+        inverse = np.linalg.inv(here.hessian * np.outer(scales, scales))
+    except np.linalg.LinAlgError:
+        inverse = np.full_like(here.hessian, np.nan)
+    of_white_noise = np.diag(inverse) * np.square(scales)
+    rises = QUANTILE * np.diag(covariance) / of_white_noise
     intervals = np.empty((values.size, 2))
     for i, rise in enumerate(rises.tolist()):
         for side, sign in enumerate((-1, 1)):
@@ -167,17 +169,6 @@ def profile_intervals(problem: Problem, values: FloatArray, covariance: FloatArr
     return intervals
 
 
-def _white_variance(problem: Problem, here: Evaluation) -> FloatArray:
-    """Variance of each parameter for residuals of white noise of variance 1, shape (n,)."""
-    _, _, hessian = here.normal
-    scales = problem.scales
-    try:
-        inverse = np.linalg.inv(hessian * np.outer(scales, scales))
-    except np.linalg.LinAlgError:
-        return np.full(scales.size, np.nan)
-    return np.asarray(np.diag(inverse) * np.square(scales), dtype=np.float64)
-
-
 def profile_end(problem: Problem, start: Evaluation, i: int, sign: int, rise: float) -> FloatArray | None:
     """The parameters at which the sum of squares has risen by `rise` above its minimum at `start` along
     parameter `i`, with the others refitted; None if it does not rise so far inside the bounds.
@@ -186,13 +177,11 @@ def profile_end(problem: Problem, start: Evaluation, i: int, sign: int, rise: fl
     (Venzon and Moolgavkar 1988). A step after which the sum is far above its limit is shortened. Where
     the valley folds back, so that no small step makes progress, the end is bracketed instead.
     """
-    point = start
+    point = inside = start
     limit = start.cost + rise
     bound = float(problem.upper[i] if sign > 0 else problem.lower[i])
-    inside = start
     for _ in range(_MOST_STEPS):
-        values = point.values
-        cost, gradient, hessian = point.normal
+        values, cost, gradient, hessian = point
         box = hessian, gradient, values, problem.lower, problem.upper, i
         gain = cost - model_profile(*box, 0.0, cost)[1]
         excess = cost - gain - limit
@@ -204,7 +193,8 @@ def profile_end(problem: Problem, start: Evaluation, i: int, sign: int, rise: fl
             return values
         way = model_reach(*box, float(inside.values[i]), bound, cost, limit)
         for _ in range(_MOST_CUTS):
-            there = _moved(problem, values + model_profile(*box, way, cost)[0])
+            step = model_profile(*box, way, cost)[0]
+            there = problem.evaluate(np.minimum(np.maximum(values + step, problem.lower), problem.upper))
             if there.cost <= max(limit + _FAR * rise, cost):
                 break
             way *= _CUT
@@ -218,18 +208,18 @@ def _bracketed(
     problem: Problem, inside: Evaluation, i: int, bound: float, limit: float, rise: float
 ) -> FloatArray | None:
     """Find the end between a value inside and one outside, refitting the others at each."""
-    near, far, beyond, ahead = inside, bound, math.inf, 1.0
-    below = inside.cost - limit
-    span = math.copysign(_FIRST_SPAN * float(problem.scales[i]), bound - float(inside.values[i]))
+    near, below = inside.values, inside.cost - limit
+    far, beyond, ahead = bound, math.inf, 1.0
+    span = math.copysign(_FIRST_SPAN * float(problem.scales[i]), bound - float(near[i]))
     for _ in range(_MOST_REFITS):
-        here = float(near.values[i])
+        here = float(near[i])
         if math.isfinite(beyond):
             # The rise is nearly a parabola, so a straight line approximates its root; Illinois method.
             target = here + (far - here) * min(max(below / (below - beyond), 0.1), 0.9)
         else:
             target, span = here + span, 3.0 * span
             target = min(target, bound) if bound > here else max(target, bound)
-        lower, upper, start = problem.lower.copy(), problem.upper.copy(), near.values.copy()
+        lower, upper, start = problem.lower.copy(), problem.upper.copy(), near.copy()
         lower[i] = upper[i] = start[i] = target
         found = problem.experiment.descend(start, lower, upper, problem.scales, _MOST_OF_REFIT)
         excess = found.cost - limit
@@ -241,13 +231,9 @@ def _bracketed(
         else:
             if target == bound:
                 return None
-            near, below = problem.evaluate(found.values), excess
+            near, below = found.values, excess
             beyond, ahead = (0.5 * beyond, ahead) if ahead > 0.0 else (beyond, 1.0)
-    return near.values
-
-
-def _moved(problem: Problem, values: FloatArray) -> Evaluation:
-    return problem.evaluate(np.minimum(np.maximum(values, problem.lower), problem.upper))
+    return near
 
 
 @compiled

@@ -98,7 +98,7 @@ def _after_step(problem: Problem, values: FloatArray, level: float) -> FloatArra
     response = next_one.experiment.simulate(values)
     if not abs(response.output[-1] - level) <= _REACHED * noise:
         return None
-    return _scaled_inverse(problem, next_one.evaluate(values).normal[2])
+    return _scaled_inverse(problem, next_one.evaluate(values).hessian)
 
 
 def _scaled_inverse(problem: Problem, fisher: FloatArray) -> FloatArray | None:
@@ -200,7 +200,7 @@ def _keep(problem: Problem, found: Estimate, name: str, interval: FloatArray, st
     others = replace(
         problem,
         free=tuple(n for n in problem.free if n != name),
-        base=problem.parameters_at(found.values).replace(**{name: value}),
+        base=problem.experiment.parameters_at(found.values).replace(**{name: value}),
     )
     rest = solve(others, [np.delete(found.values, place), *starts_for(others, others.base)])
     return Estimate(problem, np.insert(rest.values, place, value), rest.converged)

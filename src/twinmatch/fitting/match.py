@@ -13,7 +13,7 @@ from twinmatch.dynamics import FROM_PLANT_FILE, Drive, LoopGains, Output, Parame
 from twinmatch.fitting.estimation import Uncertainty, on_bounds, solve, starts_for
 from twinmatch.fitting.gate import FitEvidence, GateLimits, Status, first_excited, judge, undetermined
 from twinmatch.fitting.identifiability import Identified, identify, unidentified
-from twinmatch.fitting.problem import Bounds, Noise, Problem, checked_free, checked_gains, unknown_parameters
+from twinmatch.fitting.problem import Bounds, Noise, Problem, checked_free, checked_gains
 from twinmatch.signals import FloatArray, Window
 
 
@@ -173,7 +173,6 @@ def match(
     model, limits = start.model, limits or GateLimits()
     gains = checked_gains(model, window, gains)
     names = checked_free(model, free)
-    unknown_parameters(model, names, bounds)
     problem = Problem(window, names, start, noise or Noise.of(model.plant), gains, bounds)
     if window.share_seen < limits.least_seen:
         reason = (
@@ -224,7 +223,7 @@ def _with_fit(problem: Problem, split: int, rival: Parameters, limits: GateLimit
 
     found = identify(problem, best, rival, stands) if explained else unidentified(problem, best)
     held = split - (len(window) - problem.measured.shape[1])
-    tested = problem.residuals(test.values).reshape(problem.compared, -1)[:, held:]
+    tested = problem.residuals(test.values)[:, held:]
     standing = _residuals_of(problem, seen, rival)[:, held:]
     final, known, fit = found.estimate, found.known, _fit(problem, found.estimate.residuals)
     free = [i for i, name in enumerate(problem.names) if name != found.kept]
@@ -243,9 +242,9 @@ def _with_fit(problem: Problem, split: int, rival: Parameters, limits: GateLimit
     )
     status, reason = judge(evidence, limits)
     return Match(
-        parameters=problem.parameters_at(final.values),
+        parameters=problem.experiment.parameters_at(final.values),
         free=problem.names,
-        starts=problem.starts_at(final.values),
+        starts=problem.experiment.starts_at(final.values),
         covariance=known.covariance,
         fisher=known.fisher,
         eigenvalues=known.eigenvalues,
@@ -279,8 +278,7 @@ def _residuals_of(problem: Problem, seen: Problem, rival: Parameters) -> FloatAr
     values = alone.values_of(rival)
     if values.size:
         values = solve(alone, [values]).values
-    whole = replace(problem, free=(), base=rival)
-    return whole.weigh(whole.experiment.simulate(values))
+    return replace(problem, free=(), base=rival).residuals(values)
 
 
 def _fit(problem: Problem, residuals: FloatArray) -> Fit:

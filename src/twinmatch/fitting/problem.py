@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,8 +21,6 @@ from twinmatch.dynamics import (
     Parameters,
     Plant,
     PlantError,
-    Response,
-    Tangents,
     gains_for,
     noise_scores,
 )
@@ -162,6 +161,18 @@ def checked_gains(model: Model, window: Window, gains: LoopGains = FROM_PLANT_FI
     return held
 
 
+class Evaluation(NamedTuple):
+    """A problem at some values."""
+
+    values: FloatArray
+    cost: float
+    """Sum of the squared residuals."""
+    gradient: FloatArray
+    """Jᵀr, shape (n,)."""
+    hessian: FloatArray
+    """JᵀJ, shape (n, n)."""
+
+
 @dataclass(frozen=True, eq=False)
 class Problem:
     """The twin on one window as a function of the free parameters and the unknown initial states.
@@ -245,81 +256,28 @@ class Problem:
         """The unknowns of a plant as an array, clipped to the bounds; initial states are the plant file's."""
         return np.clip(self.experiment.values_of(parameters), self.lower, self.upper)
 
-    def parameters_at(self, values: FloatArray) -> Parameters:
-        """The plant with these values of the unknowns."""
-        return self.experiment.parameters_at(values)
-
-    def starts_at(self, values: FloatArray) -> Mapping[str, float]:
-        """The unknown states at the third sample, by name."""
-        return self.experiment.starts_at(values)
-
-    def weigh(self, response: Response | Tangents) -> FloatArray:
+    def residuals(self, values: FloatArray) -> FloatArray:
         """Measured minus simulated in units of the noise, shape (compared, N − 2)."""
+        response = self.experiment.simulate(values)
         simulated = np.concatenate([response.outputs, response.inputs], axis=1).T[: self.compared]
         return np.asarray((self.measured - simulated) * (self.weights * self.seen), dtype=np.float64)
 
     def evaluate(self, values: FloatArray) -> Evaluation:
-        """Residuals and Jacobian at some values."""
-        return Evaluation(self, values)
+        """The sum of squares at some values, with its derivatives."""
+        return Evaluation(values, *self.experiment.normal(values))
+
+    def noise_scores(self, values: FloatArray) -> tuple[FloatArray, float]:
+        """Jᵀ times the residuals caused by the nominal noise of each reading alone, shape ((N − 2)·o, n), and
+        the mean squared residual caused by all of it."""
+        tangents, noise = self.experiment.tangents(values), self.noise.all
+        by = tangents.by * self.seen[:, None] * -(1.0 / noise)[:, None, None]
+        return noise_scores(self.experiment, tangents, by, noise[: tangents.outputs.shape[1], None] / noise)
 
     def mean_square(self, residuals: FloatArray) -> float:
         """Mean square of the weighted residuals of the window's last samples, stand-ins left out."""
         counted = float(np.mean(self.seen[-residuals.shape[1] :]))
         return float(np.mean(np.square(residuals))) / counted if counted else math.nan
 
-    def residuals(self, values: FloatArray) -> FloatArray:
-        """Weighted residuals of all signals in one row, shape (compared·(N − 2),)."""
-        return self.weigh(self.experiment.simulate(values)).ravel()
-
-    def jacobian(self, values: FloatArray) -> FloatArray:
-        """Derivatives of the residuals, shape (compared·(N − 2), n)."""
-        return self.evaluate(values).jacobian
-
     def descend(self, start: FloatArray, most_evaluations: int, found: Descended | None = None) -> Descended:
         """Least squares from one start inside the bounds."""
         return self.experiment.descend(start, self.lower, self.upper, self.scales, most_evaluations, found)
-
-
-class Evaluation:
-    """A problem at some values: normal equations, residuals and Jacobian, each computed when first used."""
-
-    def __init__(self, problem: Problem, values: FloatArray) -> None:
-        self.problem, self.values = problem, values
-
-    @cached_property
-    def normal(self) -> tuple[float, FloatArray, FloatArray]:
-        """Sum of squares S, gradient Jᵀr, shape (n,), and JᵀJ, shape (n, n)."""
-        return self.problem.experiment.normal(self.values)
-
-    @property
-    def cost(self) -> float:
-        """Sum of the squared residuals."""
-        return self.normal[0]
-
-    @cached_property
-    def tangents(self) -> Tangents:
-        """The run with its derivatives."""
-        return self.problem.experiment.tangents(self.values)
-
-    @cached_property
-    def residuals(self) -> FloatArray:
-        """Weighted residuals, shape (compared·(N − 2),)."""
-        return self.problem.weigh(self.tangents).ravel()
-
-    @cached_property
-    def jacobian(self) -> FloatArray:
-        """Derivatives of the residuals, shape (compared·(N − 2), n)."""
-        weights = self.problem.weights * self.problem.seen
-        derivative = self.tangents.by[: self.problem.compared] * -weights[:, :, None]
-        return derivative.reshape(-1, derivative.shape[2])
-
-    @cached_property
-    def noise_scores(self) -> tuple[FloatArray, float]:
-        """Jᵀ times the residuals caused by the nominal noise of each reading alone, shape ((N − 2)·o, n), and
-        the mean squared residual caused by all of it."""
-        noise = self.problem.noise.all
-        by = self.tangents.by * self.problem.seen[:, None]
-        weights = noise[: self.tangents.outputs.shape[1], None] / noise
-        return noise_scores(
-            self.problem.experiment, self.tangents, by * -(1.0 / noise)[:, None, None], weights
-        )

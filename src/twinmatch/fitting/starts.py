@@ -262,8 +262,7 @@ class Hops:
 
 def _all_roots(part: FloatArray) -> Roots:
     """All roots, as many as there are coefficients, including those at zero."""
-    found = np.roots(np.append(1.0, part)).astype(np.complex128)
-    return np.append(found, np.zeros(part.size - found.size, dtype=np.complex128))
+    return np.roots(np.append(1.0, part)).astype(np.complex128)
 
 
 def _coefficients(roots: Roots) -> FloatArray:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from twinmatch.dynamics import (
     FROM_PLANT_FILE,
+    SKIPPED,
     Descended,
     Experiment,
     Known,
@@ -34,8 +35,6 @@ SETTLE: Final = 60
 """Samples at a window's start that are simulated but not compared, until the loop has forgotten the twin's
 initial state and the sensor its first readings."""
 
-_SKIPPED = 2
-"""A twin starts at the third sample, where the controller's state is known."""
 _LOOK = 8
 """Evaluations after which only the best of several starts continues."""
 _MOST_EVALUATIONS = 40
@@ -152,10 +151,10 @@ def _runs(
         raise FittingError("structures: there is no window; give at least one")
     runs = []
     for window in windows:
-        if len(window) <= SETTLE + _SKIPPED:
+        if len(window) <= SETTLE + SKIPPED:
             raise FittingError(
                 f"structures: the window from sample {window.first} has {len(window)} samples; "
-                f"the first {SETTLE + _SKIPPED} are not compared, give more"
+                f"the first {SETTLE + SKIPPED} are not compared, give more"
             )
         own = checked_gains(model, window, gains)
         runs.append(
