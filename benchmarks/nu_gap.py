@@ -15,7 +15,7 @@ import mpmath as mp
 import numpy as np
 
 from benchmarks.common import Row, main, measure_side_by_side, peer, rows_of
-from twinmatch.comparing import GraphSymbol, nu_gap_matrix, nu_gap_of, stability_margin
+from twinmatch.comparing import GraphSymbol, nu_gap, nu_gap_matrix, stability_margin
 
 Fraction = tuple[np.ndarray, np.ndarray]
 
@@ -37,7 +37,7 @@ def _one_output(order: int, repeats: int, *, accurate: bool) -> list[Row]:
     models = [_model(rng, order, 1.0) for _ in range(PAIRS)]
     pairs = list(combinations(range(PAIRS), 2))
     symbols = [GraphSymbol.of_transfer_functions([m], 1.0) for m in models]
-    prepared = {"twinmatch": lambda: [nu_gap_of(symbols[i], symbols[j]) for i, j in pairs]}
+    prepared = {"twinmatch": lambda: [nu_gap(symbols[i], symbols[j]) for i, j in pairs]}
     whole: dict[str, Any] = {
         "twinmatch": lambda: nu_gap_matrix([GraphSymbol.of_transfer_functions([m], 1.0) for m in models])
     }

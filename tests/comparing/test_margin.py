@@ -12,7 +12,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from twinmatch.comparing import DiscriminationError, GraphSymbol, nu_gap_of, stability_margin
+from twinmatch.comparing import DiscriminationError, GraphSymbol, nu_gap, stability_margin
 
 # mpmath 1.4 wants the order of coefficients named, 1.3 does not know the name
 pytestmark = pytest.mark.filterwarnings("ignore:Descending:DeprecationWarning")
@@ -210,7 +210,7 @@ def test_the_controller_holds_for_every_plant_within_the_gap(seed: int, discrete
         ],
         discrete,
     )
-    gap = nu_gap_of(first, other)
+    gap = nu_gap(first, other)
     least = math.asin(margin) - math.asin(gap)
     assert math.asin(stability_margin(other, controller)) >= least - 1e-9
     if gap < margin:
@@ -224,7 +224,7 @@ def test_the_bound_is_tight() -> None:
         # 1/s and 1/s − g are farthest apart at infinity, where the loop is lost when 3g = 1
         g = near / 3
         other = (1 - g * S) / S
-        gap = nu_gap_of(*(GraphSymbol.of_polynomials([1.0, 0.0], n, 0.0) for n in ([[1.0]], [[-g, 1.0]])))
+        gap = nu_gap(*(GraphSymbol.of_polynomials([1.0, 0.0], n, 0.0) for n in ([[1.0]], [[-g, 1.0]])))
         assert (gap < margin) == holds
         assert (stability_margin(other, control.tf([3], [1])) > 0) == holds
 

@@ -1,4 +1,4 @@
-""""""
+"""The ν-gap between models: published values, closed forms, and what a distance promises."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from hypothesis import strategies as st
 
 from tests.support.servo import PERIOD, Servo
 from twinmatch.comparing import (
+    Candidate,
     DiscriminationError,
     GraphSymbol,
     LoopConditions,
-    Uncertain,
     akaike_weights,
     chordal,
     family_uncertainty,
@@ -26,7 +26,6 @@ from twinmatch.comparing import (
     identify,
     nu_gap,
     nu_gap_matrix,
-    nu_gap_of,
     plant_gaps,
     score_orders,
     spans_of,
@@ -89,7 +88,7 @@ def test_a_resonance_of_vanishing_width_is_not_missed(damping: float) -> None:
     pole = np.array([1.0, 2 * damping, 1.0])
     g1 = GraphSymbol.of_polynomials([1.0, 1.0], [[1.0]], 0.0)
     g2 = GraphSymbol.of_polynomials(np.polymul([1.0, 1.0], pole), [np.polyadd(pole, resonant)], 0.0)
-    assert nu_gap_of(g1, g2) == pytest.approx(0.27472, abs=3e-5)
+    assert nu_gap(g1, g2) == pytest.approx(0.27472, abs=3e-5)
 
 
 def test_an_unstable_pole_that_nearly_cancels_fails_the_winding_condition() -> None:
@@ -125,7 +124,7 @@ def test_closed_loop_models_against_a_dense_grid(order: int) -> None:
     grid = np.concatenate([[0], np.logspace(-6, math.log10(math.pi), 4000), [math.pi]])
     reached = 0
     for g1, g2 in combinations([closed_loop(rng, order) for _ in range(5)], 2):
-        gap = nu_gap_of(g1, g2)
+        gap = nu_gap(g1, g2)
         top = float(chordal_distance(g1, g2, grid).max())
         assert gap >= top * (1 - 1e-14)
         reached += gap == pytest.approx(top, rel=1e-5)
@@ -146,10 +145,10 @@ def model(rng: np.random.Generator, outputs: int = 2, order: int = 3, period: fl
 def test_it_is_a_distance(seed: int, outputs: int, order: int, period: float) -> None:
     rng = np.random.default_rng(seed)
     a, b, c = (model(rng, outputs, order, period) for _ in range(3))
-    ab, bc, ac = nu_gap_of(a, b), nu_gap_of(b, c), nu_gap_of(a, c)
+    ab, bc, ac = nu_gap(a, b), nu_gap(b, c), nu_gap(a, c)
     assert all(0 <= gap <= 1 for gap in (ab, bc, ac))
-    assert nu_gap_of(b, a) == pytest.approx(ab, rel=1e-12)
-    assert nu_gap_of(a, a) == 0.0
+    assert nu_gap(b, a) == pytest.approx(ab, rel=1e-12)
+    assert nu_gap(a, a) == 0.0
     assert ac <= ab + bc + 1e-12
 
 
@@ -158,7 +157,7 @@ def test_it_bounds_the_chordal_distance_at_every_frequency(seed: int, period: fl
     rng = np.random.default_rng(seed)
     a, b = model(rng, period=period), model(rng, period=period)
     frequencies = np.exp(rng.normal(0, 3, 20)) if period == 0 else rng.uniform(0, math.pi / period, 20)
-    assert np.all(chordal_distance(a, b, frequencies) <= nu_gap_of(a, b) + 1e-14)
+    assert np.all(chordal_distance(a, b, frequencies) <= nu_gap(a, b) + 1e-14)
 
 
 @given(seeds, st.integers(1, 3), st.floats(0.1, 10))
@@ -176,7 +175,7 @@ def test_it_does_not_change_under_the_bilinear_map(seed: int, order: int, rate: 
             mapped.append(np.sum(terms, axis=0))
         discrete.append(GraphSymbol.of_polynomials(mapped[0], mapped[1:], 1.0))
     # the map itself rounds the coefficients; what that does depends on how ill-placed they are
-    assert nu_gap_of(*discrete) == pytest.approx(nu_gap_of(*continuous), rel=1e-7)
+    assert nu_gap(*discrete) == pytest.approx(nu_gap(*continuous), rel=1e-7)
 
 
 @given(seeds)
@@ -188,8 +187,8 @@ def test_small_gain_changes_are_small_gaps(seed: int) -> None:
     g2 = GraphSymbol.of_polynomials(d, [n * (1 + 2.0**-27)], 0.0)
     frequencies = np.logspace(-4, 4, 4000)
     size = np.abs(np.polyval(n, 1j * frequencies) / np.polyval(d, 1j * frequencies))
-    assert nu_gap_of(g1, g2) <= 2.0**-28 * (1 + 1e-7)
-    assert nu_gap_of(g1, g2) >= 2.0**-27 * np.max(size / (1 + size**2)) * (1 - 1e-7)
+    assert nu_gap(g1, g2) <= 2.0**-28 * (1 + 1e-7)
+    assert nu_gap(g1, g2) >= 2.0**-27 * np.max(size / (1 + size**2)) * (1 - 1e-7)
 
 
 def test_matrix_of_all_pairs() -> None:
@@ -298,7 +297,7 @@ def test_a_family_of_integrators_has_distances_with_intervals() -> None:
     one = Servo.model("free").parameters(k=50.0, t=0.12)
     other = one.replace(t=0.2)
     known = np.diag([0.1, 1e-3]) ** 2
-    twins = [Uncertain(one, ("k", "t"), known), Uncertain(other, ("k", "t"), known)]
+    twins = [Candidate("", 0.0, servo, None, ("k", "t"), known) for servo in (one, other)]
     gaps = plant_gaps([one, other], POINTS, TERMS)
     found = family_uncertainty(twins, gaps, TERMS, seed=1)
     low, high = found.nu_gap_low[0, 1], found.nu_gap_high[0, 1]

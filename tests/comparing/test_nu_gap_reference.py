@@ -6,7 +6,7 @@ import mpmath as mp
 import numpy as np
 import pytest
 
-from twinmatch.comparing import GraphSymbol, nu_gap_of
+from twinmatch.comparing import GraphSymbol, nu_gap
 
 # mpmath 1.4 wants the order of coefficients named, 1.3 does not know the name
 pytestmark = pytest.mark.filterwarnings("ignore:Descending:DeprecationWarning")
@@ -127,7 +127,7 @@ def test_random_models_to_twelve_digits(order: int, nudge: float | None, discret
     outputs = 1 + order % 2
     p1 = random_model(rng, order, discrete, outputs)
     p2 = random_model(rng, order, discrete, outputs) if nudge is None else nudged(rng, p1, nudge)
-    gap = nu_gap_of(*(GraphSymbol.of_transfer_functions(p, 1.0 if discrete else 0.0) for p in (p1, p2)))
+    gap = nu_gap(*(GraphSymbol.of_transfer_functions(p, 1.0 if discrete else 0.0) for p in (p1, p2)))
     with mp.workdps(60):
         expected = mp.mpf(1) if winds(p1, p2, discrete) else largest(p1, p2, discrete)
         assert abs(gap - expected) <= 1e-12 * expected
@@ -143,7 +143,7 @@ def test_the_winding_condition_is_decided_as_the_roots_decide_it() -> None:
         g1, g2 = (GraphSymbol.of_transfer_functions(p, 0.0) for p in (p1, p2))
         with mp.workdps(40):
             expected = winds(p1, p2, False)
-        assert (nu_gap_of(g1, g2) == 1.0) == expected
+        assert (nu_gap(g1, g2) == 1.0) == expected
         failures += expected
     assert 15 < failures < 45
 
@@ -171,7 +171,7 @@ def test_poles_on_the_boundary_cost_no_digit(order: int, nudge: float | None, di
         p2 = on_the_boundary(rng, discrete, order)
     else:  # only the numerators: both keep their poles on the boundary
         p2 = [(n * (1 + nudge * rng.standard_normal(n.size)), d) for n, d in p1]
-    gap = nu_gap_of(*(GraphSymbol.of_transfer_functions(p, 1.0 if discrete else 0.0) for p in (p1, p2)))
+    gap = nu_gap(*(GraphSymbol.of_transfer_functions(p, 1.0 if discrete else 0.0) for p in (p1, p2)))
     with mp.workdps(60):
         expected = mp.mpf(1) if winds(p1, p2, discrete) else largest(p1, p2, discrete)
         assert abs(gap - expected) <= 1e-12 * expected
@@ -199,6 +199,6 @@ def test_every_failing_of_the_winding_condition_is_found(outputs: int, discrete:
         g1, g2 = (GraphSymbol.of_transfer_functions(p, 1.0 if discrete else 0.0) for p in (p1, p2))
         with mp.workdps(30):
             expected = winds(p1, p2, discrete)
-        assert (nu_gap_of(g1, g2) == 1.0) == expected
+        assert (nu_gap(g1, g2) == 1.0) == expected
         failures += expected
     assert 8 <= failures <= 28

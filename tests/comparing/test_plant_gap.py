@@ -25,7 +25,7 @@ from twinmatch.comparing import (
     loop_plant,
     mdl,
     nominal_of,
-    nu_gap_of,
+    nu_gap,
     plant_gap,
     plant_gaps,
     spans_of,
@@ -205,7 +205,7 @@ def test_a_loop_that_diverges_is_refused() -> None:
 def test_it_is_the_plant_of_the_margin_in_other_units() -> None:
     """At one point and in units of the margin both say the same."""
     terms = LoopConditions(GAINS, Scales.of(GAINS))
-    expected = nu_gap_of(loop_plant(ONE, 60.0), loop_plant(OTHER, 60.0))
+    expected = nu_gap(loop_plant(ONE, 60.0), loop_plant(OTHER, 60.0))
     assert plant_gap(ONE, OTHER, [60.0], terms) == pytest.approx(expected, rel=1e-3)
 
 

@@ -34,10 +34,10 @@ from twinmatch.comparing.criteria import (
 from twinmatch.comparing.graph_symbol import GraphSymbol, graph_symbol
 from twinmatch.comparing.margin import Scales, loop_controller, loop_plant, stability_margin
 from twinmatch.comparing.models import Candidate, Family, SimoModel, identify, twin_response
-from twinmatch.comparing.nu_gap import nu_gap, nu_gap_matrix, nu_gap_of
+from twinmatch.comparing.nu_gap import nu_gap, nu_gap_matrix
 from twinmatch.comparing.plant_gap import LoopConditions, PlantGaps, plant_gap, plant_gaps, spans_of
 from twinmatch.comparing.polynomials import DiscriminationError
-from twinmatch.comparing.uncertainty import FamilyUncertainty, Uncertain, family_uncertainty
+from twinmatch.comparing.uncertainty import FamilyUncertainty, family_uncertainty
 from twinmatch.comparing.verdict import (
     ADMITTED,
     BASELINES,
@@ -76,7 +76,6 @@ __all__ = [
     "Scales",
     "SimoModel",
     "TrustLevel",
-    "Uncertain",
     "Verdict",
     "akaike_weights",
     "beaten_words",
@@ -96,7 +95,6 @@ __all__ = [
     "nominal_of",
     "nu_gap",
     "nu_gap_matrix",
-    "nu_gap_of",
     "plant_gap",
     "plant_gaps",
     "score",

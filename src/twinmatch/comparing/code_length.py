@@ -23,7 +23,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from twinmatch.comparing.polynomials import DiscriminationError
-from twinmatch.signals import FloatArray
 
 TRIVIAL_PROGRAM = 15
 """Length of the program that only prints the table (paper, section IV)."""
@@ -67,7 +66,8 @@ def code_length(values: ArrayLike, decimals: int) -> int:
     Raises:
         DiscriminationError: a value is not finite, or `decimals` is out of range.
     """
-    _check_decimals(decimals)
+    if not 0 <= decimals <= MOST_DECIMALS:
+        raise DiscriminationError(f"code length: {decimals} decimals; give 0 to {MOST_DECIMALS}")
     table = np.asarray(values, dtype=np.float64).ravel()
     bad = np.flatnonzero(~np.isfinite(table))
     if bad.size:
@@ -117,9 +117,16 @@ def information_gain(
         msg = f"information gain: {copied} of {observed.size} samples copied; give 0 to {observed.size}"
         raise DiscriminationError(msg)
     trivial = code_length(observed, decimals)
-    start: FloatArray = observed[:copied]
-    rest: FloatArray = _differences(observed[copied:], modelled[copied:], copied)
-    model = code_length(start, decimals) + code_length(rest, decimals)
+    with np.errstate(over="ignore", invalid="ignore"):
+        rest = observed[copied:] - modelled[copied:]
+    bad = np.flatnonzero(~np.isfinite(rest))
+    if bad.size:
+        k = copied + int(bad[0])
+        raise DiscriminationError(
+            f"information gain: at sample {k} the measured value is {observed[k]} and the simulated one "
+            f"{modelled[k]}; their difference must be finite"
+        )
+    model = code_length(observed[:copied], decimals) + code_length(rest, decimals)
     return InformationGain(TRIVIAL_PROGRAM + trivial, MODEL_PROGRAM + model)
 
 
@@ -148,19 +155,6 @@ def two_part_length(model_length: float, parameters: int, samples: int) -> float
     return model_length + parameters * (1 + 0.5 * math.log10(samples))
 
 
-def _differences(observed: FloatArray, modelled: FloatArray, first: int) -> FloatArray:
-    with np.errstate(over="ignore", invalid="ignore"):
-        rest = observed - modelled
-    bad = np.flatnonzero(~np.isfinite(rest))
-    if bad.size:
-        k = int(bad[0])
-        raise DiscriminationError(
-            f"information gain: at sample {first + k} the measured value is {observed[k]} and the simulated "
-            f"one {modelled[k]}; their difference must be finite"
-        )
-    return rest
-
-
 def _lengths(digits: NDArray[np.int64], decimals: int) -> NDArray[np.int64]:
     """Characters of sign and digits; `digits` are absolute values times 10^decimals, below 2^52."""
     count: NDArray[np.int64] = np.searchsorted(_POWERS, digits, side="right") + 2
@@ -178,9 +172,3 @@ def _written(value: float, decimals: int) -> str:
     whole, _, fraction = f"{abs(value):.{decimals}f}".partition(".")
     text = (whole + fraction.rstrip("0")).lstrip("0") or "0"
     return ("-" if value < 0 and text != "0" else "+") + text
-
-
-def _check_decimals(decimals: int) -> None:
-    if not 0 <= decimals <= MOST_DECIMALS:
-        msg = f"code length: {decimals} decimals; give 0 to {MOST_DECIMALS}"
-        raise DiscriminationError(msg)

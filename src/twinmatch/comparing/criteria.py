@@ -2,8 +2,7 @@
 
 All take the loss V = det(1/N Σ ε εᵀ) of the prediction errors (the plain mean square for one output), the
 number of estimated parameters and the number of samples; smaller is better. The forms are those that the
-paper's own table follows, which for nAIC and MDL differ from the printed ones: those are here under the names
-`naic_as_printed` and `mdl_as_printed` for comparison only.
+paper's own table follows, which for nAIC and MDL differ from the printed ones.
 
 A loss of zero (the model predicts every sample exactly) gives −∞ in the logarithmic criteria and 0 in MDL:
 no penalty on parameters outweighs a perfect prediction.
@@ -211,7 +210,8 @@ def akaike_weights(criteria: ArrayLike) -> AkaikeWeights:
         msg = f"Akaike weights: the criteria are {np.asarray(criteria).tolist()}; give one number per model"
         raise DiscriminationError(msg)
     least = values.min()
-    differences = np.where(values == least, 0.0, values - least) if np.isfinite(least) else _perfect(values)
+    with np.errstate(invalid="ignore"):  # −∞ less −∞
+        differences = np.where(values == least, 0.0, values - least)
     likelihoods = np.exp(-differences / 2)
     return AkaikeWeights(differences, likelihoods / likelihoods.sum())
 
@@ -230,7 +230,3 @@ def score_orders(
         replace(s, aic_difference=float(d), weight=float(w))
         for s, d, w in zip(scores, found.differences, found.weights, strict=True)
     )
-
-
-def _perfect(values: FloatArray) -> FloatArray:
-    return np.where(np.isneginf(values), 0.0, np.inf)

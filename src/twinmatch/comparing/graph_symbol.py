@@ -18,11 +18,10 @@ from twinmatch.comparing.chordal import with_derivatives, with_powers_of_j
 from twinmatch.comparing.polynomials import (
     Column,
     DiscriminationError,
-    Polynomial,
     column_of,
     even_part,
     exact,
-    multiply,
+    product,
     roots_of_even_part,
     split,
     to_half_plane,
@@ -141,8 +140,7 @@ def graph_symbol(system: Any) -> GraphSymbol:
     if hasattr(system, "A"):
         period = _time_base(system, dynamic=len(system.A) > 0)
         return GraphSymbol.of_state_space(system.A, system.B, system.C, system.D, period)
-    outputs = range(system.noutputs)
-    fractions = [(system.num_array[k, 0], system.den_array[k, 0]) for k in outputs]
+    fractions = list(zip(system.num_array[:, 0], system.den_array[:, 0], strict=True))
     dynamic = any(np.size(p) > 1 for pair in fractions for p in pair)
     return GraphSymbol.of_transfer_functions(fractions, _time_base(system, dynamic=dynamic))
 
@@ -184,19 +182,12 @@ def _exact_column(pairs: list[tuple[FloatArray, FloatArray]], *, discrete: bool)
         if not any(denominator):
             msg = f"model: the denominator of output {which.index(k)} is zero; give one that is not"
             raise DiscriminationError(msg)
-    column = [_product(below)]
+    column = [product(below)]
     for k, numerator in zip(which, above, strict=True):
-        column.append(_product([numerator, *below[:k], *below[k + 1 :]]))
+        column.append(product([numerator, *below[:k], *below[k + 1 :]]))
     width = max(len(p) for p in column)
     column = trim_top([p + [0] * (width - len(p)) for p in column])
     return to_half_plane(column) if discrete else column
-
-
-def _product(factors: Sequence[Polynomial]) -> Polynomial:
-    product: Polynomial = [1]
-    for factor in factors:
-        product = multiply(product, factor)
-    return product
 
 
 def spectral_roots(column: Column) -> NDArray[np.complex128]:

@@ -34,7 +34,13 @@ import numpy as np
 from twinmatch.comparing import chordal
 from twinmatch.comparing.graph_symbol import GraphSymbol, graph_symbol, spectral_roots
 from twinmatch.comparing.nu_gap import common_period
-from twinmatch.comparing.polynomials import DiscriminationError, is_hurwitz, multiply
+from twinmatch.comparing.polynomials import (
+    DiscriminationError,
+    is_hurwitz,
+    multiply,
+    scale_of,
+    split,
+)
 from twinmatch.compiled import compiled
 from twinmatch.dynamics import Parameters, PidGains, linearised, pid_of
 from twinmatch.signals import FloatArray
@@ -65,7 +71,8 @@ def stability_margin(plant: Any, controller: Any) -> float:
     characteristic = [sum(terms) for terms in zip(*products, strict=True)]
     if not is_hurwitz(characteristic):
         return 0.0
-    return _smallest(g.coefficients, k.coefficients, spectral_roots([characteristic]))
+    inner = split([characteristic], scale_of(g.column) * scale_of(k.column))
+    return _smallest(g.coefficients, k.coefficients, inner, spectral_roots([characteristic]))
 
 
 def _transposed(controller: Any) -> Any:
@@ -85,11 +92,11 @@ def _transposed(controller: Any) -> Any:
 def _smallest(
     plant: tuple[FloatArray, FloatArray],
     controller: tuple[FloatArray, FloatArray],
+    inner: tuple[FloatArray, FloatArray],
     poles: Any,
 ) -> float:
-    """Smallest |K G|/|K||G| over all frequencies."""
-    high, low = _inner(plant[0], plant[1], controller[0], controller[1])
-    high, low = chordal.with_powers_of_j(high), chordal.with_powers_of_j(low)
+    """Smallest |K G|/|K||G| over all frequencies; `inner` is K G."""
+    high, low = chordal.with_powers_of_j(inner[0]), chordal.with_powers_of_j(inner[1])
     one = np.ones((1, 1))
     # as the search needs it: a sum of squares |G|²|K|² over |K G|², largest where the margin is smallest
     products = chordal.with_powers_of_j(_products(plant[0], controller[0]))
@@ -103,23 +110,6 @@ def _smallest(
     signed_plant = (chordal.with_powers_of_j(plant[0]), chordal.with_powers_of_j(plant[1]))
     signed_controller = (chordal.with_powers_of_j(controller[0]), chordal.with_powers_of_j(controller[1]))
     return chordal.exact_distance(signed_plant, signed_controller, (high, low), place)
-
-
-@compiled
-def _inner(
-    high1: FloatArray, low1: FloatArray, high2: FloatArray, low2: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Coefficients of the sum of products in double-double, shape (1, n1 + n2 + 1) each."""
-    rows, width1 = high1.shape
-    width2 = high2.shape[1]
-    high = np.zeros((1, width1 + width2 - 1))
-    low = np.zeros_like(high)
-    for row in range(rows):
-        for a in range(width1):
-            for b in range(width2):
-                p, e = chordal.multiply(high1[row, a], low1[row, a], high2[row, b], low2[row, b])
-                high[0, a + b], low[0, a + b] = chordal.add(high[0, a + b], low[0, a + b], p, e)
-    return high, low
 
 
 @compiled
@@ -215,5 +205,6 @@ def loop_plant(
             f"{operating_point:g} {plant.output.unit}, beyond the controller's limits {gains.low:g} and "
             f"{gains.high:g}; give an operating point at which it can be held"
         )
-    scaled = linear.C * (scales.input / scales.output)
-    return GraphSymbol.of_state_space(linear.A, linear.B, scaled, np.zeros((1, 1)), gains.period)
+    return GraphSymbol.of_state_space(
+        linear.A, linear.B, linear.C * scales.ratio, np.zeros((1, 1)), gains.period
+    )

@@ -65,17 +65,11 @@ def operating_level(window: Window, *, driven: bool = False, lead: int = LEAD) -
     Where the loop is not known, there is no set-point: if the input was constant before its first change, the
     level is the mean of the last samples before that change; if not, the mean over the window.
     """
-    if driven:
-        return _driven_level(window, lead)
-    moved = np.flatnonzero(window.reference != window.reference[0])
+    moving = window.input if driven else window.reference
+    moved = np.flatnonzero(moving != moving[0])
     step = int(moved[0]) if moved.size else len(window)
-    steady = window.input[max(0, step - lead) : step]
-    return OperatingLevel(float(window.reference[0]), float(np.mean(steady)))
-
-
-def _driven_level(window: Window, lead: int) -> OperatingLevel:
-    moved = np.flatnonzero(window.input != window.input[0])
-    step = int(moved[0]) if moved.size else len(window)
+    if not driven:
+        return OperatingLevel(float(moving[0]), float(np.mean(window.input[max(0, step - lead) : step])))
     before = slice(step - lead, step) if step >= lead else slice(None)
     return OperatingLevel(float(np.mean(window.output[before])), float(np.mean(window.input[before])))
 

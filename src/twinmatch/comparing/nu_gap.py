@@ -135,11 +135,7 @@ def nu_gap(p1: Any, p2: Any) -> float:
         DiscriminationError: different time bases or numbers of outputs, more than one input, or an
             invalid model.
     """
-    return nu_gap_of(graph_symbol(p1), graph_symbol(p2))
-
-
-def nu_gap_of(g1: GraphSymbol, g2: GraphSymbol) -> float:
-    """ν-gap between two models given as graph symbols; raises as `nu_gap`."""
+    g1, g2 = graph_symbol(p1), graph_symbol(p2)
     common_period(g1, g2)
     if g1.column == g2.column:
         return 0.0
@@ -157,7 +153,7 @@ def nu_gap_matrix(systems: Sequence[Any]) -> FloatArray:
     gaps = np.zeros((len(symbols), len(symbols)))
     for i, g1 in enumerate(symbols):
         for j in range(i):
-            gaps[i, j] = gaps[j, i] = nu_gap_of(g1, symbols[j])
+            gaps[i, j] = gaps[j, i] = nu_gap(g1, symbols[j])
     return gaps
 
 

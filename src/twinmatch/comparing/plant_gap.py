@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from twinmatch.comparing.graph_symbol import GraphSymbol
 from twinmatch.comparing.margin import Scales
-from twinmatch.comparing.nu_gap import nu_gap_of
+from twinmatch.comparing.nu_gap import nu_gap
 from twinmatch.comparing.polynomials import DiscriminationError
 from twinmatch.dynamics import (
     Law,
@@ -198,4 +198,4 @@ def plant_gap(one: Parameters, other: Parameters, points: Sequence[float], loop:
 
 @lru_cache(maxsize=8192)
 def _gap(one: GraphSymbol, other: GraphSymbol) -> float:
-    return nu_gap_of(one, other)
+    return nu_gap(one, other)

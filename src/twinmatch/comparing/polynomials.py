@@ -18,9 +18,9 @@ are a property of the model and stay.
 
 from __future__ import annotations
 
+import functools
 import math
-from collections.abc import Sequence
-from functools import lru_cache
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -45,25 +45,26 @@ def exact(polynomials: Sequence[FloatArray]) -> Column:
     Raises:
         DiscriminationError: a coefficient is not finite.
     """
-    ratios = []
-    for coefficients in polynomials:
-        if not np.isfinite(coefficients).all():
-            msg = f"model: coefficients {coefficients.tolist()} are not all finite; it cannot be compared"
-            raise DiscriminationError(msg)
-        ratios.append([c.as_integer_ratio() for c in coefficients.tolist()])
-    scale = max((denominator for row in ratios for _, denominator in row), default=1)
-    longest = max(len(row) for row in ratios)
-    return [[n * (scale // d) for n, d in row] + [0] * (longest - len(row)) for row in ratios]
+    padded = np.zeros((len(polynomials), max(len(p) for p in polynomials)))
+    for row, coefficients in zip(padded, polynomials, strict=True):
+        row[: len(coefficients)] = coefficients
+    whole, _ = _integers(padded)
+    return [list(row) for row in whole]
 
 
 def multiply(left: Polynomial, right: Polynomial) -> Polynomial:
     """Product of two polynomials."""
-    product = [0] * (len(left) + len(right) - 1)
+    coefficients = [0] * (len(left) + len(right) - 1)
     for i, a in enumerate(left):
         if a:
             for j, b in enumerate(right):
-                product[i + j] += a * b
-    return product
+                coefficients[i + j] += a * b
+    return coefficients
+
+
+def product(factors: Iterable[Polynomial]) -> Polynomial:
+    """Product of any number of polynomials."""
+    return functools.reduce(multiply, factors, [1])
 
 
 def trim(column: Column) -> Column:
@@ -92,16 +93,10 @@ def to_half_plane(column: Column) -> Column:
     ]
 
 
-@lru_cache(maxsize=64)
+@functools.lru_cache(maxsize=64)
 def _half_plane_basis(degree: int) -> Column:
     """(1 + w)^k (1 − w)^(degree − k) for every k."""
-    basis: Column = []
-    for k in range(degree + 1):
-        term: Polynomial = [1]
-        for factor in [[1, 1]] * k + [[1, -1]] * (degree - k):
-            term = multiply(term, factor)
-        basis.append(term)
-    return basis
+    return [product([[1, 1]] * k + [[1, -1]] * (degree - k)) for k in range(degree + 1)]
 
 
 def even_part(column: Column) -> Polynomial:
@@ -116,9 +111,15 @@ def even_part(column: Column) -> Polynomial:
     return total
 
 
-def split(column: Column) -> tuple[FloatArray, FloatArray]:
-    """Coefficients as unevaluated sums of two floats, shape (polynomials, n + 1) each, the largest near 1."""
-    scale = 1 << max(abs(c).bit_length() for p in column for c in p)
+def scale_of(column: Column) -> int:
+    """The power of two above the largest coefficient."""
+    return 1 << max(abs(c).bit_length() for p in column for c in p)
+
+
+def split(column: Column, scale: int | None = None) -> tuple[FloatArray, FloatArray]:
+    """Coefficients as unevaluated sums of two floats, shape (polynomials, n + 1) each, divided by `scale`;
+    default: the largest near 1."""
+    scale = scale or scale_of(column)
     high = np.zeros((len(column), len(column[0])))
     low = np.zeros_like(high)
     for i, p in enumerate(column):
@@ -184,26 +185,25 @@ def column_of(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray) -> Col
         DiscriminationError: an entry is not finite.
     """
     order = len(A)
-    a, a_scale = _integers(A)
-    b, b_scale = _integers(B)
-    c, c_scale = _integers(C)
-    d, d_scale = _integers(D)
-    # with s = σ/a_scale, σI − a has integer entries; M[k] are the coefficients of its adjugate
+    whole, scale = _integers(np.block([[A, B], [C, D]]))
+    a, b, c, d = whole[:order, :order], whole[:order, order:], whole[order:, :order], whole[order:, order]
+    # with s = σ/scale, σI − a has integer entries; M[k] are the coefficients of its adjugate
     characteristic = [0] * order + [1]
     adjugate_b: list[Any] = [None] * order
     identity = np.array([[int(i == j) for j in range(order)] for i in range(order)], dtype=object)
     m = identity
     for k in range(1, order + 1):
         adjugate_b[order - k] = m @ b
-        product = a @ m
-        characteristic[order - k] = -sum(product[i, i] for i in range(order)) // k
-        m = product + characteristic[order - k] * identity
-    scaled = [coefficient * a_scale**k for k, coefficient in enumerate(characteristic)]
-    column = [[coefficient * b_scale * c_scale * d_scale for coefficient in scaled]]
-    for output in range(len(C)):
-        through = [coefficient * d[output, 0] * b_scale * c_scale for coefficient in scaled]
+        m = a @ m
+        characteristic[order - k] = -sum(m[i, i] for i in range(order)) // k
+        m = m + characteristic[order - k] * identity
+    powers = [scale**k for k in range(order + 1)]
+    scaled = [p * coefficient for p, coefficient in zip(powers, characteristic, strict=True)]
+    column = [[scale * coefficient for coefficient in scaled]]
+    for row, direct in zip(c, d, strict=True):
+        through = [direct * coefficient for coefficient in scaled]
         for k in range(order):
-            through[k] += int((c[output] @ adjugate_b[k])[0]) * a_scale ** (k + 1) * d_scale
+            through[k] += int((row @ adjugate_b[k])[0]) * powers[k]
         column.append(through)
     return column
 
@@ -211,9 +211,8 @@ def column_of(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray) -> Col
 def _integers(matrix: FloatArray) -> tuple[Any, int]:
     """A matrix times the smallest power of two that makes its entries integers, and that power."""
     if not np.isfinite(matrix).all():
-        raise DiscriminationError(
-            f"model: a state-space matrix {np.asarray(matrix).tolist()} is not finite; it cannot be compared"
-        )
+        msg = f"model: its numbers {np.asarray(matrix).tolist()} are not all finite; it cannot be compared"
+        raise DiscriminationError(msg)
     ratios: Sequence[tuple[int, int]] = [float(x).as_integer_ratio() for x in np.ravel(matrix)]
     scale = max((d for _, d in ratios), default=1)
     whole = np.empty(len(ratios), dtype=object)

@@ -24,11 +24,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from twinmatch.comparing.models import Candidate
 from twinmatch.comparing.plant_gap import LoopConditions, PlantGaps, plant_gaps, response_slopes
 from twinmatch.comparing.polynomials import DiscriminationError
 from twinmatch.compiled import compiled
@@ -41,21 +42,10 @@ HALVINGS = 7
 """Halvings of the interval that contains a scale: finer than a hundred draws resolve."""
 
 
-@compiled
 def directions(responses: Complex) -> Complex:
-    """Columns [1; P] of length 1, (n, frequencies, 1 + outputs), for P of shape (n, frequencies, outputs)."""
-    n, points, outputs = responses.shape
-    columns = np.empty((n, points, outputs + 1), dtype=np.complex128)
-    for i in range(n):
-        for w in range(points):
-            square = 1.0
-            for m in range(outputs):
-                square += responses[i, w, m].real ** 2 + responses[i, w, m].imag ** 2
-            scale = 1 / math.sqrt(square)
-            columns[i, w, 0] = scale
-            for m in range(outputs):
-                columns[i, w, m + 1] = responses[i, w, m] * scale
-    return columns
+    """Columns [1; P] of length 1, shape (…, 2), for responses P of any shape."""
+    scale = 1 / np.sqrt(1.0 + (responses.real**2 + responses.imag**2))
+    return np.stack([scale.astype(np.complex128), responses * scale], axis=-1)
 
 
 @compiled
@@ -65,28 +55,25 @@ def disturbed_pair(
     """The coefficients a, b and c of one pair.
 
     Args:
-        still1: unperturbed direction of the first model, shape (frequencies, 1 + outputs).
+        still1: unperturbed direction of the first model, shape (frequencies, 2).
         still2: that of the second model.
-        moved1: direction of the first model in every draw, shape (draws, frequencies, 1 + outputs).
+        moved1: direction of the first model in every draw, shape (draws, frequencies, 2).
         moved2: that of the second model.
 
     Returns:
         Shapes (frequencies,), (frequencies, draws) and (frequencies, draws): draws are contiguous in memory,
         so that they can be vectorised.
     """
-    draws, points, rows = moved1.shape
-    a = np.zeros(points)
-    b = np.zeros((points, draws))
-    c = np.zeros((points, draws))
-    for m in range(rows):
-        for k in range(m + 1, rows):
-            for w in range(points):
-                v = still1[w, m] * still2[w, k] - still1[w, k] * still2[w, m]
-                a[w] += v.real * v.real + v.imag * v.imag
-                for s in range(draws):
-                    e = moved1[s, w, m] * moved2[s, w, k] - moved1[s, w, k] * moved2[s, w, m] - v
-                    b[w, s] += 2 * (v.real * e.real + v.imag * e.imag)
-                    c[w, s] += e.real * e.real + e.imag * e.imag
+    draws, points, _ = moved1.shape
+    a = np.empty(points)
+    b, c = np.empty((points, draws)), np.empty((points, draws))
+    for w in range(points):
+        v = still1[w, 0] * still2[w, 1] - still1[w, 1] * still2[w, 0]
+        a[w] = v.real * v.real + v.imag * v.imag
+        for s in range(draws):
+            e = moved1[s, w, 0] * moved2[s, w, 1] - moved1[s, w, 1] * moved2[s, w, 0] - v
+            b[w, s] = 2 * (v.real * e.real + v.imag * e.imag)
+            c[w, s] = e.real * e.real + e.imag * e.imag
     return a, b, c
 
 
@@ -95,9 +82,8 @@ def turn(direction1: Complex, direction2: Complex) -> float:
     """Total phase change of the inner product of two models' directions over the frequencies, radians."""
     total, before = 0.0, 0j
     for w in range(direction1.shape[0]):
-        inner = 0j
-        for m in range(direction1.shape[1]):
-            inner += direction1[w, m] * direction2[w, m].conjugate()
+        inner = direction1[w, 0] * direction2[w, 0].conjugate()
+        inner += direction1[w, 1] * direction2[w, 1].conjugate()
         if w > 0:
             ratio = inner * before.conjugate()
             total += math.atan2(ratio.imag, ratio.real)
@@ -121,8 +107,8 @@ def failing_draws(
     Args:
         a: from `disturbed_pair`, the frequencies of one operating point after the other.
         c: likewise.
-        still: unperturbed directions of the two models, shape (frequencies, 1 + outputs).
-        moved: the same in every draw, shape (draws, frequencies, 1 + outputs).
+        still: unperturbed directions of the two models, shape (frequencies, 2).
+        moved: the same in every draw, shape (draws, frequencies, 2).
         failed: whether the condition fails at each operating point without the draws, shape (points,).
     """
     width = a.size // failed.size
@@ -162,11 +148,18 @@ def estimates(
 
 
 @compiled
-def _count_reaching(  # noqa: PLR0917
-    which: NDArray[np.int64], a: FloatArray, b: FloatArray, c: FloatArray, scale: float, seen: float
-) -> int:
-    """Number of draws in which `estimates` is `seen` or more."""
-    return int(np.sum(estimates(which, a, b, c, scale) >= seen))
+def _halved(  # noqa: PLR0917
+    which: NDArray[np.int64], a: FloatArray, b: FloatArray, c: FloatArray, seen: float, most: int,
+    low: float, high: float,
+) -> tuple[float, float]:  # fmt: skip
+    """Interval around the scale above which more than `most` draws give `seen` or more."""
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        if np.sum(estimates(which, a, b, c, middle) >= seen) > most:
+            high = middle
+        else:
+            low = middle
+    return low, high
 
 
 @compiled
@@ -186,23 +179,11 @@ def fitting_scales(
     # beyond these limits no draw reaches the actual estimate
     widest = 2 * most / max(seen, 1e-300)
     low, high = max(0.0, 1.0 - widest), 1.0
-    if low == 0.0 and _count_reaching(which, a, b, c, 0.0, seen) > rare:
+    if low == 0.0 and np.sum(estimates(which, a, b, c, 0.0) >= seen) > rare:
         high = 0.0
-    for _ in range(HALVINGS):
-        middle = 0.5 * (low + high)
-        if _count_reaching(which, a, b, c, middle, seen) > rare:
-            high = middle
-        else:
-            low = middle
-    least = low
-    low, high = 1.0, 1.0 + widest
-    for _ in range(HALVINGS):
-        middle = 0.5 * (low + high)
-        if _count_reaching(which, a, b, c, middle, seen) < draws - rare:
-            low = middle
-        else:
-            high = middle
-    return least, high
+    least, _ = _halved(which, a, b, c, seen, rare, low, high)
+    _, largest = _halved(which, a, b, c, seen, draws - rare - 1, 1.0, 1.0 + widest)
+    return least, largest
 
 
 CONFIDENCE = 0.9
@@ -215,42 +196,27 @@ DRAWS = 100
 SEED = 2000
 
 
-@dataclass(frozen=True, eq=False)
-class Uncertain:
-    """Parameters with the covariance of their match."""
+def covariance_root(candidate: Candidate) -> FloatArray:
+    """L with L·Lᵀ the covariance, shape (n, n); undetermined directions have their scale as uncertainty.
 
-    parameters: Parameters
-    free: tuple[str, ...] = ()
-    """Names of those that were fitted."""
-    covariance: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
-    """Covariance of these, in their units, shape (n, n); empty: they are exact."""
-
-    @property
-    def loose(self) -> tuple[str, ...]:
-        """Names of the parameters that vary in the draws."""
-        return self.free if len(self.covariance) else ()
-
-    def root(self) -> FloatArray:
-        """L with L·Lᵀ the covariance, shape (n, n); undetermined directions have their scale as uncertainty.
-
-        Raises:
-            DiscriminationError: the covariance has another shape, or an entry that is not a number.
-        """
-        scales = np.array([self.parameters.model.declared[name].scale for name in self.loose])
-        wrong = len(self.covariance) and self.covariance.shape != (scales.size, scales.size)
-        if wrong or np.isnan(self.covariance).any():
-            raise DiscriminationError(
-                f"uncertainty: a covariance of shape {self.covariance.shape} for {len(self.free)} "
-                "parameters; give one row and one column of numbers for each, or none"
-            )
-        if not scales.size:
-            return np.zeros((0, 0))
-        relative = self.covariance / np.outer(scales, scales)
-        if not np.isfinite(relative).all():  # the match left some combination unbounded
-            return np.diag(scales)
-        values, vectors = np.linalg.eigh((relative + relative.T) / 2)
-        values = np.maximum(values, 0.0)
-        return np.asarray(scales[:, None] * vectors * np.sqrt(values / (1.0 + values)))
+    Raises:
+        DiscriminationError: the covariance has another shape, or an entry that is not a number.
+    """
+    covariance = candidate.covariance
+    if not len(covariance):
+        return np.zeros((0, 0))
+    scales = np.array([candidate.parameters.model.declared[name].scale for name in candidate.free])
+    if covariance.shape != (scales.size, scales.size) or np.isnan(covariance).any():
+        raise DiscriminationError(
+            f"uncertainty: a covariance of shape {covariance.shape} for {len(candidate.free)} "
+            "parameters; give one row and one column of numbers for each, or none"
+        )
+    relative = covariance / np.outer(scales, scales)
+    if not np.isfinite(relative).all():  # the match left some combination unbounded
+        return np.diag(scales)
+    values, vectors = np.linalg.eigh((relative + relative.T) / 2)
+    values = np.maximum(values, 0.0)
+    return np.asarray(scales[:, None] * vectors * np.sqrt(values / (1.0 + values)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -268,7 +234,7 @@ class FamilyUncertainty:
 
 
 def family_uncertainty(
-    twins: Sequence[Uncertain],
+    twins: Sequence[Candidate],
     gaps: PlantGaps,
     loop: LoopConditions,
     *,
@@ -297,25 +263,11 @@ def family_uncertainty(
     low, high = np.zeros((n, n)), np.zeros((n, n))
     for p, (i, j) in enumerate(zip(family.first, family.second, strict=True)):
         low[i, j], high[i, j] = low[j, i], high[j, i] = family.interval(p)
-    sums = [family.sum_of(i) for i in range(n)]
-    shares = _shares(np.array([s.draws for s in sums]))
+    lows, highs, draws = map(np.array, zip(*map(family.sum_of, range(n)), strict=True))
+    shares = _shares(draws)
     if n == 2:
         shares = np.full(2, 0.5) if plant is None else _nearer(twins, plant, gaps.points, loop, seed)
-    return FamilyUncertainty(
-        nu_gap_low=low,
-        nu_gap_high=high,
-        sum_low=np.array([s.low for s in sums]),
-        sum_high=np.array([s.high for s in sums]),
-        nominal_probability=shares,
-    )
-
-
-@dataclass(frozen=True, eq=False)
-class _Sum:
-    low: float
-    high: float
-    draws: FloatArray
-    """Draws of the sum, shape (draws,)."""
+    return FamilyUncertainty(low, high, lows, highs, shares)
 
 
 @dataclass(frozen=True, eq=False)
@@ -331,7 +283,7 @@ class _Family:
     fails: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, twins: Sequence[Uncertain], gaps: PlantGaps, loop: LoopConditions, seed: int) -> _Family:
+    def of(cls, twins: Sequence[Candidate], gaps: PlantGaps, loop: LoopConditions, seed: int) -> _Family:
         rng = np.random.default_rng(seed)
         still, moved = zip(*(_directions(twin, gaps.points, loop, rng) for twin in twins), strict=True)
         first, second = np.triu_indices(len(twins), 1)
@@ -355,8 +307,9 @@ class _Family:
         reaches = float(np.mean(self.fails[pair])) > TAIL
         return least * gap, 1.0 if reaches else min(1.0, most * gap)
 
-    def sum_of(self, candidate: int) -> _Sum:
-        """Interval and draws of one candidate's sum; pairs failing the winding condition count separately."""
+    def sum_of(self, candidate: int) -> tuple[float, float, FloatArray]:
+        """Interval of one candidate's sum, and the sum in every draw, shape (draws,); pairs failing the
+        winding condition count separately."""
         own = np.flatnonzero((self.first == candidate) | (self.second == candidate))
         winding_failed, rest = own[self.gaps[own] == 1], own[self.gaps[own] < 1]
         draws = np.zeros(DRAWS)
@@ -368,7 +321,7 @@ class _Family:
             least, most = fitting_scales(rest, self.a, self.b, self.c, TAIL)
             low, high = low + least * total, high + min(float(rest.size), most * total)
             draws += _recentred(self._estimates(rest), total)
-        return _Sum(low, high, draws)
+        return low, high, draws
 
     def distance(self, pair: int) -> FloatArray:
         """Draws of one ν-gap, shape (draws,)."""
@@ -395,30 +348,30 @@ def _shares(draws: FloatArray) -> FloatArray:
 
 
 def _nearer(
-    twins: Sequence[Uncertain], plant: Parameters, points: Sequence[float], loop: LoopConditions, seed: int
+    twins: Sequence[Candidate], plant: Parameters, points: Sequence[float], loop: LoopConditions, seed: int
 ) -> FloatArray:
     """Share of the draws in which each of two candidates is nearer to the plant, shape (2,)."""
-    all_twins = [*twins, Uncertain(plant)]
+    all_twins = [*twins, Candidate("", 0.0, plant, None)]
     family = _Family.of(all_twins, plant_gaps([t.parameters for t in all_twins], points, loop), loop, seed)
     to_plant = np.flatnonzero(family.second == 2)
     return _shares(np.array([family.distance(int(p)) for p in to_plant]))
 
 
 def _directions(
-    twin: Uncertain, points: Sequence[float], loop: LoopConditions, rng: np.random.Generator
-) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+    twin: Candidate, points: Sequence[float], loop: LoopConditions, rng: np.random.Generator
+) -> tuple[Complex, Complex]:
     """Directions of a twin's plant, the frequencies of one operating point after the other, unperturbed and
     in every draw; shapes (frequencies, 2) and (draws, frequencies, 2).
 
     Without an operating point both are those of a zero response.
     """
-    root = twin.root()
+    root = covariance_root(twin)
     draws = rng.standard_normal((DRAWS, len(root))) @ root.T
     if not points:
-        nothing = np.zeros((1, DRAWS + 1, 1, 1), dtype=np.complex128)
-        return directions(nothing[:, 0])[0], directions(nothing[0, 1:])
-    known = [response_slopes(twin.parameters, twin.loose, point, loop) for point in points]
-    response = np.concatenate([response for response, _ in known])[None, :, None]
+        return directions(np.zeros(1, np.complex128)), directions(np.zeros((DRAWS, 1), np.complex128))
+    loose = twin.free if len(root) else ()
+    known = [response_slopes(twin.parameters, loose, point, loop) for point in points]
+    response = np.concatenate([response for response, _ in known])
     moves = draws @ np.hstack([slopes for _, slopes in known])
-    moved = np.asarray(response + moves[..., None], dtype=np.complex128)
-    return directions(response)[0], directions(moved)
+    moved = np.asarray(response + moves, dtype=np.complex128)
+    return directions(response), directions(moved)

@@ -6,22 +6,17 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from twinmatch.comparing.criteria import Criteria, OrderScore
 from twinmatch.comparing.graph_symbol import GraphSymbol
 from twinmatch.comparing.margin import loop_controller, loop_plant, stability_margin
-from twinmatch.comparing.nu_gap import nu_gap_of
+from twinmatch.comparing.models import Candidate
+from twinmatch.comparing.nu_gap import nu_gap
 from twinmatch.comparing.plant_gap import LoopConditions, PlantGaps
-from twinmatch.comparing.uncertainty import (
-    CONFIDENCE,
-    SEED,
-    FamilyUncertainty,
-    Uncertain,
-    family_uncertainty,
-)
+from twinmatch.comparing.uncertainty import CONFIDENCE, SEED, family_uncertainty
 from twinmatch.dynamics import Law, Parameters, PidGains
 from twinmatch.errors import TwinmatchError
 
@@ -251,18 +246,16 @@ chance.
 """
 
 
-@dataclass(frozen=True)
-class Certainty:
+class Certainty(NamedTuple):
     """The part of a verdict that is filled in here; `Verdict` documents the fields."""
 
     candidates: tuple[CandidateScore, ...]
-    decided: bool
     certainty: str
 
 
 def judge_uncertainty(
     candidates: Sequence[CandidateScore],
-    twins: Sequence[Uncertain],
+    twins: Sequence[Candidate],
     gaps: PlantGaps,
     nominal: str | None,
     loop: LoopConditions,
@@ -277,7 +270,7 @@ def judge_uncertainty(
 
     Args:
         candidates: scores of the family.
-        twins: the same candidates, with the covariances of their matches.
+        twins: the same candidates.
         gaps: ν-gaps between their plants.
         nominal: name of the chosen candidate.
         loop: the loop in which they are held; its controller, if known, gives the margins.
@@ -286,15 +279,24 @@ def judge_uncertainty(
     """
     names = [c.name for c in candidates]
     if nominal not in names:
-        return Certainty(tuple(candidates), False, "")
+        return Certainty(tuple(candidates), "")
     chosen = names.index(nominal)
     uncertainty = family_uncertainty(twins, gaps, loop, plant=plant, seed=seed)
-    scored = _with_intervals(with_margins(candidates, chosen, loop.gains), uncertainty)
-    decided = bool(uncertainty.nominal_probability[chosen] >= DECIDED_FROM)
-    sentences = [_choice(scored, chosen, decided)]
+    scored = tuple(
+        replace(
+            c,
+            nu_gap_low=tuple(uncertainty.nu_gap_low[k].tolist()),
+            nu_gap_high=tuple(uncertainty.nu_gap_high[k].tolist()),
+            nu_gap_sum_low=float(uncertainty.sum_low[k]),
+            nu_gap_sum_high=float(uncertainty.sum_high[k]),
+            nominal_probability=float(uncertainty.nominal_probability[k]),
+        )
+        for k, c in enumerate(with_margins(candidates, chosen, loop.gains))
+    )
+    sentences = [_choice(scored, chosen)]
     sentences += [_reach(scored, chosen)] if loop.gains is not None else []
     sentences += [f"not compared everywhere: {reason}" for reason in gaps.left_out[:1]]
-    return Certainty(scored, decided, "; ".join(sentences))
+    return Certainty(scored, "; ".join(sentences))
 
 
 def with_margins(
@@ -316,7 +318,7 @@ def with_margins(
         replace(
             c,
             margin=None if p is None else stability_margin(p, controller),
-            plant_gap_to_nominal=None if p is None or centre is None else nu_gap_of(p, centre),
+            plant_gap_to_nominal=None if p is None or centre is None else nu_gap(p, centre),
         )
         for c, p in zip(candidates, plants, strict=True)
     )
@@ -329,27 +331,11 @@ def _plant(candidate: CandidateScore, gains: PidGains) -> GraphSymbol | None:
         return None
 
 
-def _with_intervals(
-    candidates: Sequence[CandidateScore], uncertainty: FamilyUncertainty
-) -> tuple[CandidateScore, ...]:
-    return tuple(
-        replace(
-            c,
-            nu_gap_low=tuple(uncertainty.nu_gap_low[k].tolist()),
-            nu_gap_high=tuple(uncertainty.nu_gap_high[k].tolist()),
-            nu_gap_sum_low=float(uncertainty.sum_low[k]),
-            nu_gap_sum_high=float(uncertainty.sum_high[k]),
-            nominal_probability=float(uncertainty.nominal_probability[k]),
-        )
-        for k, c in enumerate(candidates)
-    )
-
-
-def _choice(candidates: Sequence[CandidateScore], chosen: int, decided: bool) -> str:
+def _choice(candidates: Sequence[CandidateScore], chosen: int) -> str:
     name, share = candidates[chosen].name, candidates[chosen].nominal_probability
     if len(candidates) == 1:
         return f"{name} is the only candidate"
-    if decided:
+    if share >= DECIDED_FROM:
         return f"{name} is nominal with probability {_probability(share)}"
     others = [c for c in candidates if c.name != name]
     rival = others[int(np.argmax([c.nominal_probability for c in others]))]

@@ -15,14 +15,13 @@ from twinmatch.comparing import (
     LoopConditions,
     OrderScore,
     SimoModel,
-    Uncertain,
     choose_order,
     common_order,
     identify,
     judge_uncertainty,
     nominal_of,
+    nu_gap,
     nu_gap_matrix,
-    nu_gap_of,
     plant_gap,
     plant_gaps,
     score,
@@ -212,10 +211,9 @@ class CandidatePool:
         models = [member.models[plant.order] for member in family]
         identified = nu_gap_matrix([m.symbol for m in models])
         candidates = [*self._family.candidates, *beside]
-        twins = [Uncertain(c.parameters, c.free, c.covariance) for c in candidates]
         points, loop, count = self._points(window), self._loop, len(family)
-        gaps = plant_gaps([t.parameters for t in twins], points, loop)
-        to_now = [None if now is None else plant_gap(t.parameters, now, points, loop) for t in twins]
+        gaps = plant_gaps([c.parameters for c in candidates], points, loop)
+        to_now = [None if now is None else plant_gap(c.parameters, now, points, loop) for c in candidates]
         distances = gaps.matrix[:, :count].sum(axis=1).tolist()
         decimals, absolute = self._settings.decimals, self._settings.plant.output.absolute
         bare = [_bare_score(*of) for of in zip(candidates, distances, to_now, strict=True)]
@@ -228,13 +226,13 @@ class CandidatePool:
                 chosen_order=member.chosen,
                 newest=score(model, window, decimals, absolute=absolute).total,
                 identified_gap_sum=float(identified[k].sum()),
-                identified_gap_to_plant=nu_gap_of(model.symbol, plant.symbol),
+                identified_gap_to_plant=nu_gap(model.symbol, plant.symbol),
             )
             for k, (member, model) in enumerate(zip(family, models, strict=True))
         )
         nominal = nominal_of(scores)
         certainty = judge_uncertainty(
-            scores, twins[:count], gaps.of(count), nominal, loop, plant=now, seed=self._settings.seed
+            scores, candidates[:count], gaps.of(count), nominal, loop, plant=now, seed=self._settings.seed
         )
         others = tuple(bare[count:])
         if nominal is not None:
