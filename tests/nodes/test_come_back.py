@@ -1,4 +1,4 @@
-"""A twin that was killed or stopped says what it would have said: all of it, once, bit for bit."""
+"""A twin or a recorder that was killed or stopped leaves nothing out: all is said once, bit for bit."""
 
 from __future__ import annotations
 
@@ -26,10 +26,9 @@ pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
 LENGTH = 700
 """Samples that are played: two matches, on samples 300 and 600, and a verdict a minute."""
-TWIN_KILLED = (40, 112, 328, 560)
-"""Samples at which the twin is killed, 3.6 to 18 s apart: back or still catching up."""
-RECORDER_KILLED = range(100, 620, 230)
-"""Samples at which the recorder is killed: three times; the first verdict comes before them."""
+TWIN_KILLED = (40, 112, 328, 590)
+RECORDER_KILLED = (200, 430, 520)
+"""Samples at which one or the other is killed, 3.5 s apart and more: back or still catching up."""
 
 AROUND = 20
 """States around a kill that were under way: more than a second of them."""
@@ -38,7 +37,7 @@ AROUND = 20
 class Run:
     """Player, twin and recorder, and what is received of them."""
 
-    def __init__(self, start: Start, listener: Listener, session: Path, folder: Path, rate: float) -> None:
+    def __init__(self, start: Start, listener: Listener, session: Path, folder: Path) -> None:
         self.listener, self._start = listener, start
         self.scores = listener.hear(ModelScore, "twin/model_score", EVERYTHING)
         self.matches = listener.hear(Match, "twin/match", EVERYTHING)
@@ -52,17 +51,8 @@ class Run:
         topics = ("twin/match", "twin/model_score", "twin/state", "twin/forecast")
         listener.spin_until(lambda: all(map(listener.node.count_publishers, topics)), "the twin")
         readers = "readers:=twin_simulator discriminator keeper recorder"
-        start(
-            "player",
-            "-p",
-            f"session:={session}",
-            "-p",
-            f"rate:={rate}",
-            "-p",
-            readers,
-            "-p",
-            "wait_timeout:=60.0",
-        )
+        words = (f"session:={session}", "rate:=20.0", readers, "wait_timeout:=60.0")
+        start("player", *(word for given in words for word in ("-p", given)))
 
     def record(self) -> None:
         """Start a recorder with a folder of its own."""
@@ -149,70 +139,46 @@ class Run:
         return [*found, verify_session(self.folders[-1])]
 
 
-@pytest.fixture(scope="module")
-def played(steps: list[Sample]) -> list[Sample]:
-    return steps[:LENGTH]
-
-
-@pytest.fixture(scope="module")
-def said(offline: list[Outcome]) -> list[Outcome]:
-    """Of them, offline."""
-    return offline[:LENGTH]
-
-
 @pytest.fixture
-def begin(
-    start_process: Start, listener: Listener, played: list[Sample], tmp_path: Path
-) -> Callable[[float], Run]:
-    session = write_session(tmp_path / "steps", played)
-    return lambda rate: Run(start_process, listener, session, tmp_path, rate)
+def begin(start_process: Start, listener: Listener, tmp_path: Path) -> Callable[[list[Sample]], Run]:
+    def play(samples: list[Sample]) -> Run:
+        return Run(start_process, listener, write_session(tmp_path / "steps", samples), tmp_path)
+
+    return play
 
 
-def test_a_twin_that_is_killed_again_and_again_comes_back(
-    begin: Callable[[float], Run], played: list[Sample], said: list[Outcome]
+def test_twin_and_recorder_that_are_killed_again_and_again_come_back(
+    begin: Callable[[list[Sample]], Run], steps: list[Sample], offline: list[Outcome]
 ) -> None:
-    run = begin(20.0)
-    for index in TWIN_KILLED:
+    """Every session of a killed recorder verifies from its beginning; the last one has everything."""
+    played, said = steps[:LENGTH], offline[:LENGTH]
+    run = begin(played)
+    for index in sorted(TWIN_KILLED + RECORDER_KILLED):
         run.until_state(index)
-        before = run.readers("discriminator")
-        run.shoot()
-    run.hold_until_back("discriminator", before)
-    run.check(played, said, shots=len(TWIN_KILLED))
-    (found,) = run.verify()
-    assert found.identical, found.difference
-    assert found.verdicts == sum(len(outcome.verdicts) for outcome in said)
-
-
-def test_a_twin_that_stood_still_is_given_what_it_missed(
-    begin: Callable[[float], Run], played: list[Sample], said: list[Outcome]
-) -> None:
-    run = begin(20.0)
-    run.until_state(100)
-    run.stand_still(10.0)
-    run.listener.spin_until(lambda: run.matches, "a match")  # its verdict is being made
-    run.stand_still(10.0)
-    run.check(played, said)
-    (found,) = run.verify()
-    assert found.identical, found.difference
-
-
-def test_a_recorder_that_is_killed_leaves_sessions_that_verify(
-    begin: Callable[[float], Run], played: list[Sample], said: list[Outcome]
-) -> None:
-    """Each of them from its beginning; the last one has everything."""
-    run = begin(30.0)
-    for index in RECORDER_KILLED:
-        run.until_state(index)
-        before = run.readers("recorder")
+        before = run.readers("discriminator" if index in TWIN_KILLED else "recorder")
+        if index in TWIN_KILLED:
+            run.shoot()
+            continue
         run.recorder.kill()
         run.record()
         run.until_state(index + 20)
         run.hold_until_back("recorder", before)
-    before = run.readers("discriminator")
-    run.shoot()
     run.hold_until_back("discriminator", before)
-    run.check(played, said, shots=1)
+    run.check(played, said, shots=len(TWIN_KILLED))
     found = run.verify()
     assert [one.difference for one in found] == [None] * len(found)
     assert found[-1].verdicts == sum(len(outcome.verdicts) for outcome in said)
     assert read_session(run.folders[-1]).samples == played
+
+
+def test_a_twin_that_stood_still_is_given_what_it_missed(
+    begin: Callable[[list[Sample]], Run], steps: list[Sample], offline: list[Outcome]
+) -> None:
+    run = begin(steps[:420])
+    run.until_state(100)
+    run.stand_still(10.0)
+    run.listener.spin_until(lambda: run.matches, "a match")  # its verdict is being made
+    run.stand_still(10.0)
+    run.check(steps[:420], offline[:420])
+    (found,) = run.verify()
+    assert found.identical, found.difference
