@@ -1,8 +1,8 @@
-"""A program of another DDS: Cyclone's Python binding reads samples and temperatures; no ROS at all.
+"""A program of another DDS: Cyclone's Python binding reads samples; no ROS at all.
 
     python cyclone_reader.py
 
-It prints `ready`, then one line of JSON per message: `[topic, stamp in ns, values…]`, until SIGTERM.
+It prints `ready`, then one line of JSON per sample: `[stamp in ns, index, values…]`, until SIGTERM.
 
 (No `from __future__ import annotations`: the binding cannot resolve a `str` that it turned into text.)
 """
@@ -39,13 +39,6 @@ class Header(IdlStruct, typename="std_msgs::msg::dds_::Header_"):  # type: ignor
 
 
 @dataclass
-class Temperature(IdlStruct, typename="sensor_msgs::msg::dds_::Temperature_"):  # type: ignore[call-arg]
-    header: Header
-    temperature: float64
-    variance: float64
-
-
-@dataclass
 class LoopSample(IdlStruct, typename="twinmatch_msgs::msg::dds_::LoopSample_"):  # type: ignore[call-arg]
     header: Header
     index: uint64
@@ -67,33 +60,22 @@ def stamp(header: Header) -> int:
     return header.stamp.sec * 1_000_000_000 + header.stamp.nanosec
 
 
-def show(message: Temperature | LoopSample) -> None:
-    if isinstance(message, Temperature):
-        print(json.dumps(["temperature", stamp(message.header), message.temperature]), flush=True)
-    elif isinstance(message, LoopSample):  # what else comes says that a writer has gone
-        values = [message.index, *message.reference, *message.output, *message.input]
-        print(json.dumps(["sample", stamp(message.header), *values]), flush=True)
-
-
 def main() -> None:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, request_stop)
     number = int(os.environ["ROS_DOMAIN_ID"])
     domain = Domain(number, LOOPBACK)
     participant = DomainParticipant(number)
-    best_effort = Qos(Policy.Reliability.BestEffort, Policy.History.KeepAll)
     reliable = Qos(Policy.Reliability.Reliable(duration(seconds=1)), Policy.History.KeepAll)
-    readers = [
-        DataReader(participant, Topic(participant, "rt/plant/temperature", Temperature), qos=best_effort),
-        DataReader(participant, Topic(participant, "rt/plant/sample", LoopSample), qos=reliable),
-    ]
+    reader = DataReader(participant, Topic(participant, "rt/plant/sample", LoopSample), qos=reliable)
     print("ready", flush=True)
     while not stop_requested:
-        for reader in readers:
-            for message in reader.take(1000):
-                show(message)
+        for message in reader.take(1000):
+            if isinstance(message, LoopSample):  # what else comes says that a writer has gone
+                values = [message.index, *message.reference, *message.output, *message.input]
+                print(json.dumps([stamp(message.header), *values]), flush=True)
         time.sleep(0.01)
-    del readers, participant, domain
+    del reader, participant, domain
 
 
 if __name__ == "__main__":

@@ -1,13 +1,16 @@
-"""Programs that are not ours read what the graph says."""
+"""Programs that are not ours read what the graph says, those of docs/subscribing.md as they stand there: a
+session is played once, to all of them."""
 
 from __future__ import annotations
 
-import importlib.util
+import importlib
 import json
+import os
+import re
 import shlex
+import signal
 import subprocess
 import sys
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,29 +18,78 @@ from typing import Any
 
 import pytest
 
+from tests.support.processes import Process
 from tests.support.waiting import wait_for
 from twinmatch.nodes import network
 from twinmatch.offline.judging import judge, terms_from_files
-from twinmatch.sessions import open_any, read_session
+from twinmatch.sessions import open_any, read_session, write_session
 
 pytestmark = pytest.mark.ros
 
 HERE = Path(__file__).resolve().parent
-RATE = 80
+PAGE = (HERE.parents[2] / "docs" / "subscribing.md").read_text("utf-8")
 SETTLED = 400
 """Sample from which on everybody has found everybody: five seconds after the first; three are needed."""
 KEPT_IN = {
     **{name: str(profile) for name, profile in network.PROFILES.items()},
     "ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT",
 }
-"""The variables that keep a subscriber of somebody else on this machine, as docs/subscribing.md says."""
-
-LENGTHS = {"a": 120, "b": 200}
-"""Samples of two rigs."""
-
-needs_cyclone = pytest.mark.skipif(
-    importlib.util.find_spec("cyclonedds") is None, reason="no cyclonedds here; pip install cyclonedds"
+"""The variables that keep a subscriber of somebody else on this machine, as the page says."""
+LENGTHS = {"a": 370, "b": 120}
+"""Samples of two rigs; those of the first are enough for a verdict."""
+LIVE = (
+    "/thermal/",
+    *(f"/plant/{name}" for name in ("pwm", "uniformity", "reading", "command", "applied")),
 )
+"""Topics that only a live rig has."""
+BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+ROW = re.compile(r"^\| `([/\w]+)` \| `(\w+)/(\w+)` \|([^|]*)\|([^|]*)\|[^|]*\|$", re.MULTILINE)
+TWIN = ("-p", "readers:=twin_simulator discriminator")
+"""For a player that waits for a twin."""
+CYCLONE = importlib.util.find_spec("cyclonedds") is not None
+needs_cyclone = pytest.mark.skipif(not CYCLONE, reason="no cyclonedds here; pip install cyclonedds")
+
+
+def blocks(kind: str) -> list[str]:
+    return [text for language, text in BLOCK.findall(PAGE) if language == kind]
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the page's programs, under the names in their first lines."""
+    folder = tmp_path_factory.mktemp("page")
+    for text in blocks("python"):
+        (folder / text.split()[1]).write_text(text)
+    return folder
+
+
+def start_shell(programs: Any, page: Path, text: str, more: str = "") -> Process:
+    """Run a block of the page in its folder, with this interpreter as `python`."""
+    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    # exec: a signal has to reach the program and not the shell around it
+    script = re.sub(r"^python (?!-m)", "exec python ", text, flags=re.MULTILINE) + more
+    started: Process = programs.start("-c", f"cd {page}\n{script}", python="bash", PATH=path)
+    return started
+
+
+def start_player(programs: Any, session: Path, *more: str) -> Process:
+    options = ("-p", f"session:={session}", "-p", "rate:=80.0", "-p", "wait_timeout:=60.0", *more)
+    started: Process = programs.start_ours("-m", "twinmatch.nodes", "player", "--ros-args", *options)
+    return started
+
+
+WAITING = """import rclpy, sys, time
+rclpy.init()
+node = rclpy.create_node("waiting")
+while any(node.count_subscribers(topic) < int(n) for topic, n in zip(sys.argv[1::2], sys.argv[2::2])):
+    time.sleep(0.1)
+"""
+
+
+def wait_for_readers(programs: Any, **counts: int) -> None:
+    """Until so many read a topic; by a program of its own, as ROS in this process is not for this network."""
+    words = [w for name, count in counts.items() for w in (f"/{name.replace('__', '/')}", f"{count}")]
+    assert programs.start("-c", WAITING, *words).wait() == 0
 
 
 @pytest.fixture(scope="module")
@@ -58,76 +110,82 @@ def as_text(messages: Sequence[Any]) -> list[str]:
     return [json.dumps(message) for message in messages]
 
 
-def assert_heard_from_then_on(heard: Sequence[Any], said: Sequence[Any]) -> None:
-    """What is not latched is received from when its reader was found, then without a hole."""
-    assert as_text(heard) == as_text(said[-len(heard) :])
-    assert heard[0]["sample"] <= SETTLED < heard[-1]["sample"]
-
-
 @dataclass
-class Replayed:
-    """What was received while the launch script played a session."""
+class Played:
+    """What was received while a session was played to a twin, which still runs."""
 
     scores: dict[str, list[Any]]
     last_words: dict[str, str]
     elsewhere: dict[str, list[str]]
-    cyclone: list[Any]
+    samples: list[Any]
+    """What Cyclone's reader has received."""
+    topics: dict[str, list[str]]
+    programs: dict[str, Process]
+    """Those of the page."""
 
 
 @pytest.fixture(scope="module")
-def replayed(lasting_programs: Any, session: Path, project: Path) -> Replayed:
-    """One run of launch_scripts/replay.py, with a reader without settings, one kept in, and Cyclone's.
+def played(lasting_programs: Any, page: Path, session: Path, said: list[dict[str, Any]]) -> Played:
+    """To the programs of the page, a reader without settings, one kept in, and Cyclone's.
 
-    Two more hold nobody up: one hangs from the first verdict on, one dies there.
+    Two more hold nobody up: one hangs from the first verdict on, one dies there. The page's question is asked
+    before there is a candidate.
     """
     start = lasting_programs
-    readers = {
-        "no settings": start.start_reader("twinmatch_msgs/ModelScore", "twin/model_score"),
-        "kept in": start.start_reader("twinmatch_msgs/ModelScore", "twin/model_score", **KEPT_IN),
+    start.start_ours("-m", "twinmatch.nodes", "twin")
+    early = start.start(page / "what_if.py", **KEPT_IN)
+    graph = start.start(HERE / "graph.py")
+    programs = {
+        "verdicts": start_shell(start, page, blocks("sh")[0]),
+        "forecasts": start.start(page / "forecasts.py", **KEPT_IN),
     }
-    hanging, dying = (
-        start.start_reader("twinmatch_msgs/ModelScore", "twin/model_score", "everything") for _ in range(2)
-    )
-    cyclone = None
-    if importlib.util.find_spec("cyclonedds") is not None:
+    if CYCLONE:
+        programs["temperatures"] = start.start(page / "temperatures.py")
         cyclone = start.start(HERE / "cyclone_reader.py")
         cyclone.said("^ready$")
-    elsewhere = {name: network.sockets_elsewhere(reader.id) for name, reader in readers.items()}
-    replay = start.start_ours(project / "launch_scripts" / "replay.py", session, "--rate", RATE)
+    scores = ("twinmatch_msgs/ModelScore", "twin/model_score")
+    readers = {"no settings": start.start_reader(*scores), "kept in": start.start_reader(*scores, **KEPT_IN)}
+    hanging, dying = (start.start_reader(*scores, "everything") for _ in range(2))
+    early.said("^forecast: there is no candidate yet; the first comes with the first match")
+    wait_for_readers(start, twin__model_score=5, twin__forecast=1, plant__temperature=int(CYCLONE))
+    programs |= readers
+    elsewhere = {name: network.sockets_elsewhere(program.id) for name, program in programs.items()}
+    player = start_player(start, session, *TWIN)
+    due = {name for name in table_of_topics() if not name.startswith(LIVE)}
+    graph.wait_until(lambda: any(due <= set(line) for line in graph.json), "every topic")
     readers["no settings"].said("{")
     hanging.freeze()
     dying.kill()
-    assert replay.wait() == 0, replay.text
-    last = read_session(session).samples[-1].stamp
-    if cyclone is not None:
-        cyclone.said(rf'\["sample", {last},')
-    time.sleep(0.5)  # for what is still on its way
+    assert player.wait() == 0, player.text
+    last = read_session(session).samples[-1]
+    if CYCLONE:
+        cyclone.said(rf"^\[{last.stamp},")
     for reader in readers.values():
+        reader.said(f"^{re.escape(json.dumps(said[-1]))}$")
         assert reader.end() == 0, reader.text
-    if cyclone is not None:
-        assert cyclone.end() == 0, cyclone.text
-    return Replayed(
+    return Played(
         scores={name: reader.json for name, reader in readers.items()},
         last_words={name: reader.text.splitlines()[-1] for name, reader in readers.items()},
         elsewhere=elsewhere,
-        cyclone=cyclone.json if cyclone else [],
+        samples=cyclone.json if CYCLONE else [],
+        topics=next(line for line in graph.json if due <= set(line)),
+        programs=programs,
     )
 
 
 @pytest.mark.parametrize("name", ["no settings", "kept in"])
-def test_verdicts_reach_a_stranger_to_the_last_bit(replayed: Replayed, said: list[Any], name: str) -> None:
-    assert_heard_from_then_on(replayed.scores[name], said)
-    assert replayed.scores[name][-1]["level_name"] == "trusted"
+def test_verdicts_reach_a_stranger_to_the_last_bit(played: Played, said: list[Any], name: str) -> None:
+    """From when its reader was found, without a hole; and it needs no twinmatch."""
+    heard = played.scores[name]
+    assert as_text(heard) == as_text(said[-len(heard) :])
+    assert heard[0]["sample"] <= SETTLED < heard[-1]["sample"]
+    assert heard[-1]["level_name"] == "trusted"
+    assert played.last_words[name] == "imported []"
 
 
-@pytest.mark.parametrize("name", ["no settings", "kept in"])
-def test_stranger_needs_no_twinmatch(replayed: Replayed, name: str) -> None:
-    assert replayed.last_words[name] == "imported []"
-
-
-def test_two_variables_keep_a_stranger_in(replayed: Replayed) -> None:
-    assert replayed.elsewhere["kept in"] == []
-    assert replayed.elsewhere["no settings"], "without them it listens on the network: the page says so"
+def test_two_variables_keep_a_stranger_in(played: Played) -> None:
+    assert played.elsewhere["kept in"] == played.elsewhere["verdicts"] == []
+    assert played.elsewhere["no settings"], "without them it listens on the network: the page says so"
 
 
 def test_shell_lines_are_of_those(stranger: dict[str, str]) -> None:
@@ -156,96 +214,129 @@ def test_shell_lines_refuse_what_the_nodes_refuse(stranger: dict[str, str]) -> N
     assert done.stdout == ""
 
 
-def of_topic(replayed: Replayed, name: str) -> list[list[Any]]:
-    """What Cyclone's reader has received of a topic."""
-    return [values for topic, *values in replayed.cyclone if topic == name]
-
-
 @needs_cyclone
-def test_cyclone_reads_the_temperatures(replayed: Replayed, session: Path) -> None:
-    """Best effort: some may be missing, none may be changed or come twice or late."""
-    samples = read_session(session).samples
-    measured = {sample.stamp: sample.output for sample in samples}
-    heard = [(stamp, temperature) for stamp, temperature in of_topic(replayed, "temperature")]
-    assert all(measured[stamp] == temperature for stamp, temperature in heard)
-    assert [stamp for stamp, _ in heard] == sorted({stamp for stamp, _ in heard})
-    assert len(heard) > (len(samples) - SETTLED) / 2
-
-
-@needs_cyclone
-def test_cyclone_reads_every_sample(replayed: Replayed, session: Path) -> None:
+def test_cyclone_reads_every_sample(played: Played, session: Path) -> None:
     """Reliable: from when it has found the player on, all of them, to the last bit."""
-    samples = read_session(session).samples
-    heard = of_topic(replayed, "sample")
+    samples, heard = read_session(session).samples, played.samples
     assert heard == [[s.stamp, s.index, s.reference, s.output, s.input] for s in samples[-len(heard) :]]
     assert len(heard) >= len(samples) - SETTLED
 
 
-@pytest.fixture(scope="module")
-def last_verdict(lasting_programs: Any, session: Path) -> Any:
-    """The last verdict on a session that was played to a twin, which is latched for late subscribers."""
-    start = lasting_programs.start_ours
-    scores = lasting_programs.start_reader(
-        "twinmatch_msgs/ModelScore", "/late/twin/model_score", "everything"
-    )
-    namespace = ("-r", "__ns:=/late")
-    start("-m", "twinmatch.nodes", "twin", "--ros-args", *namespace)
-    # The player waits for the twin, nobody for the reader: at this rate it has seconds to find the twin.
-    player = start(
-        *("-m", "twinmatch.nodes", "player", "--ros-args", *namespace, "-p", f"session:={session}"),
-        *("-p", "rate:=100.0", "-p", "wait_for:=2", "-p", "wait_timeout:=60.0", "-p", "clock:=false"),
-    )
-    assert player.wait() == 0, player.text
-    last = 599  # the last sample on which there is something to say
-    scores.wait_until(lambda: any(score["sample"] >= last for score in scores.json), f"the verdict on {last}")
-    while True:  # and what comes within a second of it
-        count = len(scores.json)
-        time.sleep(1.0)
-        if len(scores.json) == count:
-            return scores.json[-1]
+@needs_cyclone
+def test_the_pages_cyclone_reader_shows_the_temperatures(played: Played, session: Path) -> None:
+    """Best effort: some may be missing, none may be changed or come twice or late."""
+    samples = {s.stamp // 10**9: s.output for s in read_session(session).samples}
+    text = played.programs["temperatures"].text
+    heard = [(int(second), value) for second, value in re.findall(r"^(\d+) s: (-?[\d.]+) °C\n", text, re.M)]
+    assert len(heard) > (len(samples) - SETTLED) / 2
+    assert [second for second, _ in heard] == sorted({second for second, _ in heard})
+    assert all(value == f"{samples[second]:.2f}" for second, value in heard)
 
 
-def test_late_reader_is_given_the_nominal(programs: Any, last_verdict: Any) -> None:
+def test_page_has_the_blocks_that_are_run_here() -> None:
+    names = ["verdicts.py", "nominal.py", "forecasts.py", "what_if.py", "temperatures.py"]
+    assert [text.split()[1] for text in blocks("python")] == names
+    assert len(blocks("sh")) == 3
+    assert len(blocks("python")[0].splitlines()) <= 20
+
+
+def test_the_pages_verdicts_nominal_forecasts_and_what_if(
+    programs: Any, played: Played, page: Path, session: Path
+) -> None:
+    """Nominal and answers come when publishing has ended."""
+    verdicts = played.programs["verdicts"]
+    verdicts.said("sample 600: trusted, 70 °C")
+    last = read_session(session).samples[-1].index
+    told = rf"^sample {last}: -?\d+\.\d °C in a minute \(-?\d+\.\d to -?\d+\.\d\)$"
+    played.programs["forecasts"].said(told)
+    nominal, late = programs.start(page / "nominal.py"), programs.start(page / "what_if.py", **KEPT_IN)
+    nominal.said(r"^70 °C: α \d+\.\d mV/K, C \d+\.\d J/K$")
+    late.said(rf", from sample {last} on$")
+    late.said(r"^60 °C: \d+ s \(\d+ to \d+ s\)$")
+    late.said(r"^stays there from \d+ s on; \|u\| up to \d+$")
+    assert late.wait() == 0
+    assert verdicts.end(signal.SIGINT) == 0, verdicts.text
+    assert "Traceback" not in verdicts.text
+
+
+def test_a_late_reader_is_given_the_nominal_if_it_asks_for_what_is_latched(
+    programs: Any, played: Played, said: list[Any]
+) -> None:
     """When it subscribes, publishing has ended: what it receives can only be what was latched."""
-    late = programs.start_reader("twinmatch_msgs/Candidate", "/late/twin/nominal", "latched")
+    assert played.scores
+    volatile = programs.start_reader("twinmatch_msgs/Candidate", "twin/nominal")
+    late = programs.start_reader("twinmatch_msgs/Candidate", "twin/nominal", "latched")
     late.said("{")
     (nominal,) = late.json
-    (candidate,) = [c for c in last_verdict["candidates"] if c["name"] == last_verdict["nominal"]]
+    (candidate,) = [c for c in said[-1]["candidates"] if c["name"] == said[-1]["nominal"]]
     identity = ("name", "first", "last", "parameters")
     assert {key: nominal[key] for key in identity} == {key: candidate[key] for key in identity}
+    assert volatile.json == []
 
 
-def test_volatile_late_reader_is_given_nothing(programs: Any, last_verdict: Any) -> None:
-    """The counterpart that shows what `latched` is needed for."""
-    assert last_verdict["nominal"]
-    late = programs.start_reader("twinmatch_msgs/Candidate", "/late/twin/nominal")
-    latched = programs.start_reader("twinmatch_msgs/Candidate", "/late/twin/nominal", "latched")
-    latched.said("{")
-    assert late.json == []
+def table_of_topics() -> dict[str, tuple[str, str, bool]]:
+    """Type, reliability and whether it is latched, of every topic of the page."""
+    rows = [
+        (name, (f"{package}/msg/{kind}", reliability.strip(), latched.strip() == "yes"))
+        for name, package, kind, reliability, latched in ROW.findall(PAGE)
+    ]
+    assert len(rows) == PAGE.count("\n| `") - len(KEPT_IN)
+    return {name if name.startswith("/") else f"/{name}": row for name, row in rows}
 
 
-def test_rigs_do_not_mix(programs: Any, session: Path, tmp_path: Path) -> None:
-    """Two rigs at once, each in its namespace, with sessions of different lengths."""
-    topics = {f"/rig_{rig}/plant/sample": LENGTHS[rig] for rig in "ab"}
+def test_table_of_topics(played: Played) -> None:
+    table = table_of_topics()
+    found = {n: end for n, end in played.topics.items() if n in table or n.startswith(("/twin", "/plant"))}
+    for name, (kind, reliability, durability) in found.items():
+        shown = (kind, reliability.lower().replace("_", " "), durability == "TRANSIENT_LOCAL")
+        assert shown == table[name], name
+    for kind, *_ in table.values():
+        package, _, name = kind.split("/")
+        assert hasattr(importlib.import_module(f"{package}.msg"), name)
+
+
+def test_open_network(programs: Any, page: Path, session: Path, project: Path) -> None:
+    """The page's words for it, with the player instead of the whole graph."""
+    export, command = blocks("sh")[2].splitlines()
+    assert command == "python launch_scripts/replay.py bags/four_setpoints"
+    assert all((project / word).exists() for word in command.split()[1:])
+    player = f"\npython -m twinmatch.nodes player --ros-args -p session:={session} -p paused:=true"
+    opened = start_shell(programs, page, export, "\nexec" + player.replace("\n", " "))
+    opened.said("NETWORK OPEN")
+    closed = start_player(programs, session, "-p", "paused:=true")
+    programs.start(HERE / "graph.py").said('"/plant/sample"')
+    opened.wait_until(lambda: network.sockets_elsewhere(opened.id), "a socket elsewhere")
+    assert network.sockets_elsewhere(closed.id) == []
+    assert "NETWORK OPEN" not in closed.text
+
+
+def test_rigs_do_not_mix(programs: Any, page: Path, session: Path, tmp_path: Path) -> None:
+    """Two at once, each in its namespace, with sessions of different lengths, and a twin beside the first."""
     readers = {
-        topic: programs.start_reader("twinmatch_msgs/LoopSample", topic, "everything") for topic in topics
+        name: programs.start_reader("twinmatch_msgs/LoopSample", f"{name}plant/sample", "everything")
+        for name in ("", "/rig_a/", "/rig_b/")
     }
-    outside = programs.start_reader("twinmatch_msgs/LoopSample", "plant/sample", "everything")
-    from twinmatch.sessions import write_session
-
+    verdicts = start_shell(programs, page, blocks("sh")[1])
+    beside = programs.start(page / "verdicts.py", "--ros-args", "-r", "__ns:=/rig_b")
+    programs.start_ours("-m", "twinmatch.nodes", "twin", "--ros-args", "-r", "__ns:=/rig_a")
+    wait_for_readers(programs, rig_a__twin__model_score=1)
     players = []
-    for rig in "ab":
-        part = write_session(tmp_path / rig, read_session(session).samples[: LENGTHS[rig]])
-        players.append(
-            programs.start_ours(
-                *("-m", "twinmatch.nodes", "player", "--ros-args", "-r", f"__ns:=/rig_{rig}"),
-                *("-p", f"session:={part}", "-p", "rate:=200.0", "-p", "clock:=false"),
-            )
+    for rig, length in LENGTHS.items():
+        part = write_session(tmp_path / rig, read_session(session).samples[:length])
+        given = (
+            "-r",
+            f"__ns:=/rig_{rig}",
+            "-p",
+            "clock:=false",
+            *((*TWIN, "-p", "wait_for:=3") if rig == "a" else ()),
         )
+        players.append(start_player(programs, part, *given))
     for player in players:
         assert player.wait() == 0, player.text
-    for topic, length in topics.items():
-        reader = readers[topic]
-        wait_for(lambda reader=reader, length=length: len(reader.json) >= length, f"{length} of {topic}")
-        assert [message["index"] for message in readers[topic].json] == list(range(length))
-    assert outside.json == []
+    for rig, length in LENGTHS.items():
+        reader = readers[f"/rig_{rig}/"]
+        wait_for(lambda reader=reader, length=length: len(reader.json) >= length, f"{length} of {rig}")
+        assert [message["index"] for message in reader.json] == list(range(length))
+    verdicts.said(r"^sample \d+: ")
+    assert beside.text == ""
+    assert readers[""].json == []
