@@ -22,7 +22,6 @@ from std_msgs.msg import Float64
 from tests.support.processes import Start
 from tests.support.rig import GAINS
 from tests.support.ros import Listener
-from twinmatch.dynamics import Controller
 from twinmatch.nodes.controller import ControllerNode
 from twinmatch.nodes.messages import sample_from
 from twinmatch.nodes.topics import EVERYTHING, LATCHED, RELIABLE
@@ -61,6 +60,15 @@ class Bench:
         deadline = time.monotonic() + seconds
         self.feed(lambda: time.monotonic() > deadline, "time")
 
+    def put(self, name: str, value: object) -> Any:
+        """What the controller answers to a parameter that is set."""
+        client = self.listener.node.create_client(SetParameters, "controller/set_parameters")
+        self.feed(client.service_is_ready, "the service")
+        given = RosParameter(name, value=value).to_parameter_msg()
+        answer = client.call_async(SetParameters.Request(parameters=[given]))
+        self.feed(answer.done, "the answer")
+        return answer.result().results[0]
+
     def zero_last(self) -> bool:
         return bool(self.commands) and self.commands[-1].pwm == 0
 
@@ -92,18 +100,6 @@ def test_samples_are_steps_of_the_pid(start: Start, bench: Bench) -> None:
     at_tick = {m.index: m.pwm for m in reversed(bench.commands)}
     assert all(at_tick[s.index] == s.input for s in samples if s.index in at_tick)
     assert len(bench.commands) > len(samples), "commands are repeated between ticks"
-
-
-def test_the_pid_is_exactly_the_one_of_the_plant(start: Start, bench: Bench) -> None:
-    """From the second sample on a `Controller` that followed the first two computes the same."""
-    start("controller", "-p", "period:=1.0", "-p", "profile.levels:=[26.0]", "-p", "profile.holds:=[9.0]")
-    bench.feed(lambda: len(bench.samples) >= 4, "samples")
-    samples = [sample_from(message) for message in bench.samples]
-    pid = Controller(GAINS)
-    for sample in samples[:2]:
-        pid.follow(sample.reference, sample.output, sample.input)
-    for sample in samples[2:]:
-        assert sample.input == pytest.approx(pid.step(sample.reference, sample.output)[0], abs=1e-9)
 
 
 def test_without_temperatures_the_output_is_off_and_samples_have_a_gap(start: Start, bench: Bench) -> None:
@@ -205,37 +201,26 @@ def test_the_set_point_may_come_from_a_topic(start: Start, bench: Bench) -> None
 
 def test_the_profile_can_be_changed_while_it_runs(start: Start, bench: Bench) -> None:
     start("controller", *FAST, "-p", "profile.levels:=[30.0, 31.0]", "-p", "profile.holds:=[1000.0, 1000.0]")
-    client = bench.listener.node.create_client(SetParameters, "controller/set_parameters")
-    bench.feed(lambda: bench.samples and client.service_is_ready(), "samples")
-
-    def put(name: str, value: object) -> Any:
-        given = RosParameter(name, value=value).to_parameter_msg()
-        answer = client.call_async(SetParameters.Request(parameters=[given]))
-        bench.feed(answer.done, "the answer")
-        return answer.result().results[0]
+    bench.feed(lambda: bench.samples, "samples")
 
     def asked() -> float:
         return float(bench.samples[-1].reference[0])
 
-    assert put("profile.levels", [50.0, 51.0]).successful
+    assert bench.put("profile.levels", [50.0, 51.0]).successful
     bench.feed(lambda: asked() == 50.0, "the first of the new levels")
-    assert put("profile.holds", [0.5, 1000.0]).successful
+    assert bench.put("profile.holds", [0.5, 1000.0]).successful
     bench.feed(lambda: asked() == 51.0, "the second one")
     for name, value, why in (
         ("profile.levels", [50.0, 51.0, 52.0], "3 levels and 2 times"),
         ("profile.levels", [50.0, 500.0], "allowed: "),
         ("profile.highest", 40.0, "level 1 is 50 °C"),
         ("profile.highest", 150.0, "restart the controller with it"),
-        (
-            "pid.proportional",
-            9.0,
-            "pid.proportional cannot change now: it is read once",
-        ),
+        ("pid.proportional", 9.0, "pid.proportional cannot change now: it is read once"),
     ):
-        refused = put(name, value)
+        refused = bench.put(name, value)
         assert not refused.successful
         assert why in refused.reason, refused.reason
-    assert put("profile.highest", 60.0).successful
+    assert bench.put("profile.highest", 60.0).successful
     bench.pass_time(0.3)
     assert asked() == 51.0
 
@@ -244,10 +229,8 @@ def test_a_narrower_range_holds_for_the_set_point_that_stands(start: Start, benc
     latched = bench.listener.node.create_publisher(Float64, "plant/reference", LATCHED)
     latched.publish(Float64(data=70.0))
     start("controller", *FAST, "-p", "reference_source:=topic")
-    client = bench.listener.node.create_client(SetParameters, "controller/set_parameters")
-    bench.feed(lambda: bench.samples and client.service_is_ready(), "samples")
-    given = RosParameter("profile.highest", value=60.0).to_parameter_msg()
-    client.call_async(SetParameters.Request(parameters=[given]))
+    bench.feed(lambda: bench.samples, "samples")
+    assert bench.put("profile.highest", 60.0).successful
     bench.feed(lambda: list(bench.samples[-1].reference) == [60.0], "the highest set-point")
 
 

@@ -328,6 +328,8 @@ def test_a_forecast_of_several_signals_is_carried_sample_by_sample() -> None:
     check(message)
     assert list(message.output) == [0.0, 4.0, 1.0, 5.0, 2.0, 6.0, 3.0, 7.0]
     assert repr(forecast_from(message)) == repr(foretold)
+    part = forecast_from(forecast_message(foretold, 5, (1, 4)))
+    assert [band.low.tolist() for band in part.outputs] == [[-0.5, 2.5], [3.5, 6.5]]
     message.output = [1.0] * 7
     with pytest.raises(MessageError, match="output has 7 values for its times; expected 4, or that of each"):
         check(message)

@@ -13,7 +13,6 @@ from tests.support.ros import Listener
 from twinmatch.forecasting import Question, what_if
 from twinmatch.nodes.messages import (
     answer_message,
-    forecast_from,
     forecast_message,
     message_of,
     shown_samples,
@@ -170,17 +169,6 @@ def test_questions_are_answered_while_a_match_is_awaited(
     assert first <= given.forecast.sample <= waits
     assert len(matches) == answered
     assert given.forecast.output_low[0] < given.forecast.output[0] < given.forecast.output_high[0]
-
-
-def test_a_forecast_comes_back_from_its_message_to_the_last_bit(offline: Offline) -> None:
-    outlook = offline.discriminator.forecaster.outlook()
-    foretold = outlook.forecast(np.linspace(40.0, 80.0, 300))
-    back = forecast_from(forecast_message(foretold, 5))
-    assert repr(back) == repr(foretold)
-    np.testing.assert_array_equal(back.input.low, foretold.input.low)
-    np.testing.assert_array_equal(back.output.high, foretold.output.high)
-    part = forecast_from(forecast_message(foretold, 5, (1, 60, 300)))
-    assert part.output.mean.tolist() == foretold.output.mean[[0, 59, 299]].tolist()
 
 
 @pytest.mark.parametrize(

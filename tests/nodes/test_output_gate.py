@@ -134,31 +134,6 @@ def test_deadlines_are_in_the_plants_time() -> None:
     assert kind_of(gate) is FaultKind.COMMAND_SILENT
 
 
-def test_clearing_gives_back_what_it_cleared_and_waits_for_new_inputs() -> None:
-    clocks, gate = armed_gate()
-    gate.trip(FaultKind.STOPPED, "enough")
-    assert not gate.armed
-    cleared = gate.clear()
-    assert cleared is not None
-    assert cleared.kind is FaultKind.STOPPED
-    assert gate.clear() is None
-    assert gate.decide()[:2] == (0.0, False)
-    gate.command(50.0, 9, clocks.stamp)
-    gate.temperature(25.0, clocks.stamp)
-    assert gate.decide()[:3] == (50.0, True, 9)
-
-
-def test_a_runaway_closes_it() -> None:
-    clocks, gate = armed_gate()
-    for _ in range(200):
-        clocks.step(0.5)
-        gate.command(255.0, 0, clocks.stamp)
-        gate.temperature(25.0, clocks.stamp)
-        gate.sample(60.0, 25.0, 255.0)
-        gate.decide()
-    assert kind_of(gate) is FaultKind.RUNAWAY
-
-
 def test_an_input_wakes_who_waits() -> None:
     clocks, gate = armed_gate()
     woken = threading.Event()

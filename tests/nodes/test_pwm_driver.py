@@ -6,16 +6,14 @@ import os
 import threading
 import time
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
 
 from tests.support import boards
 from tests.support.waiting import wait_for
-from twinmatch.emulation import arduino
 from twinmatch.emulation.arduino import StandInArduino
-from twinmatch.links.pwm_link import Applied, LinkSettings, PwmLink, PwmVersionError
+from twinmatch.links.pwm_link import Applied, LinkSettings, PwmLink
 from twinmatch.links.pwm_protocol import Flags
 from twinmatch.nodes.gated import ClockTimes, DriverPace, OutputGate
 from twinmatch.nodes.health import Level, NodeHealth
@@ -143,22 +141,6 @@ def test_silence_is_zero_first_and_then_off_and_a_new_command_wakes_it(bench: Be
     bench.drive(60.0)
 
 
-def test_a_cable_pulled_and_put_back_drives_nothing_until_cleared(bench: Bench) -> None:
-    bench.drive(120.0)
-    bench.board.unplug()
-    bench.until(lambda: bench.kind() is FaultKind.LINK)
-    assert not bench.driver.connected
-    bench.until(lambda: bench.board.drive().pwm == 0)
-    bench.until(lambda: bench.told[-1] == (None, 0))  # nobody knows what the board does
-    assert bench.health.report().level is Level.ERROR
-    bench.board.plug()
-    bench.until(lambda: bench.driver.connected)
-    bench.stays_at_zero()
-    assert bench.health.report().level is not Level.ERROR
-    bench.clear()
-    bench.drive(60.0)
-
-
 def test_a_driver_fault_latches_until_it_is_gone_and_cleared(bench: Bench) -> None:
     bench.drive(120.0)
     bench.board.set_fault(True)
@@ -240,34 +222,6 @@ def test_noise_on_the_line_is_borne(stand_in: Bench) -> None:
         assert all(applied is not None and applied.pwm == 120 for applied, _ in stand_in.told[seen:])
     else:  # a request may be unlucky three times; then it is a lost link, and nothing else
         assert stand_in.kind() is FaultKind.LINK
-
-
-def test_a_missing_port_is_waited_for(tmp_path: Path) -> None:
-    board = StandInArduino(tmp_path / "ttyACM0")
-    board.unplug()
-    board.run(SLOWLY)
-    bench = Bench(board).start()
-    try:
-        bench.until(lambda: bench.health.report().level is Level.ERROR)
-        assert "cannot be opened" in bench.health.report().message
-        assert bench.gate.fault is None
-        board.plug()
-        bench.drive(90.0)
-        assert bench.health.report().level is not Level.ERROR
-    finally:
-        bench.close()
-
-
-def test_another_protocol_ends_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(arduino, "PROTOCOL", 9)
-    board = StandInArduino()
-    board.run(SLOWLY)
-    bench = Bench(board).start()
-    try:
-        bench.until(lambda: bench.driver.failure is not None)
-        assert isinstance(bench.driver.failure, PwmVersionError)
-    finally:
-        bench.close()
 
 
 def test_a_board_that_had_tripped_on_its_driver_is_not_cleared_by_itself() -> None:

@@ -1,4 +1,4 @@
-"""The recorder as a process: everything that was sent, whatever ends it."""
+"""The recorder as a process: which topics, everything that was sent, rates and silence, whatever ends it."""
 
 from __future__ import annotations
 
@@ -6,11 +6,14 @@ import json
 import os
 import time
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from rclpy.event_handler import PublisherEventCallbacks
-from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 from rosbags.rosbag2 import Reader
 from rosgraph_msgs.msg import Clock
@@ -24,14 +27,14 @@ from tests.support.schemas import bare
 from tests.support.waiting import wait_for
 from twinmatch.nodes import recorder
 from twinmatch.nodes.messages import sample_message
-from twinmatch.nodes.topics import EVERYTHING, LATCHED, RELIABLE
-from twinmatch.offline.verification import verify_session
-from twinmatch.sessions import Session, SessionError, read_session, recording
+from twinmatch.nodes.recorder import Arrivals
+from twinmatch.nodes.topics import LATCHED, RELIABLE, offered, profile_of, wanted
+from twinmatch.sessions import Qos, Session, SessionError, read_session, recording
 from twinmatch.sessions.messages import SAMPLE, schema_of
 from twinmatch.sessions.metadata import CANDIDATES, parameters_of
 from twinmatch.sessions.recording import repair_session
 from twinmatch.signals import Sample
-from twinmatch_msgs.msg import LoopSample, ModelScore
+from twinmatch_msgs.msg import LoopSample
 
 pytestmark = pytest.mark.ros
 
@@ -81,6 +84,7 @@ def messages_of(session: Session, topic: str, kind: Any) -> list[Any]:
 
 
 def test_everything_is_recorded_as_it_was_sent(record: Start, rig: Rig, tmp_path: Path) -> None:
+    """At twenty times the rates of the rig and more: 200 samples, images and temperatures a second."""
     rig.references.publish(Float64(data=40.0))
     process = record()
     rig.wait_for_reader()
@@ -90,16 +94,15 @@ def test_everything_is_recorded_as_it_was_sent(record: Start, rig: Rig, tmp_path
         temperature = Temperature(temperature=25.0 + k)
         rig.temperatures.publish(temperature)
         sent["temperature"].append(temperature)
-        if k % 3 == 0:
-            data = os.urandom(9600)
-            image = Image(height=60, width=80, encoding="mono16", step=160, data=data)
-            rig.images.publish(image)
-            sent["image_raw"].append(image)
-        time.sleep(0.004)
+        image = Image(height=60, width=80, encoding="mono16", step=160, data=os.urandom(9600))
+        rig.images.publish(image)
+        sent["image_raw"].append(image)
+        time.sleep(0.005)
     late = rig.listener.node.create_publisher(String, "notes", 10)
     rig.listener.spin_until(late.get_subscription_count, "the recorder at the new topic")
     late.publish(String(data="seen"))
-    wait_for_recorded(tmp_path / "run", notes=1, plant__sample=300, plant__temperature=300)
+    counts = dict.fromkeys(("plant__sample", "plant__temperature", "thermal__image_raw"), 300)
+    wait_for_recorded(tmp_path / "run", notes=1, **counts)
     assert process.end() == 0
     session = read_session(tmp_path / "run")
     assert session.notes == []
@@ -116,25 +119,6 @@ def test_everything_is_recorded_as_it_was_sent(record: Start, rig: Rig, tmp_path
     (sample,) = [topic for topic in session.topics if topic.name == "/plant/sample"]
     assert bare(sample.schema) == bare(SAMPLE.schema)
     assert sample.type_hash == SAMPLE.type_hash
-
-
-def test_at_the_rates_of_a_fast_rig_nothing_is_lost(record: Start, rig: Rig, tmp_path: Path) -> None:
-    """Twenty times the rig: 20 samples, 180 images and temperatures a second."""
-    process = record()
-    rig.wait_for_reader()
-    image = Image(height=60, width=80, encoding="mono16", step=160, data=bytes(9600))
-    begun = time.monotonic()
-    for k in range(900):
-        rig.images.publish(image)
-        rig.temperatures.publish(Temperature(temperature=float(k)))
-        if k % 9 == 0:
-            rig.sample(k // 9)
-        time.sleep(max(0.0, begun + (k + 1) / 180 - time.monotonic()))
-    wait_for_recorded(tmp_path / "run", plant__sample=100, plant__temperature=900)
-    assert process.end() == 0
-    session = read_session(tmp_path / "run")
-    assert session.counts["/thermal/image_raw"] == session.counts["/plant/temperature"] == 900
-    assert [s.index for s in session.samples] == list(range(100))
 
 
 @pytest.mark.parametrize("after", [0.7, 1.5])
@@ -266,63 +250,18 @@ def test_a_reader_that_stood_still_is_given_what_it_missed(
     wait_for_recorded(tmp_path / "run", plant__sample=1000)
 
 
-def test_a_recorded_run_of_the_twin_verifies(
-    record: Start, start_process: Start, listener: Listener, session: Path, tmp_path: Path
+@pytest.mark.parametrize(
+    ("room", "words"), [("900000000.0", "recording run: not started"), ("1.0", "exists already")]
+)
+def test_without_room_or_beside_a_session_it_does_not_start(
+    start: Start, tmp_path: Path, room: str, words: str
 ) -> None:
-    """Everything together: a plant, the twin beside it, the recorder beside both; then the same verdicts."""
-    process = record()
-    start_process("twin")
-    listener.spin_until(
-        lambda: all(
-            listener.node.count_subscribers(t)
-            for t in ("twin/match", "twin/model_score", "twin/nominal", "twin/forecast")
-        ),
-        "the twin and the recorder",
-    )
-    options = ("-p", "rate:=200.0", "-p", "wait_for:=3", "-p", "wait_timeout:=60.0")
-    start_process("player", "-p", f"session:={session}", *options)
-    scores = listener.hear(ModelScore, "twin/model_score", EVERYTHING)
-    listener.spin_until(lambda: scores and scores[-1].sample >= 910 - 60, "the verdicts")
-    wait_for_recorded(tmp_path / "run", twin__model_score=len(scores), plant__sample=920)
-    assert process.end() == 0
-    found = verify_session(tmp_path / "run")
-    assert found.identical, found.difference
-    assert (found.samples, found.matches) == (920, 3)
-    assert found.verdicts >= 14
-    counts = read_session(tmp_path / "run").counts
-    assert counts["/twin/forecast"] > 460
-    assert counts["/twin/leader"] >= 1
-
-
-def test_files_are_split(record: Start, rig: Rig, tmp_path: Path) -> None:
-    process = record("-p", "split_s:=0.5")
-    rig.wait_for_reader()
-    for k in range(100):
-        rig.sample(k)
-        time.sleep(0.02)
-    assert process.end() == 0
-    assert len(list((tmp_path / "run").glob("run_*.mcap"))) >= 2
-    session = read_session(tmp_path / "run")
-    assert [s.index for s in session.samples] == list(range(100))
-    assert session.notes == []
-    with Reader(tmp_path / "run") as reader:
-        assert reader.message_count == sum(session.counts.values())
-
-
-def test_too_little_room_is_one_line(start: Start, tmp_path: Path) -> None:
-    process = start(
-        "recorder", "-p", f"folder:={tmp_path}", "-p", "name:=run", "-p", "min_free_mb:=900000000.0"
-    )
+    if room == "1.0":
+        (tmp_path / "run").mkdir()
+    process = start("recorder", *into(tmp_path)[:-1], f"min_free_mb:={room}")
     assert process.wait() == 2
-    assert "recording run: not started" in process.text
-    assert not (tmp_path / "run").exists()
-
-
-def test_a_session_that_exists_is_refused(record: Start, tmp_path: Path) -> None:
-    (tmp_path / "run").mkdir()
-    process = record()
-    assert process.wait() == 2
-    assert "exists already" in process.text
+    assert words in process.text
+    assert not list(tmp_path.glob("run/*"))
 
 
 def test_a_full_disk_ends_it_with_one_line(start_script: Start, rig: Rig, tmp_path: Path) -> None:
@@ -363,7 +302,7 @@ def test_a_disk_that_fills_up_ends_it_with_a_whole_session(
 ) -> None:
     free = 20_000_000
     monkeypatch.setattr(recording, "_free", lambda _: free)
-    process = start("recorder", "-p", f"folder:={tmp_path}", "-p", "name:=run", "-p", "min_free_mb:=10.0")
+    process = start("recorder", *into(tmp_path)[:-1], "min_free_mb:=10.0")
     rig.wait_for_reader()
     for k in range(10):
         rig.sample(k)
@@ -425,3 +364,77 @@ def test_with_simulated_time_the_times_are_those_of_the_clock(
     assert process.end() == 0
     (message,) = read_session(tmp_path / "run").messages(["/plant/sample"])
     assert message.log_time == 5000 * 10**9
+
+
+@pytest.mark.parametrize(
+    ("name", "namespace", "expected"),
+    [
+        ("/plant/sample", "/", True),
+        ("/one/plant/sample", "/one", True),
+        ("/one/plant/sample", "/", True),
+        ("/two/plant/sample", "/one", False),
+        ("/onesie/plant/sample", "/one", False),
+        ("/clock", "/", False),
+        ("/rosout", "/", False),
+        ("/_hidden/topic", "/", False),
+        ("/diagnostics", "/one", True),
+        ("/thermal/image", "/", False),
+    ],
+)
+def test_topics_are_chosen(name: str, namespace: str, expected: bool) -> None:
+    assert wanted(name, namespace, ["/diagnostics"], ["thermal/"]) is expected
+
+
+def endpoint(*, reliable: bool = True, latched: bool = False, depth: int = 10) -> Any:
+    return SimpleNamespace(
+        qos_profile=SimpleNamespace(
+            depth=depth,
+            reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+            durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+        )
+    )
+
+
+@pytest.mark.parametrize(
+    ("endpoints", "qos"),
+    [
+        ([endpoint()], Qos("reliable", "volatile", 10)),
+        ([endpoint(reliable=False, depth=5)], Qos("best_effort", "volatile", 5)),
+        ([endpoint(latched=True, depth=0)], Qos("reliable", "transient_local", 1)),
+        ([endpoint(latched=True), endpoint(depth=20)], Qos("reliable", "volatile", 20)),
+        ([endpoint(), endpoint(reliable=False)], Qos("best_effort", "volatile", 10)),
+    ],
+)
+def test_the_weakest_offer_is_taken(endpoints: list[Any], qos: Qos) -> None:
+    assert offered(endpoints) == qos
+    profile = profile_of(qos)
+    for one in endpoints:  # a reader that asks for more than is offered receives nothing
+        assert profile.reliability == ReliabilityPolicy.BEST_EFFORT or (
+            one.qos_profile.reliability == ReliabilityPolicy.RELIABLE
+        )
+        assert profile.durability == DurabilityPolicy.VOLATILE or (
+            one.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
+        )
+
+
+@given(st.floats(0.01, 1.0), st.integers(10, 100))
+def test_a_rhythm_is_silent_when_it_stops(interval: float, count: int) -> None:
+    arrivals = Arrivals()
+    for k in range(count):
+        arrivals.push(k * interval)
+        assert not arrivals.silent(k * interval + interval)
+    assert arrivals.rate == pytest.approx(1 / interval)
+    assert arrivals.text() == f"{arrivals.rate:.1f} Hz, {count} messages"
+    arrivals.lost = 3
+    assert arrivals.text().endswith(", 3 lost")
+    last = (count - 1) * interval
+    assert not arrivals.silent(last + max(3.0, 10 * interval) - 0.01)
+    assert arrivals.silent(last + max(3.0, 10 * interval) + 0.01)
+
+
+def test_what_comes_now_and_then_is_never_silent() -> None:
+    arrivals = Arrivals()
+    assert not arrivals.silent(1e9)
+    for k in range(9):
+        arrivals.push(float(k))
+    assert not arrivals.silent(1e9)

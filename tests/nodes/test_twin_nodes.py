@@ -135,21 +135,6 @@ def test_simulator_says_once_what_plant_it_is(start: Callable[..., Any], listene
     assert "sink with mass" in heard[0].structures
 
 
-def test_sample_of_another_plant_is_an_error_on_diagnostics(
-    start: Callable[..., Any], listener: Any, steps: list[Sample]
-) -> None:
-    """It is skipped, and one line says why; later messages are taken."""
-    assert not listener.health
-    states = listener.hear(TwinState, "twin/state", EVERYTHING)
-    start("twin_simulator")
-    listener.spin_until(listener.samples.get_subscription_count, "the simulator")
-    listener.samples.publish(LoopSample(index=5, reference=[1.0], output=[1.0, 2.0], input=[3.0]))
-    said = "plant/sample: sample 5 has 1 references, 2 outputs and 1 inputs; plant peltier has 1, 1, 1"
-    listener.spin_until(lambda: listener.said(said), "the warning")
-    listener.send(steps[:1])
-    listener.spin_until(lambda: [state.index for state in states] == [0], "the next state")
-
-
 def test_gap_is_an_error_on_diagnostics(start: Start, listener: Listener, steps: list[Sample]) -> None:
     assert not listener.health
     start("discriminator")

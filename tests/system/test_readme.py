@@ -62,13 +62,14 @@ class Runs(NamedTuple):
 
 
 SHORT = {"SESSION": "short", "SAMPLE": "600"}
+SHIPPED_SHORT = {"bags/four_setpoints": "short"}
 FREE = {"--dashboard": "--dashboard 0"}
 VERDICT = r"^ *\d+ +(unknown|doubtful|trusted|fault)"
 
 RUNS = {
     "source .venv/bin/activate": Runs("twinmatch", {"activate": "activate && command -v twinmatch"}),
     "twinmatch replay bags/four_setpoints": Runs("Leader: .*trust it between"),
-    "twinmatch report bags/four_setpoints -o report.html": Runs("report.html"),
+    "twinmatch report bags/four_setpoints -o report.html": Runs("report.html", SHIPPED_SHORT),
     "twinmatch forecast bags/four_setpoints --at 1200 --hold 80": Runs(r"leader.*confidence"),
     "python launch_scripts/replay.py bags/four_setpoints --dashboard": Runs(VERDICT, FREE, 130),
     "python launch_scripts/live.py --virtual --speed 5 --dashboard --control": Runs(
