@@ -174,11 +174,11 @@ def test_twin_and_recorder_that_are_killed_again_and_again_come_back(
 def test_a_twin_that_stood_still_is_given_what_it_missed(
     begin: Callable[[list[Sample]], Run], steps: list[Sample], offline: list[Outcome]
 ) -> None:
-    run = begin(steps[:420])
+    run = begin(steps[:600])  # the player, and so the keeper, outlasts the second time
     run.until_state(100)
     run.stand_still(10.0)
     run.listener.spin_until(lambda: run.matches, "a match")  # its verdict is being made
     run.stand_still(10.0)
-    run.check(steps[:420], offline[:420])
+    run.check(steps[:600], offline[:600])
     (found,) = run.verify()
     assert found.identical, found.difference

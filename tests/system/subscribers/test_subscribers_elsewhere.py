@@ -105,7 +105,7 @@ def test_it_reads_the_verdicts(
 ) -> None:
     verdicts = programs.start_reader("twinmatch_msgs/ModelScore", "twin/model_score", python=other_python)
     samples = programs.start_reader("twinmatch_msgs/LoopSample", "plant/sample", python=other_python)
-    part = read_session(session).samples[:370]
+    part = read_session(session).samples[:460]
     replay = programs.start_ours(
         project / "launch_scripts" / "replay.py", write_session(tmp_path / "part", part), "--rate", 80
     )
