@@ -22,11 +22,12 @@ def entered(
 ) -> Ledger:
     """A ledger after one forecast for each column, shape (2, n) by name; the baselines may be the same."""
     ledger = Ledger(horizons, noise, kept)
-    for column in range(next(iter(errors.values())).shape[1]):
-        came = {name: e[:, column : column + 1] for name, e in errors.items()}
-        baselines = [came.pop(PERSISTENCE), came.pop(ARX, errors[PERSISTENCE][:, column : column + 1])]
+    names = [name for name in errors if name not in {PERSISTENCE, ARX}]
+    came = np.array([errors[name] for name in names])
+    baselines = np.array([errors[PERSISTENCE], errors.get(ARX, errors[PERSISTENCE])])
+    for column in range(came.shape[2]):
         for horizon in range(horizons):
-            ledger.add(came, baselines, horizon)
+            ledger.add(names, came[..., column : column + 1], baselines[..., column : column + 1], horizon)
     return ledger
 
 
@@ -103,7 +104,7 @@ def test_a_newcomer_has_saved_nothing_yet_and_an_heir_continues() -> None:
 def test_nothing_is_said_before_a_forecast_has_come_true() -> None:
     ledger = Ledger(2, NOISE, 1.0)
     assert np.isnan(ledger.gains(["a"])).all()
-    ledger.add({"a": np.zeros((2, 3))}, [np.ones((2, 3))] * 2, 0)
+    ledger.add(["a"], np.zeros((1, 2, 3)), np.ones((2, 2, 3)), 0)
     first, second = ledger.gains(["a"])[0]
     assert first > 0.0
     assert np.isnan(second), "of the longer horizon nothing has come"
@@ -143,7 +144,7 @@ def learned(
     calibration, widths = Calibration((1,), kept, recent, quotients.shape[1]), []
     for row in quotients:
         widths.append(calibration.widths[:, 0])
-        calibration.add(0, row)
+        calibration.add([0], row[:, None])
     return np.array(widths), quotients <= np.array(widths)
 
 
@@ -211,7 +212,7 @@ def test_it_is_the_empirical_quantile_in_units_of_a_mean(values: list[float], le
         scale = np.average([mean, *values[:n]], weights=weights) / mean
         rank = min(int(np.ceil(CONFIDENCE * (len(scaled) + 1) - 1e-9)), len(scaled))
         assert calibration.widths[0, 0] == pytest.approx(np.sort(scaled)[rank - 1] * scale, rel=1e-9)
-        calibration.add(0, np.array([value]))
+        calibration.add([0], np.array([[value]]))
         scaled.append(value / scale)
 
 
@@ -229,10 +230,10 @@ def test_a_twin_that_misjudges_its_errors_soon_holds(size: float) -> None:
 def test_a_copy_learns_on_its_own() -> None:
     first = Calibration((1,), MEMORY, RECENT, 1)
     for _ in range(500):  # until the prior is forgotten
-        first.add(0, np.array([0.3]))
+        first.add([0], np.array([[0.3]]))
     second, before = first.copy(), first.widths
     for _ in range(30):
-        second.add(0, np.array([9.0]))
+        second.add([0], np.array([[9.0]]))
     np.testing.assert_array_equal(first.widths, before)
     assert second.widths[0, 0] > 9.0
 

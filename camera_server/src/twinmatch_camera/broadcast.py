@@ -15,6 +15,8 @@ import time
 
 from twinmatch_camera.errors import ListenError
 
+__all__ = ["Broadcast"]
+
 _log = logging.getLogger(__name__)
 
 _SEND_BUFFER = 16_384

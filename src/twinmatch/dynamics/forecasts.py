@@ -10,10 +10,11 @@ from numpy.typing import ArrayLike
 
 from twinmatch.dynamics.declarations import PlantError
 from twinmatch.dynamics.experiment import Experiment, Tangents
+from twinmatch.dynamics.laws import LawCode
 from twinmatch.dynamics.loop import Law
 from twinmatch.dynamics.plant import Parameters
 from twinmatch.dynamics.simulation import gains_of, law_of, n_references, signal_rows
-from twinmatch.dynamics.variances import foresee, noise_effects
+from twinmatch.dynamics.variances import BANDED, MEAN, foresee, foresee_each, noise_effects
 from twinmatch.signals import FloatArray, finite
 
 
@@ -90,75 +91,146 @@ def forecast_loop(
         title = parameters.model.title
         raise PlantError(f"{title}: a forecast takes set-points ahead or inputs ahead; give one of the two")
     loop = None if reference is None else gains or gains_of(parameters.model.plant, 1.0)
-    known = Foresight(
-        parameters, loop, states=states, covariance=covariance, input=input, drift=drift, unsure=unsure,
-        controller=controller, period=period, noise=noise, swift=swift,
-    )  # fmt: skip
-    return known.ahead(inputs if reference is None else reference, disturbances, banded=banded)
+    known = Foresight([(parameters, unsure)], loop, drift=[drift], period=period, noise=noise, swift=swift)
+    now = known.at([states], [covariance], input, controller)
+    return known.ahead(now, inputs if reference is None else reference, disturbances, banded=banded)
+
+
+class TwinsNow(NamedTuple):
+    """Some twins of one plant at a sample."""
+
+    states: FloatArray
+    """A row for each, with zeros behind where others have more."""
+    covariances: FloatArray
+    """Those of states and unsure parameters, flat, in the same way."""
+    input: FloatArray
+    """u of that sample, which acts until the next, shape (m,)."""
+    law: LawCode
+    memory: FloatArray
+    """State of the law after that sample, shape (q,)."""
 
 
 class Foresight:
-    """What a forecast needs to know at its sample, checked once: it is then made for any signals ahead."""
+    """Forecasts by some twins of one plant, in one compiled call; what does not change from sample to sample
+    is checked once. A twin whose equations are external is alone."""
 
     def __init__(
         self,
-        parameters: Parameters,
+        twins: Sequence[tuple[Parameters, Sequence[str]]],
         loop: Law | None,
         *,
-        states: FloatArray,
-        covariance: ArrayLike,
-        input: ArrayLike,
-        drift: ArrayLike,
-        unsure: Sequence[str] = (),
-        controller: ArrayLike | None = None,
+        drift: Sequence[ArrayLike],
         period: float = 1.0,
         noise: ArrayLike | None = None,
         swift: float = 0.0,
     ) -> None:
-        """Take what `forecast_loop` takes; without a loop, inputs are given.
+        """Take what `forecast_loop` takes: of each twin the parameters, and the names of those unsure.
 
         Raises:
             PlantError: as `forecast_loop`.
         """
-        model, title = parameters.model, parameters.model.title
-        unknown = [name for name in unsure if name not in model.names]
-        if unknown:
-            raise PlantError(f"{title}: no parameter {unknown[0]!r}; there are {', '.join(model.names)}")
-        n, k, period = len(model.states), len(unsure), float(period if loop is None else loop.period)
-        process_noise = np.zeros(n + k)
-        process_noise[:n] = np.square(_fit(title, "drift", drift, (n,))) * period
-        self._model, self._name = model, "inputs" if loop is None else "set-points"
-        self._columns = n_references(model.plant, loop)
-        self._states = _fit(title, "states", states, (n,))
-        self._covariance = _fit(title, "covariance", covariance, (n + k, n + k))
+        model = self._model = twins[0][0].model
+        period = float(period if loop is None else loop.period)
+        self._name = "inputs" if loop is None else "set-points"
+        self._loop, self._columns = loop, n_references(model.plant, loop)
+        self._kernels = [parameters.model.kernels_by(unsure) for parameters, unsure in twins]
+        self.sizes = np.array([(len(p.model.states), p.vector.size, len(names)) for p, names in twins])
+        count, (most, longest, widest) = len(twins), self.sizes.max(axis=0)
+        self._vectors, self._which = np.zeros((count, longest)), np.zeros((count, 2 * widest), dtype=np.int64)
+        self._process_noise = np.zeros((count, most + widest))
+        for i, ((parameters, unsure), each) in enumerate(zip(twins, drift, strict=True)):
+            n, p, k = self.sizes[i].tolist()
+            title = parameters.model.title
+            unknown = [name for name in unsure if name not in parameters.model.names]
+            if unknown:
+                names = ", ".join(parameters.model.names)
+                raise PlantError(f"{title}: no parameter {unknown[0]!r}; there are {names}")
+            self._vectors[i, :p] = parameters.vector
+            self._which[i, : 2 * k] = 2 * [self._kernels[i].UNKNOWN.index(name) for name in unsure]
+            self._process_noise[i, :n] = np.square(_fit(title, "drift", each, (n,))) * period
+        self._steps = np.array([parameters.steps(period) for parameters, _ in twins])
         given = model.noise if noise is None else np.atleast_1d(noise)
-        noises = _fit(title, "noise", given, model.noise.shape)
-        u = _fit(title, "newest input", np.atleast_1d(input), (len(model.plant.drives),))
-        self._kernels = model.kernels_by(unsure)
-        which = [[self._kernels.UNKNOWN.index(name) for name in unsure]] * 2
-        self._begun = parameters.vector, np.array(which, dtype=np.int64).reshape(2, k)
-        self._now = process_noise, u, *law_of(loop, controller)
-        self._then = period, parameters.steps(period), noises * noises, float(swift)
+        noises = _fit(model.title, "noise", given, model.noise.shape)
+        self._then = period, noises * noises, float(swift)
+        external = model.is_external
+        self._codes = np.stack([np.zeros(0) if external else kernels.code for kernels in self._kernels])
+
+    def at(
+        self,
+        states: Sequence[FloatArray],
+        covariances: Sequence[ArrayLike],
+        input: ArrayLike,
+        controller: ArrayLike | None,
+    ) -> TwinsNow:
+        """The twins at a sample.
+
+        Raises:
+            PlantError: as `forecast_loop`.
+        """
+        title, (most, _, widest) = self._model.title, self.sizes.max(axis=0)
+        found, joints = np.zeros((len(states), most)), np.zeros((len(states), (most + widest) ** 2))
+        for i, (n, _, k) in enumerate(self.sizes.tolist()):
+            found[i, :n] = _fit(title, "states", states[i], (n,))
+            joints[i, : (n + k) ** 2] = _fit(title, "covariance", covariances[i], (n + k, n + k)).ravel()
+        u = _fit(title, "newest input", np.atleast_1d(input), (len(self._model.plant.drives),))
+        return TwinsNow(found, joints, u, *law_of(self._loop, controller))
 
     def ahead(
-        self, signal: ArrayLike | None, disturbances: ArrayLike | None = None, *, banded: bool = True
+        self,
+        now: TwinsNow,
+        signal: ArrayLike | None,
+        disturbances: ArrayLike | None = None,
+        *,
+        banded: bool = True,
     ) -> LoopForecast:
-        """The forecast under these set-points (or inputs) and disturbances.
+        """The forecast of a single twin under these set-points (or inputs) and disturbances.
 
         Raises:
             PlantError: as `forecast_loop`.
         """
+        (n, _, k), (period, *then) = self.sizes[0].tolist(), self._then
+        if self._model.is_external:
+            return LoopForecast._make(
+                self._kernels[0].call(
+                    foresee, self._vectors[0], self._which[0].reshape(2, k), now.states[0].copy(),
+                    now.covariances[0].reshape(n + k, n + k).copy(), self._process_noise[0], *now[2:],
+                    *self._rows(signal, disturbances), period, int(self._steps[0]), *then, banded,
+                )
+            )  # fmt: skip
+        means, variances = self.each(now, [BANDED if banded else MEAN], signal, disturbances)
+        many, shown = self._model.noise.size, variances[0] if banded else variances[0, :, :0]
+        return LoopForecast(means[0, :many].T, means[0, many:].T, shown[:many].T, shown[many:].T)
+
+    def each(
+        self,
+        now: TwinsNow,
+        wanted: Sequence[int],
+        signal: ArrayLike | None,
+        disturbances: ArrayLike | None = None,
+    ) -> tuple[FloatArray, FloatArray]:
+        """Means and variances of outputs, then inputs, of all twins, shape (C, o + m, N); `wanted` of each
+        are 0, `MEAN` or `BANDED`, and NaN is what is not.
+
+        Raises:
+            PlantError: as `forecast_loop`.
+        """
+        period, noise, swift = self._then
+        found: tuple[FloatArray, FloatArray] = foresee_each(
+            self._codes, self.sizes, self._vectors, self._which, now.states, now.covariances,
+            self._process_noise, self._steps, np.array(wanted), *now[2:],
+            *self._rows(signal, disturbances), period, noise, swift,
+        )  # fmt: skip
+        return found
+
+    def _rows(
+        self, signal: ArrayLike | None, disturbances: ArrayLike | None
+    ) -> tuple[FloatArray, FloatArray]:
         model = self._model
         references = signal_rows(model.title, self._name, signal, self._columns)
         size = len(references) + 1
         if disturbances is not None and np.ndim(disturbances) == 1:
             disturbances = np.tile(model.disturbance_row(disturbances), (size, 1))
-        return LoopForecast._make(
-            self._kernels.call(
-                foresee, *self._begun, self._states.copy(), self._covariance.copy(), *self._now, references,
-                model.disturbance_rows(disturbances, size), *self._then, banded,
-            )
-        )  # fmt: skip
+        return references, model.disturbance_rows(disturbances, size)
 
 
 def _fit(title: str, name: str, values: ArrayLike, shape: tuple[int, ...]) -> FloatArray:

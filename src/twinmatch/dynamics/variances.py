@@ -14,6 +14,40 @@ from twinmatch.dynamics.laws import LawCode
 from twinmatch.dynamics.runs import run, run_with_tangents
 from twinmatch.signals import FloatArray
 
+MEAN, BANDED = 1, 2
+"""What is wanted of a plant's forecast."""
+
+
+@compiled
+def foresee_each(
+    codes: NDArray[np.int64], sizes: NDArray[np.int64], vectors: FloatArray, which: NDArray[np.int64],
+    x: FloatArray, joints: FloatArray, process_noise: FloatArray, steps: NDArray[np.int64],
+    wanted: NDArray[np.int64], u: FloatArray, law: LawCode, memory: FloatArray, references: FloatArray,
+    disturbances: FloatArray, period: float, noise: FloatArray, swift: float,
+) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+    """`foresee` for several plants, one row of each array per plant: means and variances of outputs, then
+    inputs, shape (C, o + m, N); NaN where they are not `wanted`.
+
+    `sizes`, shape (C, 3), are the numbers of states, parameters and unsure parameters.
+    """
+    o = noise.size
+    shape = (len(sizes), o + u.size, len(references))
+    means, variances = np.full(shape, np.nan), np.full(shape, np.nan)
+    for i in range(len(sizes)):
+        if wanted[i] == 0:
+            continue
+        n, p, k = sizes[i]
+        joint = joints[i, : (n + k) ** 2].copy().reshape((n + k, n + k))
+        outputs, inputs, of_outputs, of_inputs = foresee(
+            codes[i], vectors[i, :p], which[i, : 2 * k].reshape((2, k)), x[i, :n].copy(), joint,
+            process_noise[i, : n + k], u, law, memory, references, disturbances, period, steps[i], noise,
+            swift, wanted[i] == BANDED,
+        )  # fmt: skip
+        means[i, :o], means[i, o:] = outputs.T, inputs.T
+        if wanted[i] == BANDED:
+            variances[i, :o], variances[i, o:] = of_outputs.T, of_inputs.T
+    return means, variances
+
 
 @compiled
 def foresee(

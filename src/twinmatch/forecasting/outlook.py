@@ -97,18 +97,15 @@ class StateFilter:
             self._observer.correct(sample.outputs, row)
         self._inputs = sample.inputs
 
-    def follow(self, samples: Iterable[Sample]) -> None:
+    def follow(self, samples: Sequence[Sample]) -> None:
         """Take several samples, the next ones in sequence, each as `push` does."""
         left = list(samples)
         while left:
             if self._observer is None or self.parameters.model.is_external:
                 self.push(left.pop(0))
                 continue
-            inputs, outputs = [self._inputs, *(s.inputs for s in left)], [s.outputs for s in left]
-            rows = [s.disturbances for s in left] if left[0].disturbances else None
-            seen = [s.seen for s in left]
-            [taken] = ObserverBank([self._observer]).push(inputs[:-1], outputs, seen, rows)
-            self._inputs = inputs[taken]
+            [taken] = _taken(ObserverBank([self._observer]), self._inputs, left)
+            self._inputs = left[taken - 1].inputs if taken else self._inputs
             del left[:taken]
             if left:
                 self.restart()
@@ -137,6 +134,21 @@ class StateFilter:
         return self._observer
 
 
+def foresight_of(
+    twins: Sequence[tuple[Parameters, Sequence[str]]], gains: Law | None, period: float
+) -> Foresight:
+    """The forecasts of twins: of each the parameters, and the names of those that are unsure."""
+    drift = [drift_of(parameters.model) for parameters, _ in twins]
+    return Foresight(twins, gains, drift=drift, period=period, swift=SWIFT)
+
+
+def deviations(model: Model, variances: FloatArray) -> FloatArray:
+    """Standard deviations of outputs and inputs as a twin expects them, shape (..., o + m, N)."""
+    plant = model.plant
+    least = [0.0] * len(plant.outputs) + [(_LEAST * drive.noise) ** 2 for drive in plant.drives.values()]
+    return np.asarray(np.sqrt(variances + np.array(least)[:, None]))
+
+
 @functools.cache
 def drift_of(model: Model) -> FloatArray:
     """Standard deviation of the drift of each state from the equations per second, shape (n,); not to be
@@ -145,14 +157,14 @@ def drift_of(model: Model) -> FloatArray:
 
 
 class Followers:
-    """The filters of several twins of one plant, moved on by one compiled call for each sample."""
+    """The filters of several twins of one plant, moved on over any number of samples by one compiled call."""
 
     def __init__(self) -> None:
         self._observers: list[Observer] = []
         self._bank: ObserverBank | None = None
 
-    def push(self, filters: Iterable[StateFilter], sample: Sample) -> None:
-        """Take one sample in all filters; as `StateFilter.push`.
+    def push(self, filters: Iterable[StateFilter], samples: Sequence[Sample]) -> None:
+        """Take samples, the next ones in sequence, in all filters; each as `StateFilter.push` does.
 
         Raises:
             PlantError: as `StateFilter.push`, for a filter without a sample yet.
@@ -160,21 +172,27 @@ class Followers:
         following = []
         for each in filters:
             if each._observer is None:
-                each.push(sample)
+                each.follow(samples)
             else:
                 following.append(each)
-        if not following:
+        if not (following and samples):
             return
         observers = [each._started for each in following]
         if observers != self._observers or self._bank is None:
             self._observers, self._bank = observers, ObserverBank(observers)
-        rows = [sample.disturbances] if sample.disturbances else None
-        found = self._bank.push((following[0]._inputs,), (sample.outputs,), (sample.seen,), rows)
+        found = _taken(self._bank, following[0]._inputs, samples)
         for each, taken in zip(following, found, strict=True):
-            each._inputs = sample.inputs
-            if not taken:
+            each._inputs = samples[-1].inputs
+            if taken < len(samples):
                 each.restart()
-                each.push(sample)
+                each.follow(samples[taken:])
+
+
+def _taken(bank: ObserverBank, inputs: Signals, samples: Sequence[Sample]) -> list[int]:
+    """Move a bank on over samples, under these inputs to the first; how many each observer took."""
+    before = [inputs, *(s.inputs for s in samples[:-1])]
+    rows = [s.disturbances for s in samples] if samples[0].disturbances else None
+    return bank.push(before, [s.outputs for s in samples], [s.seen for s in samples], rows)
 
 
 def _spans(model: Model) -> FloatArray:
@@ -243,29 +261,9 @@ class Outlook:
         """
         if disturbances is None and self.sample.disturbances:
             disturbances = np.array(self.sample.disturbances)
-        return self._known.ahead(ahead, disturbances, banded=banded)
-
-    @functools.cached_property
-    def _known(self) -> Foresight:
-        return Foresight(
-            self.parameters,
-            self.gains,
-            states=self.states,
-            covariance=self.covariance,
-            unsure=self.unsure,
-            input=self.sample.inputs,
-            drift=drift_of(self.parameters.model),
-            controller=self.controller,
-            period=self.period,
-            swift=SWIFT,
-        )
-
-    def deviations(self, predicted: LoopForecast) -> FloatArray:
-        """Standard deviations of outputs and inputs expected by the twin, shape (o + m, N)."""
-        plant = self.parameters.model.plant
-        least = [0.0] * len(plant.outputs) + [(_LEAST * drive.noise) ** 2 for drive in plant.drives.values()]
-        deviations: FloatArray = np.sqrt(predicted.variances + np.array(least)[:, None])
-        return deviations
+        foresight = foresight_of([(self.parameters, self.unsure)], self.gains, self.period)
+        now = foresight.at([self.states], [self.covariance], self.sample.inputs, self.controller)
+        return foresight.ahead(now, ahead, disturbances, banded=banded)
 
     def forecast(self, ahead: ArrayLike, disturbances: ArrayLike | None = None) -> Forecast:
         """Forecast under these set-points, or inputs if the loop is not known, shape (N,) or (N, r), from the
@@ -280,7 +278,7 @@ class Outlook:
             msg = f"forecast: the {what} ahead are not a list of finite numbers; give one for each sample"
             raise ForecastError(msg)
         predicted, size = self.predicted(values, disturbances), len(values)
-        half = self.deviations(predicted)[: len(self.widths)] * self._widths(size)
+        half = deviations(self.parameters.model, predicted.variances)[: len(self.widths)] * self._widths(size)
         many = predicted.outputs.shape[1]
         y, u = predicted.means[:many], predicted.means[many:]
         return Forecast(

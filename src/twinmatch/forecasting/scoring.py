@@ -27,7 +27,7 @@ baselines made on the same samples: its skill is 1 − (its mean |error|) / (the
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from copy import copy
+from copy import deepcopy
 from typing import Any, Final
 
 import numpy as np
@@ -76,44 +76,57 @@ class Calibration:
         self.leads, self._kept, self._recent, self._signals = leads, kept, recent, np.arange(signals)
         self._new = np.minimum(stride / np.array(leads), 1.0)
         """Share of a forecast that the one before did not cover, shape (L,)."""
-        start = np.repeat(_HALF_NORMAL[:, None], signals, axis=1)
-        self._quotients = [start] * len(leads)  # in units of the local scale
-        self._weights = [np.ones(len(start))] * len(leads)
+        # In units of the local scale, beginning with the prior; those from `_first` to `_end` count.
+        self._quotients = np.zeros((len(leads), signals, 2 * _HALF_NORMAL.size))
+        self._quotients[:, :, : _HALF_NORMAL.size] = _HALF_NORMAL
+        self._first, self._end = [0] * len(leads), [_HALF_NORMAL.size] * len(leads)
+        self._learned = [0] * len(leads)
+        # Of the newest quotient, the one before it …
+        self._weights: list[float] = np.cumprod([1.0, *[kept] * _HALF_NORMAL.size]).tolist()
         self._sums = np.zeros((signals, len(leads)))  # of the newest quotients, weighted
         self._counts = np.zeros(len(leads))  # sums of their weights
         self._quantiles = np.zeros((signals, len(leads)))
         self._stale = set(range(len(leads)))
 
-    @property
-    def shape(self) -> tuple[int, int]:
-        """That of the widths: (signals, L)."""
-        return self._signals.size, len(self.leads)
-
     def copy(self) -> Calibration:
         """An independent copy."""
-        twin = copy(self)
-        twin._quotients, twin._weights = list(self._quotients), list(self._weights)
-        twin._sums, twin._counts = self._sums.copy(), self._counts.copy()
-        twin._quantiles, twin._stale = self._quantiles.copy(), set(self._stale)
-        return twin
+        return deepcopy(self)
 
     def learn(self, quotients: FloatArray, before: int = 0) -> None:
         """Learn from one forecast: quotients of the signals at N samples ahead, shape (signals, N), at leads
         beyond `before`; NaN where a sample was lost."""
-        for place, lead in enumerate(self.leads):
-            if before < lead <= quotients.shape[1] and not np.isnan(quotients[0, lead - 1]):
-                self.add(place, quotients[:, lead - 1])
+        size = quotients.shape[1]
+        due = [k for k, lead in enumerate(self.leads) if before < lead <= size]
+        came = quotients[:, [self.leads[k] - 1 for k in due]]
+        kept = [k for k, lost in enumerate(np.isnan(came[0]).tolist()) if not lost]
+        if kept:
+            self.add([due[k] for k in kept], came[:, kept])
 
-    def add(self, lead: int, quotients: FloatArray) -> None:
-        """Learn the signals' quotients of one forecast at one lead, given by its index."""
-        scaled = quotients / self._scales[:, lead]
-        self._quotients[lead] = np.concatenate([self._quotients[lead], scaled[None]])
-        self._weights[lead] = np.append(self._weights[lead] * self._kept, 1.0)
-        if self._weights[lead][0] < _NEGLIGIBLE:
-            self._quotients[lead], self._weights[lead] = self._quotients[lead][1:], self._weights[lead][1:]
-        self._sums[:, lead] = self._recent * self._sums[:, lead] + self._new[lead] * quotients
-        self._counts[lead] = self._recent * self._counts[lead] + self._new[lead]
-        self._stale.add(lead)
+    def add(self, leads: Sequence[int], quotients: FloatArray) -> None:
+        """Learn the signals' quotients of one forecast at n leads, given by index; shape (signals, n)."""
+        scaled = quotients / self._scales[:, leads]
+        for k, lead in enumerate(leads):
+            size = self._end[lead] - self._first[lead]
+            if self._end[lead] == self._quotients.shape[2]:
+                self._make_room(lead)
+            self._quotients[lead, :, self._end[lead]] = scaled[:, k]
+            self._end[lead] += 1
+            self._learned[lead] += 1
+            if size == len(self._weights):
+                self._weights.append(self._weights[-1] * self._kept)
+            # Those of the prior are as old as the first that was learned.
+            self._first[lead] += self._weights[min(size, self._learned[lead])] < _NEGLIGIBLE
+        self._sums[:, leads] = self._recent * self._sums[:, leads] + self._new[leads] * quotients
+        self._counts[leads] = self._recent * self._counts[leads] + self._new[leads]
+        self._stale.update(leads)
+
+    def _make_room(self, lead: int) -> None:
+        first, end = self._first[lead], self._end[lead]
+        if 2 * (end - first) > end:
+            self._quotients = np.concatenate([self._quotients, np.zeros_like(self._quotients)], axis=2)
+            return
+        self._quotients[lead, :, : end - first] = self._quotients[lead, :, first:end]
+        self._first[lead], self._end[lead] = 0, end - first
 
     @property
     def widths(self) -> FloatArray:
@@ -129,7 +142,9 @@ class Calibration:
         return (_TRUSTED * _MEAN + self._sums) / (_MEAN * (_TRUSTED + self._counts))
 
     def _quantile(self, lead: int) -> FloatArray:
-        quotients, weights = self._quotients[lead], self._weights[lead]
+        quotients = self._quotients[lead, :, self._first[lead] : self._end[lead]].T
+        ages = np.minimum(np.arange(len(quotients))[::-1], self._learned[lead])
+        weights = np.array(self._weights)[ages]
         order = np.argsort(quotients, axis=0, kind="stable")
         # The next forecast counts as one more, with an unknown quotient.
         share = np.cumsum(weights[order], axis=0) / (weights.sum() + 1.0)
@@ -200,19 +215,20 @@ class Ledger:
         if predecessor in self._rows:
             self._set({**{each: each for each in self._rows}, name: predecessor})
 
-    def add(self, errors: Mapping[str, FloatArray], baselines: Sequence[FloatArray], horizon: int) -> None:
-        """Add the errors (measured minus forecast) of the forecasts from one sample, shape (signals, N).
+    def add(self, names: Sequence[str], errors: FloatArray, baselines: FloatArray, horizon: int) -> None:
+        """Add the errors (measured minus forecast) of the forecasts from one sample.
 
-        They are those of the candidates, by name, and those of `BASELINES`, in that order.
+        They are those of the candidates, shape (C, signals, N), and those of `BASELINES`, in that order.
 
         The N readings are those after the previous horizon up to this one; `horizon` is an index. Their
         errors are correlated, so together they count as one reading of each signal, of mean length.
         """
-        given: dict[Any, FloatArray] = {**dict(enumerate(baselines)), **errors}
-        if not given.keys() <= self._rows.keys():
-            self._set({name: name for name in (*self._rows, *given)})
-        h, rows = horizon, [self._rows[name] for name in given]
-        found = np.abs(np.array([error.T for error in given.values()])).mean(axis=1)
+        accounts = (*range(len(BASELINES)), *names)
+        if not self._rows.keys() >= {*accounts}:
+            self._set({name: name for name in (*self._rows, *accounts)})
+        h, rows = horizon, [self._rows[name] for name in accounts]
+        sizes = np.abs(np.concatenate([baselines, errors]))
+        found = np.ascontiguousarray(sizes.swapaxes(1, 2)).mean(axis=1)
         widths = np.maximum(self._sizes[rows, :, h], _NARROWEST * self.noise)
         characters = np.log10(2.0 * widths) + found / (widths * _LN10)
         self._lengths[rows, h] = self.kept * self._lengths[rows, h] + characters.sum(axis=1)

@@ -6,13 +6,16 @@ from collections import deque
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from itertools import pairwise
 from types import MappingProxyType
 from typing import Final, NamedTuple
 
 import numpy as np
 
 from twinmatch.comparing import BASELINES, Candidate, ForecastScore, beaten_words
-from twinmatch.dynamics import Controller, Law, Plant, PlantError
+from twinmatch.dynamics import Foresight, Law, Plant, PlantError
+from twinmatch.dynamics.forecasts import TwinsNow
+from twinmatch.dynamics.variances import BANDED, MEAN
 from twinmatch.forecasting import (
     HORIZONS,
     Arx,
@@ -25,8 +28,9 @@ from twinmatch.forecasting import (
     StateFilter,
     leads_of,
 )
+from twinmatch.forecasting.outlook import deviations, foresight_of
 from twinmatch.settings import setting
-from twinmatch.signals import BoolArray, FloatArray, Sample
+from twinmatch.signals import FloatArray, Sample, finite
 from twinmatch.twin.trust import BandCheck, LeaderConfidence, check_band
 
 _RUN_IN: Final = (60.0, 300.0)
@@ -97,7 +101,13 @@ class Snapshot(NamedTuple):
 class _Departure(NamedTuple):
     """What forecasts from one sample."""
 
-    snapshot: Snapshot
+    leader: str
+    outlooks: Mapping[str, Outlook]
+    """Those of the leader, and of the candidates whose equations are external."""
+    names: tuple[str, ...]
+    """Of the others, in the order of `now`."""
+    foresight: Foresight | None
+    now: TwinsNow | None
     arx: ArxForecast
 
 
@@ -145,14 +155,23 @@ class Forecaster:
         scale = self.settings.scale
         self._leads = leads_of(period / scale, self._longest)
         self._twins: dict[str, _Twin] = {}
-        self._order: tuple[str, ...] = ()
         self._ledger: Ledger | None = None
         self._leader_confidence = LeaderConfidence(self._kept)
         self._departures: dict[int, _Departure] = {}
         self._run_in = tuple(round(stretch * scale / period) for stretch in _RUN_IN)
         self._recent: deque[Sample] = deque(maxlen=max(self._longest + self._stride, *self._run_in) + 1)
-        self._pid = None if gains is None else Controller(gains)
+        self._order: tuple[str, ...] = ()
+        self._external: tuple[str, ...] = ()
+        self._savings: dict[str, float] = {}
+        self._scores: tuple[ForecastScore, ...] = ()
+        self._foresight: Foresight | None = None
+        self._waiting: list[Sample] = []
+        self._controller = np.zeros(0)
+        self._rows = np.zeros((0, 0))
+        """Set-points, outputs, inputs, disturbances of the recent samples, and whether they were seen, one
+        sample per row, without those that are waiting."""
         self._followers = Followers()
+        self._begin()
         self._arx = Arx(gains, float(np.exp(-period / self.settings.memory)))
         self.notes: tuple[str, ...] = ()
         """Reservations to be shown with forecasts made now."""
@@ -171,9 +190,12 @@ class Forecaster:
         """Of the named candidates, the one whose forecasts have saved the most; None if none is present."""
         if self._ledger is None:
             return None
-        totals = _totals(self._ledger.gains(self._order))
-        savings = dict(zip(self._order, np.where(np.isnan(totals), -np.inf, totals).tolist(), strict=True))
-        return max((name for name in self._order if name in names), key=savings.__getitem__, default=None)
+        if not self._savings:
+            totals = _totals(self._ledger.gains(self._order))
+            savings = np.where(np.isnan(totals), -np.inf, totals).tolist()
+            self._savings = dict(zip(self._order, savings, strict=True))
+        known = (name for name in self._order if name in names)
+        return max(known, key=self._savings.__getitem__, default=None)
 
     @property
     def confidence(self) -> float:
@@ -184,8 +206,8 @@ class Forecaster:
     def scores(self) -> tuple[ForecastScore, ...]:
         """Scores of all candidates, in their order."""
         ledger = self._ledger
-        if ledger is None:
-            return ()
+        if ledger is None or self._scores:
+            return self._scores
         found, every = [], ledger.gains(self._order)
         for name, total, gains in zip(self._order, _totals(every).tolist(), every, strict=True):
             candidate = self._twins[name].candidate
@@ -202,7 +224,8 @@ class Forecaster:
                     **dict(zip(_SKILLS, map(tuple, ledger.skills(name).tolist()), strict=True)),
                 )
             )
-        return tuple(found)
+        self._scores = tuple(found)
+        return self._scores
 
     @property
     def sentence(self) -> str:
@@ -223,32 +246,67 @@ class Forecaster:
         return 0.0 if self._ledger is None else self._ledger.forecasts(name)
 
     def push(self, sample: Sample) -> None:
-        """Take one sample: correct every twin, and learn from the forecasts whose horizon it completes."""
+        """Take one sample: correct every twin, and learn from the forecasts whose horizon it completes.
+
+        Twins whose equations are not external take it with the next samples, before they are used.
+        """
         if self._recent and sample.index != self._recent[-1].index + 1:
-            self._restart()
+            self._begin()
         self._recent.append(sample)
-        if self._pid is not None:
-            self._pid.follow(sample.references, sample.outputs, sample.inputs)
+        self._waiting.append(sample)
         self._arx.push(sample)
-        native = []
-        for name, twin in list(self._twins.items()):
-            if not twin.candidate.parameters.model.is_external:
-                native.append(twin.state_filter)
-                continue
+        for name in self._external:
             with self._removing_lost(name):
-                twin.state_filter.push(sample)
-        self._followers.push(native, sample)
+                self._twins[name].state_filter.push(sample)
         if self._twins and sample.index % self._stride == 0:
-            leader = self.leader
-            outlooks = {name: self._outlook(name, banded=name == leader) for name in self._order}
-            arx = self._arx.departure(self._controller)
-            self._departures[sample.index] = _Departure(Snapshot(leader, outlooks), arx)
+            self._departures[sample.index] = self._departure()
         for place, ahead in enumerate(self.horizons):
             departure = self._departures.get(sample.index - ahead)
             if departure is not None:
                 self._learn(departure, sample.index - ahead, place)
         # One forecast more is kept: `check_bands` needs one that is old enough at every sample.
         self._departures.pop(sample.index - self._longest - self._stride, None)
+
+    def _catch_up(self) -> None:
+        """Have the twins, and the controller's state, take the samples that are waiting."""
+        if not self._waiting:
+            return
+        samples, self._waiting = self._waiting, []
+        came = np.array([(*s.references, *s.outputs, *s.inputs, *s.disturbances, s.seen) for s in samples])
+        if not finite(came):
+            bad = samples[int(np.argmin(np.isfinite(came).all(axis=1)))].index
+            raise PlantError(f"forecaster: sample {bad} has a value that is not finite")
+        rows = np.concatenate([self._rows, came]) if self._rows.size else came
+        self._rows = rows[-(self._recent.maxlen or 1) :]
+        if self._gains is not None:
+            references, outputs, inputs, _ = self._columns
+            for row in came:
+                self._controller = self._gains.follow(
+                    self._controller, row[references], row[outputs], row[inputs]
+                )
+        native = [t.state_filter for n, t in self._twins.items() if n not in self._external]
+        self._followers.push(native, samples)
+
+    @property
+    def _columns(self) -> list[slice]:
+        """Those of set-points, outputs, inputs and disturbances."""
+        corners = np.cumsum((0, *self._recent[-1].shape)).tolist()
+        return [slice(*ends) for ends in pairwise(corners)]
+
+    def _departure(self) -> _Departure:
+        self._catch_up()
+        leader = self.leader or self._order[0]
+        outlooks = {name: self._outlook(name) for name in {*self._external, leader}}
+        names = tuple(name for name in self._order if name not in self._external)
+        filters = [self._twins[name].state_filter for name in names]
+        now, u = None, self._recent[-1].inputs
+        if names:
+            twins = [(f.parameters, f.free) for f in filters]
+            self._foresight = self._foresight or foresight_of(twins, self._gains, self.period)
+            states, covariances = [f.states for f in filters], [f.joint for f in filters]
+            now = self._foresight.at(states, covariances, u, self._controller)
+        arx = self._arx.departure(self._controller)
+        return _Departure(leader, outlooks, names, self._foresight, now, arx)
 
     def enter(self, candidates: Sequence[Candidate], successors: Mapping[str, str] | None = None) -> None:
         """Set the candidates; those already present with the same parameters continue.
@@ -257,6 +315,7 @@ class Forecaster:
             candidates: all of them; of two with equal savings, the one named first leads.
             successors: by name of a new candidate, the earlier one whose score it inherits.
         """
+        self._catch_up()
         successors = successors or {}
         if self._ledger is None and candidates:
             noise = forecast_noise(candidates[0].parameters.model.plant, self._gains)
@@ -278,12 +337,22 @@ class Forecaster:
                 if name not in self._twins:
                     self._ledger.inherit(name, before)
             self._ledger.keep(twins)
-        self._twins, self._order = twins, tuple(twins)
+        self._twins = twins
+        self._changed()
+
+    def _changed(self) -> None:
+        """Forget what was derived from the candidates and their scores."""
+        self._order, self._foresight = tuple(self._twins), None
+        self._external = tuple(
+            name for name, twin in self._twins.items() if twin.candidate.parameters.model.is_external
+        )
+        self._savings, self._scores = {}, ()
 
     def snapshot(self) -> Snapshot:
         """The outlooks of all candidates at the newest sample."""
         if not self._recent:
             return Snapshot()
+        self._catch_up()
         return Snapshot(self.leader, {name: self._outlook(name) for name in self._order})
 
     def outlook(self, name: str | None = None) -> Outlook:
@@ -292,15 +361,11 @@ class Forecaster:
         Raises:
             ForecastError: there is no candidate yet, or none of that name.
         """
+        self._catch_up()
         known = self._twins if self._recent else {}
         return self._outlook(_checked(self.leader if name is None else name, known))
 
-    @property
-    def _controller(self) -> FloatArray:
-        return np.zeros(0) if self._pid is None else self._pid.state
-
-    def _outlook(self, name: str, *, banded: bool = True) -> Outlook:
-        """The outlook of a candidate; `banded=False` if only the mean will be used."""
+    def _outlook(self, name: str) -> Outlook:
         twin = self._twins[name]
         return Outlook(
             sample=self._recent[-1],
@@ -313,7 +378,7 @@ class Forecaster:
             gains=self._gains,
             period=self.period,
             leads=self._leads,
-            widths=twin.calibration.widths if banded else np.full(twin.calibration.shape, np.nan),
+            widths=twin.calibration.widths,
             visited=self._arx.visited,
             notes=self.notes,
         )
@@ -330,20 +395,20 @@ class Forecaster:
         made = [sample for sample in self._departures if sample <= newest - samples]
         if not made:
             return None
-        came = list(self._recent)[made[-1] - newest - 1 :]
-        outlook = self._departures[made[-1]].snapshot.outlook()
+        self._catch_up()
+        departure, (_, outputs, inputs, _) = self._departures[made[-1]], self._columns
+        outlook, came = departure.outlooks[departure.leader], self._rows[made[-1] - newest - 1 :]
         try:
-            forecast = outlook.forecast(self._condition(came[1:]), _rows(came))
+            forecast = outlook.forecast(*self._conditions(came))
         except PlantError:
             if not outlook.parameters.model.is_external:
                 raise
             return None
-        newest_of = came[-samples:]
-        outputs, inputs = np.array([s.outputs for s in newest_of]), np.array([s.inputs for s in newest_of])
-        seen = _seen(newest_of)
-        if seen is not None and not seen.any():
+        rows, seen = came[-samples:], came[-samples:, -1] > 0.0
+        if not seen.any():
             return None
-        return check_band(forecast, outputs.T, None if self._gains is None else inputs.T, seen)
+        found = rows[:, outputs].T, None if self._gains is None else rows[:, inputs].T
+        return check_band(forecast, *found, None if seen.all() else seen)
 
     @contextmanager
     def _removing_lost(self, name: str) -> Iterator[None]:
@@ -354,20 +419,25 @@ class Forecaster:
             if not self._twins[name].candidate.parameters.model.is_external:
                 raise
             del self._twins[name]
-            self._order = tuple(self._twins)
+            self._changed()
             if self._ledger is not None:
                 self._ledger.keep(self._twins)
 
-    def _condition(self, came: Sequence[Sample]) -> FloatArray:
-        """The actual set-points, or the inputs if the loop is not known, as the forecast's condition, shape
-        (N, r)."""
-        return np.array([s.inputs if self._gains is None else s.references for s in came])
+    def _conditions(self, came: FloatArray) -> tuple[FloatArray, FloatArray | None]:
+        """What forecasts from the first of some samples are made for: set-points (or inputs, if the loop is
+        not known) after it, shape (N, r), and disturbances from it on, shape (N + 1, d), if there are any."""
+        references, _, inputs, disturbances = self._columns
+        given = np.ascontiguousarray(came[1:, inputs if self._gains is None else references])
+        rows = np.ascontiguousarray(came[:, disturbances])
+        return given, rows if rows.size else None
 
-    def _restart(self) -> None:
-        """Start over from readings after a gap; what was learned stays."""
+    def _begin(self) -> None:
+        """Start over, also after a gap; what was learned stays."""
         self._recent.clear()
+        self._waiting.clear()
         self._departures.clear()
-        self._pid = None if self._gains is None else Controller(self._gains)
+        self._rows = self._rows[:0]
+        self._controller = np.zeros(0 if self._gains is None else self._gains.n_states)
         for twin in self._twins.values():
             twin.state_filter.restart()
 
@@ -399,36 +469,44 @@ class Forecaster:
         ahead, ledger = self.horizons[place], self._ledger
         if ledger is None or self._spoilt(sample, sample + ahead):
             return
-        past = list(self._recent)[-ahead - 1 :]
-        given, rows, signals = self._condition(past[1:]), _rows(past), ledger.noise.size
-        whole = np.ascontiguousarray(np.array([(*s.outputs, *s.inputs) for s in past]).T)
-        last, measured = whole[:signals, :1], np.ascontiguousarray(whole[:signals, 1:])
-        before, seen = max((h for h in self.horizons if h < ahead), default=0), _seen(past[1:])
-        if seen is not None and not seen[before:].any():
+        self._catch_up()
+        came, signals = self._rows[-ahead - 1 :], ledger.noise.size
+        before, seen = max((h for h in self.horizons if h < ahead), default=0), came[1:, -1] > 0.0
+        if not seen[before:].any():
             return
-        leader = departure.snapshot.leader
-        baselines = [measured - last, measured - departure.arx.forecast(given, rows)[:signals]]
-        off: dict[str, FloatArray] = {}
+        given, rows = self._conditions(came)
+        first = self._columns[1].start
+        measured = np.ascontiguousarray(came[:, first : first + signals].T)
+        last, measured = measured[:, :1], measured[:, 1:]
         skipped = sample // self._stride % _OTHERS_EVERY
-        for name, outlook in departure.snapshot.outlooks.items():
-            if name not in self._twins:
-                continue
-            banded = not skipped or name == leader
-            with self._removing_lost(name):
-                predicted = outlook.predicted(given, rows, banded=banded)
-                off[name] = measured - predicted.means[:signals]
-                if banded:
-                    quotients = np.abs(off[name]) / outlook.deviations(predicted)[:signals]
-                    if seen is not None:
-                        quotients[:, ~seen] = np.nan
-                    self._twins[name].calibration.learn(quotients, before)
-        kept = np.arange(ahead) if seen is None else np.flatnonzero(seen)
+        banded = {n for n in self._twins if not skipped or n == departure.leader}
+        found: dict[str, tuple[FloatArray, FloatArray]] = {}
+        if departure.foresight is not None and departure.now is not None:
+            wanted = [(n in self._twins) * (BANDED if n in banded else MEAN) for n in departure.names]
+            told = departure.foresight.each(departure.now, wanted, given, rows)
+            found = {n: (m, v) for n, m, v, use in zip(departure.names, *told, wanted, strict=True) if use}
+        for name in self._external:
+            if name in departure.outlooks:
+                with self._removing_lost(name):
+                    predicted = departure.outlooks[name].predicted(given, rows, banded=name in banded)
+                    found[name] = predicted.means, predicted.variances
+        means = np.array([means[:signals] for means, _ in found.values()])
+        off = measured - means.reshape(-1, signals, ahead)
+        for error, (name, (_, variances)) in zip(off, found.items(), strict=True):
+            if name in banded:
+                twin = self._twins[name]
+                quotients = np.abs(error) / deviations(twin.candidate.parameters.model, variances)[:signals]
+                quotients[:, ~seen] = np.nan
+                twin.calibration.learn(quotients, before)
+        kept = np.flatnonzero(seen)
         new = kept[kept >= before]
-        ledger.add({name: one[:, new] for name, one in off.items()}, [b[:, new] for b in baselines], place)
-        if ahead == self._longest and leader in off:
-            noise = ledger.noise[:, None]
-            paths = {n: float(np.sqrt(np.mean(np.square(o[:, kept] / noise)))) for n, o in off.items()}
-            self._leader_confidence.add(paths[leader], min(paths.values()))
+        baselines = np.array([measured - last, measured - departure.arx.forecast(given, rows)[:signals]])
+        ledger.add(tuple(found), off[:, :, new], baselines[:, :, new], place)
+        self._savings, self._scores = {}, ()
+        if ahead == self._longest and departure.leader in found:
+            paths = np.sqrt(np.mean(np.square(off[:, :, kept] / ledger.noise[:, None]), axis=(1, 2)))
+            leading = paths[list(found).index(departure.leader)]
+            self._leader_confidence.add(float(leading), float(paths.min()))
 
 
 def forecast_noise(plant: type[Plant], gains: Law | None) -> FloatArray:
@@ -441,17 +519,6 @@ def forecast_noise(plant: type[Plant], gains: Law | None) -> FloatArray:
 def _totals(gains: FloatArray) -> FloatArray:
     """Characters saved at all horizons together, NaN without any, shape (C,)."""
     return np.where(np.isfinite(gains).any(axis=1), np.nansum(gains, axis=1), np.nan)
-
-
-def _seen(samples: Sequence[Sample]) -> BoolArray | None:
-    """Which samples were received, shape (N,); None: all."""
-    seen = np.array([s.seen for s in samples], dtype=np.bool_)
-    return None if seen.all() else seen
-
-
-def _rows(samples: Sequence[Sample]) -> FloatArray | None:
-    """The samples' disturbances, shape (N, d), or None if there are none."""
-    return np.array([s.disturbances for s in samples]) if samples[0].disturbances else None
 
 
 def _checked(name: str | None, candidates: Mapping[str, object]) -> str:
