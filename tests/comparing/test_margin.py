@@ -107,21 +107,20 @@ def by_brute_force(plant: list[Any], controller: list[Any], discrete: bool) -> A
     if not all(abs(r) < 1 if discrete else mp.re(r) < 0 for r in roots):
         return mp.mpf(0)
 
-    def margin(t: Any) -> Any:
-        s = mp.mpc(0, mp.exp(t))
+    def margin(t: Any, exp: Any = mp.exp, polyval: Any = lambda p, x: mp.polyval(list(p), x)) -> Any:
+        s = 1j * exp(t)
         x = (1 + s) / (1 - s) if discrete else s
-        p = [mp.polyval(list(n), x) / mp.polyval(list(d), x) for n, d in plant]
-        c = [mp.polyval(list(n), x) / mp.polyval(list(d), x) for n, d in controller]
+        p, c = ([polyval(n, x) / polyval(d, x) for n, d in part] for part in (plant, controller))
         sizes = (1 + sum(abs(v) ** 2 for v in p)) * (1 + sum(abs(v) ** 2 for v in c))
-        return abs(1 + sum(v * w for v, w in zip(p, c, strict=True))) / mp.sqrt(sizes)
+        return abs(1 + sum(v * w for v, w in zip(p, c, strict=True))) / sizes**0.5
 
-    nodes = [mp.mpf(k) * 6 / 100 for k in range(-200, 201)]
-    values = [margin(t) for t in nodes]
-    best = min(*values, margin(mp.mpf(-60)), margin(mp.mpf(60)))
+    nodes = 0.06 * np.arange(-200, 201)
+    values = margin(nodes, np.exp, np.polyval)  # floats say where to look
+    best = min(margin(mp.mpf(-60)), margin(mp.mpf(60)))
     golden = (mp.sqrt(5) - 1) / 2
     for k in sorted(range(1, len(nodes) - 1), key=lambda k: values[k])[:3]:
-        low, high = nodes[k - 1], nodes[k + 1]
-        for _ in range(45):
+        low, high = mp.mpf(nodes[k - 1]), mp.mpf(nodes[k + 1])
+        for _ in range(34):
             left, right = high - golden * (high - low), low + golden * (high - low)
             if margin(left) < margin(right):
                 high = right

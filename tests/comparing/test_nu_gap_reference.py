@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import combinations
+
 import mpmath as mp
 import numpy as np
 import pytest
@@ -29,15 +31,31 @@ def distance(p1: Fractions, p2: Fractions, t: object, discrete: bool) -> object:
     return mp.sqrt(max(mp.mpf(0), 1 - abs(inner) ** 2 / sizes))
 
 
+NODES = 0.06 * np.arange(-200, 201)
+"""Of ln Ω: floats say near which of them it is worth to look."""
+
+
+def in_floats(p1: Fractions, p2: Fractions, discrete: bool) -> np.ndarray:
+    """The distance at the nodes, without taking a difference of nearly equal numbers."""
+    s = 1j * np.exp(NODES)
+    x = (1 + s) / (1 - s) if discrete else s
+    a, b = (
+        np.array([np.ones_like(x), *(np.polyval(n, x) / np.polyval(d, x) for n, d in p)]) for p in (p1, p2)
+    )
+    minors = [a[j] * b[k] - a[k] * b[j] for j, k in combinations(range(len(a)), 2)]
+    return np.sqrt(
+        np.sum(np.abs(minors) ** 2, axis=0) / np.sum(abs(a) ** 2, axis=0) / np.sum(abs(b) ** 2, axis=0)
+    )
+
+
 def largest(p1: Fractions, p2: Fractions, discrete: bool) -> object:
-    """Samples 0.06 apart in ln Ω, then golden section around the best three; and both ends."""
-    nodes = [mp.mpf(k) * 6 / 100 for k in range(-200, 201)]
-    values = [distance(p1, p2, t, discrete) for t in nodes]
-    best = max(*values, *(distance(p1, p2, mp.mpf(end), discrete) for end in (-60, 60)))
+    """Golden section around the three highest nodes; and both ends."""
+    values = in_floats(p1, p2, discrete)
+    best = max(distance(p1, p2, mp.mpf(end), discrete) for end in (-60, 60))
     golden = (mp.sqrt(5) - 1) / 2
-    for k in sorted(range(1, len(nodes) - 1), key=lambda k: -values[k])[:3]:
-        low, high = nodes[k - 1], nodes[k + 1]
-        for _ in range(40):
+    for k in sorted(range(1, len(NODES) - 1), key=lambda k: -values[k])[:3]:
+        low, high = mp.mpf(NODES[k - 1]), mp.mpf(NODES[k + 1])
+        for _ in range(32):
             left, right = high - golden * (high - low), low + golden * (high - low)
             if distance(p1, p2, left, discrete) > distance(p1, p2, right, discrete):
                 high = right

@@ -3,8 +3,8 @@
 The fidelity measure of Muñoz, Wimmer, Troya and Vallecillo, for comparison with twins published with it. Two
 readings within a tolerance match, with the score 1 − distance/tolerance; other pairs score zero. Readings of
 either trace may stay unpaired, at a cost for each such gap and for each reading in it. The alignment with the
-highest score is computed (Needleman and Wunsch 1970, with Gotoh's affine gaps of 1982). The results are the
-share of readings that match and their mean distance.
+highest score is computed (Needleman and Wunsch 1970, with Gotoh's affine gaps of 1982). The result is the
+share of readings that match.
 
 The measure tolerates time shifts and ignores the size of larger errors: if neither is within the tolerance, a
 twin that is wrong by 0.3 °C and one that is wrong by 30 °C get the same score.
@@ -14,12 +14,9 @@ Source: IEEE Transactions on Software Engineering 2024, doi 10.1109/TSE.2024.346
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
 from twinmatch.compiled import compiled
 from twinmatch.signals import FloatArray
@@ -27,65 +24,28 @@ from twinmatch.signals import FloatArray
 _PAIR, _TWIN, _PLANT = 0, 1, 2
 """Last step of an alignment: both traces advance, the twin's alone, or the plant's alone."""
 _OPENING: Final = 1.0
+"""Cost of a gap; an exact pair scores 1."""
 _EXTENDING: Final = 0.1
+"""Additional cost of each reading in it."""
 
 
-@dataclass(frozen=True, eq=False)
-class Fidelity:
+class Fidelity(NamedTuple):
     """Result of the best alignment of two traces."""
 
+    score: float
     matched: float
     """Number of matching pairs, as a share of the longer trace."""
-    mean: float
-    """Mean distance of these pairs, in the unit of the readings; NaN without any."""
-    score: float
-    """Score of the alignment."""
-    gaps: int
-    """Number of unpaired stretches."""
-    pairs: NDArray[np.int64]
-    """Indices in twin and plant of all pairs, matching or not, shape (P, 2)."""
 
 
-def fidelity(
-    twin: ArrayLike,
-    plant: ArrayLike,
-    tolerance: float,
-    *,
-    opening: float = _OPENING,
-    extending: float = _EXTENDING,
-) -> Fidelity:
-    """Align a twin's trace with the plant's.
-
-    Args:
-        twin: readings of the twin, shape (N,).
-        plant: readings of the plant, shape (M,), in the same unit.
-        tolerance: distance below which two readings match, in that unit.
-        opening: cost of a gap; an exact pair scores 1.
-        extending: additional cost of each reading in it.
-
-    Raises:
-        ValueError: no readings, some that are not finite, or an invalid tolerance or cost.
-    """
-    a, b = np.asarray(twin, dtype=np.float64), np.asarray(plant, dtype=np.float64)
-    for name, values in (("twin", a), ("plant", b)):
-        if values.ndim != 1 or not values.size or not np.isfinite(values).all():
-            raise ValueError(f"fidelity: the trace of the {name} is invalid; give a row of finite readings")
-    if not (math.isfinite(tolerance) and tolerance > 0):
-        raise ValueError(f"fidelity: the tolerance is {tolerance}; it must be positive")
-    if not (opening >= 0 and extending >= 0):
-        raise ValueError(f"fidelity: a gap costs {opening} and {extending}; neither may be negative")
-    score, pairs, gaps = _aligned(a, b, tolerance, opening, extending)
-    distance = np.abs(a[pairs[:, 0]] - b[pairs[:, 1]])
-    matching = distance < tolerance
-    mean = float(distance[matching].mean()) if matching.any() else math.nan
-    return Fidelity(int(matching.sum()) / max(a.size, b.size), mean, float(score), int(gaps), pairs)
+def fidelity(twin: FloatArray, plant: FloatArray, tolerance: float) -> Fidelity:
+    """Align a twin's trace, shape (N,), with the plant's, shape (M,), in one unit."""
+    score, count = _aligned(np.array(twin), np.array(plant), tolerance)
+    return Fidelity(score, count / max(len(twin), len(plant)))
 
 
 @compiled
-def _aligned(
-    a: FloatArray, b: FloatArray, tolerance: float, opening: float, extending: float
-) -> tuple[float, NDArray[np.int64], int]:
-    """Score, pairs, shape (P, 2), and number of gaps of the best alignment."""
+def _aligned(a: FloatArray, b: FloatArray, tolerance: float) -> tuple[float, int]:
+    """Score and number of matching pairs of the best alignment."""
     n, m = a.size, b.size
     best = np.full((3, n + 1, m + 1), -np.inf)
     came = np.zeros((3, n + 1, m + 1), dtype=np.int8)
@@ -103,22 +63,16 @@ def _aligned(
                 if p < 0 or q < 0:
                     continue
                 for last in range(3):
-                    cost = extending if last == alone else opening + extending
+                    cost = _EXTENDING + (0.0 if last == alone else _OPENING)
                     if best[last, p, q] - cost > best[alone, i, j]:
                         best[alone, i, j] = best[last, p, q] - cost
                         came[alone, i, j] = last
     step = int(np.argmax(best[:, n, m]))
-    score = best[step, n, m]
-    pairs = np.zeros((min(n, m), 2), dtype=np.int64)
-    i, j, found, gaps = n, m, 0, 0
+    score, matching = best[step, n, m], 0
+    i, j = n, m
     while i or j:
         before = came[step, i, j]
-        if step == _PAIR:
-            i, j = i - 1, j - 1
-            pairs[found] = i, j
-            found += 1
-        else:
-            i, j = (i - 1, j) if step == _TWIN else (i, j - 1)
-            gaps += (before != step) or not (i or j)
+        i, j = (i if step == _PLANT else i - 1), (j if step == _TWIN else j - 1)
+        matching += step == _PAIR and abs(a[i] - b[j]) < tolerance
         step = before
-    return score, pairs[:found][::-1].copy(), gaps
+    return score, matching

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 import pytest
 
+from tests.support.waiting import wait_for
 from twinmatch.offline import archive as archives
 from twinmatch.offline.archive import ArchiveError, find_sessions, is_single
 from twinmatch.offline.archive.files import Store, content_of, key_of
@@ -31,6 +33,14 @@ Make = Callable[..., Path]
 
 TERMS = ArchiveTerms(TwinSettings(), (), None, document)
 judge_archive = partial(archives.judge_archive, document=document)
+
+
+@pytest.fixture
+def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Sessions are judged here, where it does not matter that others do it."""
+    monkeypatch.setattr(
+        "twinmatch.offline.archive.archive.judge_in_processes", lambda jobs, _: map(judge_job, jobs)
+    )
 
 
 def test_an_archive_is_judged_as_its_sessions_are_one_by_one_and_a_second_run_continues(
@@ -76,6 +86,7 @@ def test_an_archive_is_judged_as_its_sessions_are_one_by_one_and_a_second_run_co
     assert [failure.path.name for failure in again.failed] == ["bad.csv"]
 
 
+@pytest.mark.usefixtures("in_this_process")
 def test_a_result_is_used_again_as_long_as_session_and_parameters_stay_the_same(tmp_path: Path) -> None:
     session, config, out = tmp_path / "quiet.csv", tmp_path / "config.yaml", tmp_path / "out"
     lines = [f"{k},30.0,{30 + k % 2},10.0" for k in range(130)]
@@ -93,6 +104,7 @@ def test_a_result_is_used_again_as_long_as_session_and_parameters_stay_the_same(
     assert [reused(config=config), reused(config=config)] == [0, 1]
 
 
+@pytest.mark.usefixtures("in_this_process")
 def test_progress_counts_every_session_once(tmp_path: Path) -> None:
     bad = [tmp_path / "absent.mat", tmp_path / "empty.csv"]
     bad[1].touch()
@@ -174,13 +186,12 @@ def test_control_c_ends_all_processes_and_keeps_what_was_done(tmp_path: Path, ma
     with subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
     ) as running:
-        while not list(out.glob("*.json")) and running.poll() is None:
-            time.sleep(0.05)
+        wait_for(lambda: list(out.glob("*.json")) or running.poll() is not None, "a result")
         os.killpg(running.pid, signal.SIGINT)  # as a terminal does it: to all of the group
         _, errors = running.communicate(timeout=360)
     assert running.returncode == 130, errors
     assert errors.strip().splitlines() == ["twinmatch: interrupted"]
-    assert _is_gone(running.pid)
+    wait_for(lambda: _is_gone(running.pid), "the end of all processes")
     done = len(list(out.iterdir()))
     assert 1 <= done < 4
     assert all(file.suffix == ".json" and json.loads(file.read_text()) for file in out.iterdir())
@@ -189,14 +200,11 @@ def test_control_c_ends_all_processes_and_keeps_what_was_done(tmp_path: Path, ma
 
 
 def _is_gone(group: int) -> bool:
-    """Whether nobody of a process group is left, or not for long."""
-    for _ in range(100):
-        try:
-            os.killpg(group, 0)
-        except ProcessLookupError:
-            return True
-        time.sleep(0.05)
-    return False
+    """Whether nobody of a process group is left."""
+    with suppress(ProcessLookupError):
+        os.killpg(group, 0)
+        return False
+    return True
 
 
 def end_but_in(process: int) -> int:
@@ -220,78 +228,67 @@ def test_work_is_done_even_if_the_second_process_dies() -> None:
 
 @pytest.fixture
 def tree(tmp_path: Path) -> Path:
-    for name in ("b/run_0.mcap", "a/deep/metadata.yaml", "c/x.MAT", "c/y.csv", "c/z.txt", ".git/v.csv"):
+    for name in (
+        "b/run_0.mcap",
+        "a/deep/metadata.yaml",
+        "c/x.MAT",
+        "c/y.csv",
+        "c/z.txt",
+        ".git/v.csv",
+        "d[1].csv",
+    ):
         file = tmp_path / name
         file.parent.mkdir(parents=True, exist_ok=True)
         file.touch()
+    (tmp_path / "empty").mkdir()
     return tmp_path
 
 
-def relative(tree: Path, *named: str) -> list[str]:
-    return [str(path.relative_to(tree)) for path in find_sessions([tree / name for name in named])]
+@pytest.mark.parametrize(
+    ("named", "found"),
+    [
+        pytest.param(".", "a/deep b c/x.MAT c/y.csv d[1].csv", id="all in a folder"),
+        pytest.param("b a/deep b/run_0.mcap", "b a/deep b/run_0.mcap", id="sessions and a file of one"),
+        pytest.param("c/y.csv c c/../b b", "c/y.csv c/x.MAT c/../b", id="each once, as named"),
+        pytest.param("c/*.[cM]* **/deep", "c/x.MAT c/y.csv a/deep", id="patterns that the shell left"),
+        pytest.param("d[1].csv", "d[1].csv", id="a name that only looks like a pattern"),
+        pytest.param("absent.mat", "absent.mat", id="what is not there is named when it is judged"),
+    ],
+)
+def test_what_is_named_stands_for_these_sessions(tree: Path, named: str, found: str) -> None:
+    paths = find_sessions([tree / name for name in named.split()])
+    assert [str(path.relative_to(tree)) for path in paths] == found.split()
 
 
-def test_a_folder_stands_for_all_sessions_and_recordings_in_it(tree: Path) -> None:
-    assert relative(tree, ".") == ["a/deep", "b", "c/x.MAT", "c/y.csv"]
-
-
-def test_a_session_folder_and_its_file_are_taken_as_they_are(tree: Path) -> None:
-    assert relative(tree, "b", "a/deep", "b/run_0.mcap") == ["b", "a/deep", "b/run_0.mcap"]
-
-
-def test_each_is_judged_once_in_the_order_named(tree: Path) -> None:
-    assert relative(tree, "c/y.csv", "c", "c/../b", "b") == ["c/y.csv", "c/x.MAT", "c/../b"]
-
-
-def test_patterns_that_the_shell_left_are_resolved(tree: Path) -> None:
-    assert relative(tree, "c/*.[cM]*") == ["c/x.MAT", "c/y.csv"]
-    assert relative(tree, "**/deep") == ["a/deep"]
-
-
-def test_a_name_with_brackets_that_exists_is_not_a_pattern(tmp_path: Path) -> None:
-    odd = tmp_path / "run[1].csv"
-    odd.touch()
-    assert find_sessions([odd]) == [odd]
-    assert is_single([odd])
-
-
-def test_what_is_not_there_is_left_for_the_judging_to_name(tmp_path: Path) -> None:
-    assert find_sessions([tmp_path / "absent.mat"]) == [tmp_path / "absent.mat"]
-
-
-@pytest.mark.parametrize("name", ["*.mcap", "empty"])
-def test_nothing_found_is_said(name: str, tmp_path: Path) -> None:
-    (tmp_path / "empty").mkdir()
-    with pytest.raises(ArchiveError, match=r"matches this pattern|has neither sessions"):
-        find_sessions([tmp_path / name])
+@pytest.mark.parametrize(
+    ("name", "words"), [("*.mcap", "matches this pattern"), ("empty", "has neither sessions")]
+)
+def test_nothing_found_is_said(tree: Path, name: str, words: str) -> None:
+    with pytest.raises(ArchiveError, match=words):
+        find_sessions([tree / name])
 
 
 def test_one_session_is_distinguished_from_many(tree: Path) -> None:
-    assert is_single([tree / "b"])
-    assert is_single([tree / "c" / "y.csv"])
-    assert is_single([tree / "absent"])
-    assert not is_single([tree])
-    assert not is_single([tree / "b", tree / "a"])
-    assert not is_single([tree / "*"])
+    assert all(is_single([tree / name]) for name in ("b", "c/y.csv", "absent", "d[1].csv"))
+    assert not any(is_single([tree / n for n in names.split()]) for names in (".", "b a", "*"))
 
 
 RECORD = {"session": "run", "fit": 0.25, "note": "°C"}
 
 
-def test_what_is_kept_is_found_under_its_key_only(tmp_path: Path) -> None:
-    session = tmp_path / "run"
+def test_what_is_kept_is_found_under_its_session_and_key_only_and_a_failed_write_leaves_it(
+    tmp_path: Path,
+) -> None:
+    session, namesake = tmp_path / "monday" / "run", tmp_path / "tuesday" / "run"
     store = Store(tmp_path / "new" / "results")
     assert store.find(session, "k") is None
     store.keep(session, "k", RECORD)
+    with pytest.raises(ValueError, match="JSON compliant"):
+        store.keep(session, "k", {"fit": float("nan")})
     assert Store(store.folder).find(session, "k") == RECORD
     assert store.find(session, "other") is None
+    assert store.find(namesake, "k") is None
     assert [file.suffix for file in store.folder.iterdir()] == [".json"]
-
-
-def test_sessions_of_one_name_do_not_share_a_file(tmp_path: Path) -> None:
-    store = Store(tmp_path / "results")
-    store.keep(tmp_path / "monday" / "run", "k", RECORD)
-    assert store.find(tmp_path / "tuesday" / "run", "k") is None
 
 
 @pytest.mark.parametrize(
@@ -303,15 +300,6 @@ def test_a_file_that_is_torn_or_not_ours_counts_as_none(text: str, tmp_path: Pat
     assert store.find(tmp_path / "run", "k") is None
 
 
-def test_a_failed_write_leaves_the_old_result(tmp_path: Path) -> None:
-    store = Store(tmp_path)
-    store.keep(tmp_path / "run", "k", RECORD)
-    with pytest.raises(ValueError, match="JSON compliant"):
-        store.keep(tmp_path / "run", "k", {"fit": float("nan")})
-    assert store.find(tmp_path / "run", "k") == RECORD
-    assert len(list(tmp_path.iterdir())) == 1
-
-
 def test_a_folder_that_cannot_be_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(ArchiveError, match="the folder for results cannot be created"):
@@ -319,32 +307,22 @@ def test_a_folder_that_cannot_be_is_named(tmp_path: Path) -> None:
 
 
 def test_any_byte_of_a_session_changes_its_hash(tmp_path: Path) -> None:
-    session = tmp_path / "run"
-    session.mkdir()
-    (session / "run_0.mcap").write_bytes(b"abc")
-    (session / "run_1.mcap").write_bytes(b"def")
-    before = content_of(session)
-    (session / "notes.txt").write_text("does not matter")
-    assert content_of(session) == before
-    seen = {before}
-    for name, content in (("run_0.mcap", b"abd"), ("run_1.mcap", b"de"), ("metadata.yaml", b"x")):
-        (session / name).write_bytes(content)
-        seen.add(content_of(session))
-    (session / "run_1.mcap").rename(session / "run_2.mcap")
-    assert content_of(session) not in seen
-    assert len(seen) == 4
-
-
-def test_bytes_cannot_move_between_files_unseen(tmp_path: Path) -> None:
-    hashes = set()
-    for k, (one, two) in enumerate([(b"ab", b"c"), (b"a", b"bc")]):
-        session = tmp_path / str(k)
+    def hashed(**files: bytes) -> str:
+        session = tmp_path / "run"
+        shutil.rmtree(session, ignore_errors=True)
         session.mkdir()
-        (session / "0.mcap").write_bytes(one)
-        (session / "1.mcap").write_bytes(two)
-        hashes.add(content_of(session))
-    assert len(hashes) == 2
+        for name, content in files.items():
+            (session / name.replace("_", ".")).write_bytes(content)
+        return content_of(session)
 
-
-def test_the_key_holds_content_and_terms() -> None:
-    assert len({key_of(c, t) for c in ("a", "b") for t in ("", "b")}) == 4
+    whole = hashed(a_mcap=b"abc", b_mcap=b"def")
+    assert hashed(a_mcap=b"abc", b_mcap=b"def", notes_txt=b"does not matter") == whole
+    others = [
+        hashed(a_mcap=b"abd", b_mcap=b"def"),
+        hashed(a_mcap=b"abc", b_mcap=b"de"),
+        hashed(a_mcap=b"ab", b_mcap=b"cdef"),  # the same bytes, moved between files
+        hashed(a_mcap=b"abc", c_mcap=b"def"),
+        hashed(a_mcap=b"abc", b_mcap=b"def", metadata_yaml=b"x"),
+    ]
+    assert len({whole, *others}) == 6
+    assert len({key_of(content, terms) for content in others[:2] for terms in ("", "b")}) == 4

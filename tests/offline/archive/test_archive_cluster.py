@@ -18,7 +18,6 @@ from tests.support.processes import Process
 from tests.support.waiting import wait_for
 from twinmatch.offline import archive as archives
 from twinmatch.offline.archive import ClusterError
-from twinmatch.sessions import open_any, write_session
 from twinmatch.showing.summary import document
 
 pytestmark = pytest.mark.skipif(
@@ -76,10 +75,6 @@ def address(idle: tuple[ExitStack, Path, str]) -> str:
     return address
 
 
-def results(out: Path) -> list[object]:
-    return [json.loads(file.read_text()) for file in sorted(out.iterdir())]
-
-
 def test_two_workers_find_what_processes_find(
     address: str, archive_folder: Path, tmp_path: Path, run_twinmatch: Run
 ) -> None:
@@ -90,25 +85,10 @@ def test_two_workers_find_what_processes_find(
         assert done.returncode == 3, done.stderr
         assert "bad.csv" in done.stderr
         assert "Traceback" not in done.stderr
-        outputs[where] = (table.read_text(), results(out), done.stdout)
+        results = [json.loads(file.read_text()) for file in sorted(out.iterdir())]
+        outputs[where] = (table.read_text(), results, done.stdout)
     assert outputs["cluster"] == outputs["here"]
     assert len(outputs["here"][1]) == 2
-
-
-def test_real_hours_are_judged_alike_on_the_cluster(
-    address: str, recordings: dict[int, Path], tmp_path: Path
-) -> None:
-    """The first quarter of an hour of each."""
-    chosen = [
-        write_session(tmp_path / str(number), open_any(recordings[number]).samples[:900])
-        for number in sorted(recordings)[:2]
-    ]
-
-    there = judge_archive(chosen, out=tmp_path / "there", scheduler=address)
-    here = judge_archive(chosen, out=tmp_path / "here", jobs=1)
-    assert not here.failed
-    assert there == here
-    assert results(tmp_path / "there") == results(tmp_path / "here")
 
 
 @pytest.mark.parametrize("bad", ["foo", "127.0.0.1", "http://127.0.0.1:8786", "tcp://127.0.0.1:1"])

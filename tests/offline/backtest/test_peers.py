@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import math
 import sys
 from collections.abc import Callable
-from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -173,7 +171,8 @@ def test_the_order_is_the_one_that_statsmodels_chooses(loop: Window) -> None:
 
 
 def test_persistence_keeps_the_newest_values_and_knows_a_random_walk() -> None:
-    """Of a random walk the band after h samples is ±1.645 √h steps."""
+    """Of a random walk the band after h samples is ±1.645 √h steps, also beyond what the past shows: 40
+    samples know differences over 20, and the band over 80 is twice as wide."""
     walk = np.cumsum(np.random.default_rng(6).standard_normal(20_000))
     window = Window(walk, walk, np.zeros(walk.size))
     forecast = Persistence(Peltier).forecast(window, np.full(100, 1.0))
@@ -181,11 +180,7 @@ def test_persistence_keeps_the_newest_values_and_knows_a_random_walk() -> None:
     assert np.all(forecast.input.mean == 0.0)
     width = (forecast.output.high - forecast.output.low)[[0, 9, 99]]
     np.testing.assert_allclose(width, 2 * 1.645 * np.sqrt([1.0, 10.0, 100.0]), rtol=0.15)
-
-
-def test_persistence_widens_beyond_what_the_past_shows() -> None:
-    """40 samples know differences over 20; the band over 80 is twice as wide."""
-    walk = np.cumsum(np.random.default_rng(7).standard_normal(40))
+    walk = walk[:40]
     forecast = Persistence(Peltier).forecast(Window(walk, walk, walk), np.zeros(80))
     low, high = forecast.output.low - walk[-1], forecast.output.high - walk[-1]
     assert (low[79], high[79]) == pytest.approx((2.0 * low[19], 2.0 * high[19]))
@@ -246,6 +241,12 @@ def test_models_beat_persistence_on_a_recorded_hour(
     assert all(m < 0.3 * medians["persistence"] for n, m in medians.items() if n != "persistence"), medians
 
 
+def before(u: FloatArray, y: FloatArray, count: int, room: FloatArray | None = None) -> Window:
+    """The first samples of a run without a loop."""
+    rows = np.empty((count, 0)) if room is None else room[:count, None]
+    return Window(np.zeros(count), y[:count], u[:count], disturbances=rows)
+
+
 def second_order(size: int, noise: float, seed: int) -> tuple[FloatArray, FloatArray]:
     """y[k] = 1.6 y[k−1] − 0.64 y[k−2] + 0.05 u[k−1] + 0.03 u[k−2] + e[k], by somebody else's filter."""
     rng = np.random.default_rng(seed)
@@ -257,8 +258,7 @@ def second_order(size: int, noise: float, seed: int) -> tuple[FloatArray, FloatA
 
 def test_without_noise_least_squares_forecast_exactly() -> None:
     u, y = second_order(400, 0.0, 1)
-    past = Window(np.zeros(300), y[:300], u[:300])
-    forecast = InputArx(Lag).forecast(past, u[300:])
+    forecast = InputArx(Lag).forecast(before(u, y, 300), u[300:])
     np.testing.assert_allclose(forecast.output.mean, y[300:], atol=1e-3)
     np.testing.assert_array_equal(forecast.input.mean, u[300:])
     assert np.isnan(forecast.reference).all()
@@ -274,21 +274,21 @@ def test_what_else_was_measured_is_taken_into_account() -> None:
     room = 21.0 + np.cumsum(rng.normal(0.0, 0.05, 400))
     room[300:] += 2.0
     y = y + lfilter([0.0, 0.02], [1.0, -0.9], room - 21.0)
-    past = Window(np.zeros(300), y[:300], u[:300], disturbances=room[:300, None])
+    past = before(u, y, 300, room)
     told = InputArx(Lag).forecast(past, u[300:], room[300:, None])
     np.testing.assert_allclose(told.output.mean, y[300:], atol=2e-3)
     untold = InputArx(Lag).forecast(past, u[300:])  # the room stays: as good until it jumps
     assert abs(untold.output.mean[0] - y[300]) < 2e-3
     assert np.abs(untold.output.mean - y[300:]).max() > 0.2
-    blind = InputArx(Lag).forecast(Window(np.zeros(300), y[:300], u[:300]), u[300:])
+    blind = InputArx(Lag).forecast(before(u, y, 300), u[300:])
     assert np.abs(blind.output.mean - y[300:]).max() > 0.2
 
 
 def test_a_room_that_never_moved_changes_nothing() -> None:
     u, y = second_order(400, 0.05, 2)
-    with_room = Window(np.zeros(300), y[:300], u[:300], disturbances=np.full((300, 1), 21.1))
+    with_room = before(u, y, 300, np.full(300, 21.1))
     forecast = InputArx(Lag).forecast(with_room, u[300:], np.full((100, 1), 21.1))
-    same = InputArx(Lag).forecast(Window(np.zeros(300), y[:300], u[:300]), u[300:])
+    same = InputArx(Lag).forecast(before(u, y, 300), u[300:])
     np.testing.assert_array_equal(forecast.output.mean, same.output.mean)
     np.testing.assert_array_equal(forecast.output.high, same.output.high)
 
@@ -298,7 +298,7 @@ def test_the_band_holds_nine_in_ten() -> None:
     held = []
     for seed in range(40):
         u, y = second_order(560, 0.05, seed)
-        forecast = InputArx(Lag).forecast(Window(np.zeros(500), y[:500], u[:500]), u[500:])
+        forecast = InputArx(Lag).forecast(before(u, y, 500), u[500:])
         held.append(np.mean((forecast.output.low <= y[500:]) & (y[500:] <= forecast.output.high)))
     assert np.mean(held) == pytest.approx(0.9, abs=0.06)
 
@@ -308,7 +308,7 @@ def test_they_are_those_that_are_asked_and_nothing_is_said_of_the_input() -> Non
     assert [peer.name for peer in found] == ["persistence", "ARX"]
     assert [one.name for one in absent] == ["statsmodels VAR"]
     u, y = second_order(260, 0.05, 3)
-    past, came = Window(np.zeros(200), y[:200], u[:200]), Window(np.zeros(60), y[200:], u[200:], first=200)
+    past, came = before(u, y, 200), Window(np.zeros(60), y[200:], u[200:], first=200)
     marked = [
         Marked("s", 199, 30.0, p.name, marks(p.forecast(past, came.input), came, [30.0], Lag)[0])
         for p in (OutputPersistence(Lag), InputArx(Lag))
@@ -320,71 +320,7 @@ def test_they_are_those_that_are_asked_and_nothing_is_said_of_the_input() -> Non
         assert np.isfinite([card.median, card.end_output, card.score]).all()
 
 
-# Alignment of traces: by hand, against every way there is, and the published twins of the incubator.
-
-
-def test_by_hand() -> None:
-    """The twin is a reading late: one gap at either end, three pairs, of which one is off by half."""
-    found = fidelity([1.0, 1.0, 2.0, 3.1], [1.0, 2.0, 3.0, 9.0], 0.2, opening=0.3, extending=0.1)
-    # 1–1 and 2–2 earn 1 each, 3.1–3.0 earns half; a reading alone at either end costs 0.4.
-    assert found.score == pytest.approx(2.5 - 0.8)
-    assert found.pairs.tolist() == [[1, 0], [2, 1], [3, 2]]
-    assert found.matched == pytest.approx(3 / 4)
-    assert found.mean == pytest.approx(0.1 / 3)
-    assert found.gaps == 2
-
-
-def test_gaps_that_cost_too_much_are_not_opened() -> None:
-    """Side by side: only the first reading is alike, the pairs after it earn nothing."""
-    found = fidelity([1.0, 1.0, 2.0, 3.1], [1.0, 2.0, 3.0, 9.0], 0.2, opening=2.0)
-    assert found.gaps == 0
-    assert found.matched == pytest.approx(1 / 4)
-    assert found.score == pytest.approx(1.0)
-
-
-readings = st.lists(st.sampled_from([0.0, 0.5, 1.0, 1.5, 3.0]), min_size=1, max_size=5)
-
-
-@given(twin=readings, plant=readings, opening=st.sampled_from([0.0, 0.3, 1.0]))
-def test_no_way_earns_more(twin: list[float], plant: list[float], opening: float) -> None:
-    """Against trying all of them."""
-
-    @cache
-    def best(i: int, j: int, last: str) -> float:
-        if i == len(twin) and j == len(plant):
-            return 0.0
-        ways = []
-        if i < len(twin) and j < len(plant):
-            ways.append(max(1.0 - abs(twin[i] - plant[j]), 0.0) + best(i + 1, j + 1, "pair"))
-        if i < len(twin):
-            ways.append(best(i + 1, j, "twin") - 0.1 - opening * (last != "twin"))
-        if j < len(plant):
-            ways.append(best(i, j + 1, "plant") - 0.1 - opening * (last != "plant"))
-        return max(ways)
-
-    found = fidelity(twin, plant, 1.0, opening=opening, extending=0.1)
-    assert found.score == pytest.approx(best(0, 0, "pair"))
-
-
-def test_a_trace_is_wholly_like_itself() -> None:
-    trace = np.random.default_rng(0).normal(size=300)
-    found = fidelity(trace, trace, 0.2)
-    assert (found.matched, found.mean, found.gaps) == (1.0, 0.0, 0)
-
-
-@pytest.mark.parametrize(
-    ("twin", "options", "words"),
-    [
-        ([], {"tolerance": 1.0}, "trace of the twin is invalid; give a row of finite readings"),
-        ([math.nan], {"tolerance": 1.0}, "trace of the twin is invalid"),
-        ([1.0], {"tolerance": 0.0}, "the tolerance is 0.0; it must be positive"),
-        ([1.0], {"tolerance": 1.0, "opening": -1.0}, "neither may be negative"),
-    ],
-)
-def test_what_has_no_meaning_is_refused(twin: list[float], options: dict[str, float], words: str) -> None:
-    with pytest.raises(ValueError, match=words):
-        fidelity(twin, [1.0], **options)
-
+# Alignment of traces: the published twins of the incubator.
 
 THEIR_SCORES = {
     (FIRST, 2): (573.0684, 0.8008),
