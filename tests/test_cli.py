@@ -15,14 +15,14 @@ import subprocess
 import sys
 import termios
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 import scipy.io
 
 from tests.support.places import PROJECT, SHIPPED
-from tests.support.processes import run_twinmatch
+from tests.support.processes import Process, run_twinmatch
 from tests.support.steps import drive_lost, quarter_of_an_hour
 from twinmatch.cli import main
 from twinmatch.launching.forking import fork_server
@@ -47,14 +47,27 @@ def small_session(tmp_path: Path) -> Path:
     return write_session(tmp_path / "small", samples_of(Window(reference, reference, reference / 2)))
 
 
-def test_import_then_replay_gives_the_documented_json(tmp_path: Path) -> None:
-    out, picture = tmp_path / "out.json", tmp_path / "verdict.png"
-    result = run("replay", SHIPPED, "--json", out, "--figure", picture)
-    assert result.returncode == 0, result.stderr
-    assert "trust it between" in result.stdout.splitlines()[-1]
-    assert "trusted" in result.stdout
-    assert picture.stat().st_size > 10_000
-    judged = json.loads(out.read_text())
+class Replayed(NamedTuple):
+    """A replay of the shipped session on a wide terminal."""
+
+    code: int
+    written: str
+    stands: str
+    json: Path
+    figure: Path
+
+
+@pytest.fixture(scope="module")
+def replayed(tmp_path_factory: pytest.TempPathFactory) -> Replayed:
+    out = tmp_path_factory.mktemp("replayed")
+    files = out / "out.json", out / "verdict.png"
+    told = run_on_terminal("replay", SHIPPED, "--json", files[0], "--figure", files[1], width=160)
+    return Replayed(*told, *files)
+
+
+def test_a_replay_gives_the_documented_json(replayed: Replayed) -> None:
+    assert replayed.figure.stat().st_size > 10_000
+    judged = json.loads(replayed.json.read_text())
     assert judged["session"] == "four_setpoints"
     assert len(judged["verdicts"]) >= 8
     last = judged["verdicts"][-1]
@@ -159,8 +172,8 @@ def run_on_terminal(
     return process.wait(120), text, re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", stands)
 
 
-def test_a_terminal_shows_the_run_and_ends_with_the_sentence() -> None:
-    code, written, stands = run_on_terminal("replay", SHIPPED, width=160)
+def test_a_terminal_shows_the_run_and_ends_with_the_sentence(replayed: Replayed) -> None:
+    code, written, stands, *_ = replayed
     assert code == 0
     assert len(re.findall(r"four_setpoints.* \d+ %, ", written)) > 2  # drawn while it continued
     assert re.search(r"\x1b\[[0-9;]*32[0-9;]*m TRUSTED ", written)
@@ -244,15 +257,13 @@ def test_an_error_on_a_terminal_is_one_line(tmp_path: Path) -> None:
     assert "absent" in written
 
 
-def test_ctrl_c_ends_a_replay_with_one_line_and_its_code() -> None:
-    command = [sys.executable, "-m", "twinmatch.cli", "replay", str(SHIPPED)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        assert process.stdout.readline().startswith("t / s")  # judging has begun
-        process.send_signal(signal.SIGINT)
-        _, written = process.communicate(timeout=360)
-    assert process.returncode == 130
-    assert written == "twinmatch: interrupted\n"
+def test_ctrl_c_ends_a_replay_with_one_line_and_its_code(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "twinmatch.cli", "replay", SHIPPED]
+    process = Process(*command, output=tmp_path / "said", forked=True)
+    process.said("^t / s")  # judging has begun
+    assert process.end(signal.SIGINT) == 130
+    assert process.lines[-1] == "twinmatch: interrupted"
+    assert "Traceback" not in process.text
 
 
 def test_ctrl_c_while_judging_takes_effect_between_two_samples(small_session: Path) -> None:
@@ -331,13 +342,6 @@ def test_the_json_is_a_list_in_the_order_that_was_asked_for(session: Path, tmp_p
     assert found[0]["reference"] == [45.0] * 60
 
 
-def test_nothing_later_than_the_sample_is_known(samples: list[Sample], session: Path, tmp_path: Path) -> None:
-    whole = asked(session, tmp_path / "whole.json", "--at", AT, 900, "--hold", 70)[0]
-    cut = write_session(tmp_path / "cut", samples[: AT + 1])
-    alone = asked(cut, tmp_path / "cut.json", "--at", AT, "--hold", 70)[0]
-    assert alone == whole  # JSON gives every float64 back
-
-
 def test_the_recorded_set_points_are_all_it_knows(
     samples: list[Sample], session: Path, tmp_path: Path
 ) -> None:
@@ -349,7 +353,7 @@ def test_the_recorded_set_points_are_all_it_knows(
     alone = asked(
         cut, tmp_path / "cut.json", "--at", 600, "--reference", tmp_path / "ahead.csv", "--horizon", 120
     )[0]
-    assert alone == told
+    assert alone == told  # JSON gives every float64 back
 
 
 def test_recorded_set_points_end_with_the_session(session: Path, tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ from twinmatch.offline.summary import summarise
 from twinmatch.offline.verification import VerifyError, verify_session
 from twinmatch.parameters.twin import read_settings, settings_from, twin_values, values_of
 from twinmatch.plants import Peltier
-from twinmatch.sessions import SessionError
+from twinmatch.sessions import SessionError, write_session
 from twinmatch.sessions.candidates import parse_candidates
 from twinmatch.sessions.metadata import parameters_of, parameters_record
 from twinmatch.signals import Sample
@@ -253,7 +253,8 @@ def test_a_recorded_session_is_verified_bit_for_bit(tmp_path: Path) -> None:
 
 
 def test_a_forecast_is_asked_for_under_inputs(config: Path, capsys: Any, tmp_path: Path) -> None:
-    asked = ["forecast", str(SHIPPED), "--config", str(config), "--at", "1200"]
+    session = write_session(tmp_path / "quarter", quarter_of_an_hour())
+    asked = ["forecast", str(session), "--config", str(config), "--at", "800"]
     assert main([*asked, "--hold", "80", "--horizon", "60", "--json", str(tmp_path / "f.json")]) == 0
     told = capsys.readouterr().out
     assert "80 PWM held" in told

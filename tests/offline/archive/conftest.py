@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from tests.support.processes import run_twinmatch as run_command
 from tests.support.rig import rig, run
 from twinmatch.sessions import samples_of, write_session
 from twinmatch.signals import Window
@@ -23,12 +21,6 @@ def _make(folder: Path, *, seed: int, seebeck: float) -> Path:
     window = run(rig(seebeck=seebeck, conductance=0.5, heat_capacity=27.0), reference)
     noise = np.random.default_rng(seed).normal(scale=CAMERA, size=reference.size)
     return write_session(folder, samples_of(Window(reference, window.output + noise, window.input)))
-
-
-@pytest.fixture(scope="session")
-def run_twinmatch() -> Callable[..., subprocess.CompletedProcess[str]]:
-    """Run the command line: `run_twinmatch("replay", folder)`."""
-    return run_command
 
 
 @pytest.fixture(scope="session")

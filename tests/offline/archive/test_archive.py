@@ -17,6 +17,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.processes import run_twinmatch
 from tests.support.waiting import wait_for
 from twinmatch.offline import archive as archives
 from twinmatch.offline.archive import ArchiveError, find_sessions, is_single
@@ -28,7 +29,6 @@ from twinmatch.sessions import open_any
 from twinmatch.showing.summary import document
 from twinmatch.twin import TwinSettings
 
-Run = Callable[..., subprocess.CompletedProcess[str]]
 Make = Callable[..., Path]
 
 TERMS = ArchiveTerms(TwinSettings(), (), None, document)
@@ -44,7 +44,7 @@ def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_an_archive_is_judged_as_its_sessions_are_one_by_one_and_a_second_run_continues(
-    archive_folder: Path, tmp_path: Path, run_twinmatch: Run
+    archive_folder: Path, tmp_path: Path
 ) -> None:
     out, table = tmp_path / "results", tmp_path / "all.json"
     result = run_twinmatch("replay", archive_folder, "--jobs", 2, "--out", out, "--json", table)
@@ -129,7 +129,7 @@ def test_progress_counts_every_session_once(tmp_path: Path) -> None:
         (["a.csv", "b.csv", "--config", "gone.yaml"], 2, "gone.yaml"),
     ],
 )
-def test_mistakes_are_named(arguments: list[str], code: int, words: str, run_twinmatch: Run) -> None:
+def test_mistakes_are_named(arguments: list[str], code: int, words: str) -> None:
     result = run_twinmatch("replay", *arguments)
     assert result.returncode == code, result.stderr
     assert words in result.stderr

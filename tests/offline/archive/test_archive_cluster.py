@@ -7,14 +7,14 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 
 import pytest
 
-from tests.support.processes import Process
+from tests.support.processes import Process, run_twinmatch
 from tests.support.waiting import wait_for
 from twinmatch.offline import archive as archives
 from twinmatch.offline.archive import ClusterError
@@ -25,7 +25,6 @@ pytestmark = pytest.mark.skipif(
     reason="distributed is not installed; it is in the extra 'cluster'",
 )
 
-Run = Callable[..., subprocess.CompletedProcess[str]]
 
 judge_archive = partial(archives.judge_archive, document=document)
 
@@ -75,9 +74,7 @@ def address(idle: tuple[ExitStack, Path, str]) -> str:
     return address
 
 
-def test_two_workers_find_what_processes_find(
-    address: str, archive_folder: Path, tmp_path: Path, run_twinmatch: Run
-) -> None:
+def test_two_workers_find_what_processes_find(address: str, archive_folder: Path, tmp_path: Path) -> None:
     outputs = {}
     for where, choice in (("cluster", ["--scheduler", address]), ("here", ["--jobs", 1])):
         out, table = tmp_path / where, tmp_path / f"{where}.json"

@@ -2,14 +2,45 @@
 
 from __future__ import annotations
 
+import subprocess
+from pathlib import Path
+from typing import Any, NamedTuple
+
 import pytest
 
 from tests.support.places import SHIPPED
-from twinmatch.offline.backtest.run import backtest_session
+from tests.support.processes import run_twinmatch
+from twinmatch.cli import backtest
 from twinmatch.offline.backtest.scoring import Backtest
 
 
+class Command(NamedTuple):
+    """`twinmatch backtest` of the sample session, with everybody asked who is installed."""
+
+    done: subprocess.CompletedProcess[str]
+    json: Path
+    figure: Path
+    tested: Backtest
+
+
 @pytest.fixture(scope="session")
-def shipped() -> Backtest:
-    """The sample session, with everybody asked who is installed."""
-    return backtest_session(SHIPPED)
+def command(tmp_path_factory: pytest.TempPathFactory) -> Command:
+    """What it says and writes, and what it was made from."""
+    folder, found, session = tmp_path_factory.mktemp("card"), [], backtest.backtest_session
+
+    def kept(*given: Any, **options: Any) -> Backtest:
+        found.append(session(*given, **options))
+        return found[-1]
+
+    out, picture = folder / "card.json", folder / "card.png"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(backtest, "backtest_session", kept)
+        done = run_twinmatch("backtest", SHIPPED, "--json", out, "--figure", picture)
+    assert done.returncode == 0, done.stderr
+    return Command(done, out, picture, found[0])
+
+
+@pytest.fixture(scope="session")
+def shipped(command: Command) -> Backtest:
+    """The forecasts of the sample session."""
+    return command.tested

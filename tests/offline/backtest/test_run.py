@@ -6,6 +6,7 @@ import io
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -98,13 +99,13 @@ def test_a_constant_band_has_the_means_of_the_nominal(shipped: Backtest) -> None
 
 
 def test_a_session_cut_short_gives_the_same_forecasts() -> None:
-    """Nobody looks ahead: what comes after sample 1100 does not change what is said up to 1000."""
+    """Nobody looks ahead: what comes after sample 800 does not change what is said up to 700."""
     session = open_any(SHIPPED)
-    whole, cut = (replace(session, samples=session.samples[:size]) for size in (1400, 1101))
-    choices = Choices(every=100.0, horizons=(10.0, 100.0))
+    whole, cut = (replace(session, samples=session.samples[:size]) for size in (1000, 801))
+    choices = Choices(every=50.0, horizons=(10.0, 100.0))
     one, other = (backtest(s, terms_from_files(s), choices) for s in (whole, cut))
-    known = {(*m.place, m.who): m for m in other.marked if m.sample <= 1000}
-    again = {(*m.place, m.who): m for m in one.marked if m.sample <= 1000}
+    known = {(*m.place, m.who): m for m in other.marked if m.sample <= 700}
+    again = {(*m.place, m.who): m for m in one.marked if m.sample <= 700}
     assert len(known) > 60
     assert known == again
 
@@ -149,7 +150,7 @@ def test_nothing_is_forecast_over_a_gap() -> None:
 def test_another_plant_is_tested_as_the_rig_is(tmp_path: Path) -> None:
     """A motor, twenty samples a second: the leader errs by its sensor's noise, and units are the motor's."""
     truth = Motor.model("without friction").parameters(k=0.06, j=5e-4, b=2e-4)
-    reference = np.repeat([50.0, 150.0, 90.0, -60.0, 120.0, 30.0], 240)
+    reference = np.repeat([50.0, 150.0, 90.0, -60.0], 240)
     sensor = Sensor(noise=Motor.output.noise).realise(reference.size, 0.05, 3)
     run = simulate_closed_loop(truth, reference, states=begin(truth, 0.0), gains=Motor.loop, sensor=sensor)
     samples = samples_of(Window(reference, run.output, run.input, period=0.05))
@@ -257,8 +258,12 @@ def test_the_table_has_everybody_at_every_horizon(tested: Backtest) -> None:
         assert all(name in text and cell(card) in text for name, cell in card_columns(Peltier))
 
 
+def of(*marked: Marked, horizons: tuple[float, ...] = (60.0,)) -> Backtest:
+    return Backtest("a", Peltier, 1.0, horizons, 0.9, marked)
+
+
 def test_cells_are_in_the_units_of_the_plant() -> None:
-    (card,) = Backtest("a", Peltier, 1.0, (60.0,), 0.9, (one("ARX", 2.0),)).cards
+    (card,) = of(one("ARX", 2.0)).cards
     said = {name: text(card) for name, text in card_columns(Peltier)}
     assert said["error"] == "2.00"
     assert (said["end / °C"], said["end / PWM"]) == ("0.20", "14.0")
@@ -269,11 +274,11 @@ def test_cells_are_in_the_units_of_the_plant() -> None:
 
 def test_the_sentence_says_how_the_leader_did() -> None:
     marked = (one(LEADER, 2.0), one("ARX", 5.0), one("persistence", 9.0))
-    assert backtest_words(Backtest("a", Peltier, 1.0, (10.0, 60.0), 0.9, marked)) == [
+    assert backtest_words(of(*marked, horizons=HORIZONS)) == [
         "60 s ahead, the leader's temperature was off by less than 0.20 °C half of the time, and its band "
         "held 93 % of the readings (90 % expected); ARX, the best of the peers, had 2.5 times the error."
     ]
-    worse = Backtest("a", Peltier, 1.0, (60.0,), 0.9, (one(LEADER, 2.0), one("ARX", 1.0)))
+    worse = of(one(LEADER, 2.0), one("ARX", 1.0))
     assert "had a smaller error, 0.50 times as large." in backtest_words(worse)[0]
 
 
@@ -303,10 +308,7 @@ def test_several_sessions_are_one(tested: Backtest) -> None:
 
 def test_sessions_of_one_name_are_not_mixed_up() -> None:
     """The best in hindsight of each stays its own: ratios of 2 and 4, and not of 2 and 2."""
-    first, second = (
-        Backtest("a", Peltier, 1.0, (60.0,), 0.9, (one(LEADER, 4.0), one(HINDSIGHT, best)))
-        for best in (2.0, 1.0)
-    )
+    first, second = (of(one(LEADER, 4.0), one(HINDSIGHT, best)) for best in (2.0, 1.0))
     (card, _) = over_all([first, second]).cards
     assert (card.who, card.ratio) == (LEADER, 3.0)
 
@@ -325,7 +327,7 @@ def test_the_picture_shows_errors_coverage_and_forecasts(tested: Backtest, tmp_p
 
 
 def test_without_a_forecast_the_picture_says_so() -> None:
-    figure = draw_backtest(Backtest("a", Peltier, 1.0, HORIZONS, 0.9, ()))
+    figure = draw_backtest(of(horizons=HORIZONS))
     assert "no forecast could be judged" in [t.get_text() for t in figure.axes[0].texts]
 
 
@@ -336,17 +338,14 @@ def still(tmp_path: Path) -> Path:
     return write_session(tmp_path / "still", samples_of(Window(level, level, level)))
 
 
-def test_the_shipped_session_has_its_report_card(tmp_path: Path, shipped: Backtest) -> None:
-    out, picture = tmp_path / "card.json", tmp_path / "card.png"
-    done = run_twinmatch("backtest", SHIPPED, "--json", out, "--figure", picture)
-    assert done.returncode == 0, done.stderr
-    assert done.stderr == ""
-    assert "four_setpoints: 300 s ahead" in done.stdout
-    assert "best in hindsight" in done.stdout
-    assert "300 s ahead, the leader's temperature was off by less than" in done.stdout
-    assert picture.stat().st_size > 50_000
-    written = json.loads(out.read_text())
-    assert written["sessions"] == [json.loads(json.dumps(document(shipped)))]
+def test_the_shipped_session_has_its_report_card(command: Any) -> None:
+    assert command.done.stderr == ""
+    assert "four_setpoints: 300 s ahead" in command.done.stdout
+    assert "best in hindsight" in command.done.stdout
+    assert "300 s ahead, the leader's temperature was off by less than" in command.done.stdout
+    assert command.figure.stat().st_size > 50_000
+    written = json.loads(command.json.read_text())
+    assert written["sessions"] == [json.loads(json.dumps(document(command.tested)))]
     assert written["total"]["cards"] == written["sessions"][0]["cards"]
 
 
