@@ -136,30 +136,22 @@ def written(folder: Path, held: Proposal, name: str) -> list[Path]:
     return paths
 
 
+def passes(*words: object, folder: Path) -> None:
+    command = [sys.executable, *map(str, words)]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
 def test_what_is_written_passes_its_own_test_and_the_house_style(tmp_path: Path) -> None:
     room = 20 + np.sin(np.arange(1000) / 100)
     held = propose(read_table(lagged(tmp_path, 0.8, 40.0, 1.0, room)), parse_map([*MAP, "room=Room"]))
     paths = written(tmp_path, held, "my_kiln")
     assert [path.name for path in paths] == [
-        "my_kiln.py",
-        "test_my_kiln.py",
-        "my_kiln.yaml",
-        "my_kiln_map.yaml",
+        *("my_kiln.py", "test_my_kiln.py", "my_kiln.yaml", "my_kiln_map.yaml")
     ]
     assert yaml.safe_load((tmp_path / "my_kiln_map.yaml").read_text())["columns"]["room"] == "Room"
-    done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", tmp_path / "test_my_kiln.py"],
-        cwd=tmp_path, capture_output=True, text=True, check=False,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stdout + done.stderr
-    ruff = Path(sys.executable).parent / "ruff"
-    styled = subprocess.run(
-        [ruff, "format", "--check", "--line-length", "110", *paths[:2]],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert styled.returncode == 0, styled.stdout
+    passes("-m", "pytest", "-q", "-p", "no:cacheprovider", "test_my_kiln.py", folder=tmp_path)
+    passes("-m", "ruff", "format", "--check", "--line-length", "110", *paths[:2], folder=tmp_path)
 
 
 def test_a_disturbance_of_another_kind_is_left_to_the_reader(tmp_path: Path) -> None:
@@ -183,11 +175,7 @@ def test_the_example_passes_its_own_test(tmp_path: Path) -> None:
     done = run_twinmatch("new-plant", "my_block", "-o", tmp_path)
     assert done.returncode == 0, done.stderr
     assert "twinmatch check-plant" in done.stdout
-    tested = subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", tmp_path / "test_my_block.py"],
-        cwd=tmp_path, capture_output=True, text=True, check=False,
-    )  # fmt: skip
-    assert tested.returncode == 0, tested.stdout + tested.stderr
+    passes("-m", "pytest", "-q", "-p", "no:cacheprovider", "test_my_block.py", folder=tmp_path)
     again = run_twinmatch("new-plant", "my_block", "-o", tmp_path)
     assert again.returncode == 2
     assert "exists already" in again.stderr

@@ -291,82 +291,61 @@ SUMMARY = SessionSummary(
 )
 
 
+NOMINAL = "Nominal: 70 °C set; orders 22221"
+FIT, TRUST = "temperature fit 98.8 %", "trust it between 25 and 92 °C"
+HELD = "(it held between 25 and 92 °C)"
+ARX = "10 s ahead its forecasts are worse than an ARX model"
+SUNK = {"leader": SINK.model.structure_name, "parameters": SINK, "nominal": None, "order": None}
+NO_RANGE = {"range": None, "fit_y": math.nan}
+NONE = {"nominal": None, "level": UNKNOWN}
+NO_MATCH = "No nominal twin: 5 verdicts, but no valid match."
+
+
 @pytest.mark.parametrize(
     ("changes", "text"),
     [
-        (
-            {},
-            "Nominal: 70 °C set; orders 22221; temperature fit 98.8 %; trust it between 25 and 92 °C.",
-        ),
-        (
-            {"leader": "70 °C"},
-            "Leader and nominal: 70 °C set; orders 22221; temperature fit 98.8 %; trust it between 25 and "
-            "92 °C.",
-        ),
-        (
-            {"leader": "50 °C"},
-            "Leader: 50 °C set; temperature fit 98.8 %; trust it between 25 and 92 °C. Nominal: 70 °C set, "
-            "orders 22221.",
-        ),
-        (
-            {"leader": SINK.model.structure_name, "parameters": SINK, "nominal": None, "order": None},
-            "Leader: sink with mass; temperature fit 98.8 %; trust it between 25 and 92 °C. Nominal: none, "
-            "no valid match.",
-        ),
+        ({}, f"{NOMINAL}; {FIT}; {TRUST}."),
+        ({"leader": "70 °C"}, f"Leader and nominal: 70 °C set; orders 22221; {FIT}; {TRUST}."),
+        ({"leader": "50 °C"}, f"Leader: 50 °C set; {FIT}; {TRUST}. Nominal: 70 °C set, orders 22221."),
+        (SUNK, f"Leader: sink with mass; {FIT}; {TRUST}. Nominal: none, no valid match."),
         (
             {"leader": "50 °C", "nominal": "sink with mass", "order": ""},
-            "Leader: 50 °C set; temperature fit 98.8 %; trust it between 25 and 92 °C. Nominal: sink with "
-            "mass.",
+            f"Leader: 50 °C set; {FIT}; {TRUST}. Nominal: sink with mass.",
         ),
         (
             {"leader": "50 °C", "closed": False},
-            "Leader: match near 50 °C; temperature fit 98.8 %; trust it between 25 and 92 °C. Nominal: match "
-            "near 70 °C, orders 22221.",
+            f"Leader: match near 50 °C; {FIT}; {TRUST}. Nominal: match near 70 °C, orders 22221.",
         ),
         (
-            {"level": TrustLevel.DOUBTFUL},
-            "Nominal: 70 °C set; orders 22221; temperature fit 98.8 %; doubtful now: measurements lie "
-            "outside the bands (it held between 25 and 92 °C).",
+            {"level": DOUBTFUL},
+            f"{NOMINAL}; {FIT}; doubtful now: measurements lie outside the bands {HELD}.",
         ),
         (
-            {"level": TrustLevel.FAULT, "fault": "drive-lost"},
-            "Nominal: 70 °C set; orders 22221; temperature fit 98.8 %; do not trust it now: the plant shows "
-            "drive-lost (it held between 25 and 92 °C).",
+            {"level": FAULT, "fault": "drive-lost"},
+            f"{NOMINAL}; {FIT}; do not trust it now: the plant shows drive-lost {HELD}.",
         ),
         (
-            {"level": TrustLevel.FAULT, "fault": "unexplained", "range": None, "fit_y": math.nan},
-            "Nominal: 70 °C set; orders 22221; do not trust it now: no twin explains the plant's behaviour.",
+            {"level": FAULT, "fault": "unexplained", **NO_RANGE},
+            f"{NOMINAL}; do not trust it now: no twin explains the plant's behaviour.",
         ),
         (
             {"fit_y": -1.003},
-            "Nominal: 70 °C set; orders 22221; left without readings it drifts off (temperature fit "
-            "−100.3 %), from the newest readings it forecasts well; trust it between 25 and 92 °C.",
+            f"{NOMINAL}; left without readings it drifts off (temperature fit −100.3 %), from the newest "
+            f"readings it forecasts well; {TRUST}.",
+        ),
+        ({"beaten": ARX}, f"{NOMINAL}; {FIT}; {TRUST}, but {ARX}."),
+        ({"level": DOUBTFUL, "beaten": ARX}, f"{NOMINAL}; {FIT}; doubtful now: {ARX} {HELD}."),
+        ({"range": None}, f"{NOMINAL}; {FIT}; how far to trust it is not known yet."),
+        (
+            NONE,
+            f"{NO_MATCH} The loop needs set-point steps far above the noise, some minutes apart.",
         ),
         (
-            {"beaten": "10 s ahead its forecasts are worse than an ARX model"},
-            "Nominal: 70 °C set; orders 22221; temperature fit 98.8 %; trust it between 25 and 92 °C, but "
-            "10 s ahead its forecasts are worse than an ARX model.",
+            {**NONE, "refusal": "match refused: C ended on 5 J/K"},
+            f"{NO_MATCH} Match refused: C ended on 5 J/K.",
         ),
         (
-            {"level": TrustLevel.DOUBTFUL, "beaten": "10 s ahead its forecasts are worse than an ARX model"},
-            "Nominal: 70 °C set; orders 22221; temperature fit 98.8 %; doubtful now: 10 s ahead its "
-            "forecasts are worse than an ARX model (it held between 25 and 92 °C).",
-        ),
-        (
-            {"range": None},
-            "Nominal: 70 °C set; orders 22221; temperature fit 98.8 %; how far to trust it is not known yet.",
-        ),
-        (
-            {"nominal": None, "level": TrustLevel.UNKNOWN},
-            "No nominal twin: 5 verdicts, but no valid match. The loop needs set-point steps far "
-            "above the noise, some minutes apart.",
-        ),
-        (
-            {"nominal": None, "level": TrustLevel.UNKNOWN, "refusal": "match refused: C ended on 5 J/K"},
-            "No nominal twin: 5 verdicts, but no valid match. Match refused: C ended on 5 J/K.",
-        ),
-        (
-            {"nominal": None, "level": TrustLevel.FAULT, "fault": "drive-lost"},
+            {"nominal": None, "level": FAULT, "fault": "drive-lost"},
             "No nominal twin: the plant shows drive-lost. Look at the plant first.",
         ),
     ],

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from twinmatch.showing.foxglove.node import BACKLOG, GraphServer, StreamTime
-from twinmatch.showing.serving import ServingError, is_loopback
+from twinmatch.showing.serving import ServingError
 
 pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup")
 
@@ -43,11 +43,13 @@ def test_a_topic_is_offered_with_its_definition_and_its_bytes_arrive_as_they_wer
     server.advertise("/a", "std_msgs/msg/Float64", TEXT)
     viewer = view(server.url)
     viewer.subscribe("/a")
-    channel = viewer.channels["/a"]
-    assert channel["encoding"] == "cdr"
-    assert channel["schemaEncoding"] == "ros2msg"
-    assert channel["schemaName"] == "std_msgs/msg/Float64"
-    assert channel["schema"] == TEXT
+    told = {
+        "encoding": "cdr",
+        "schemaEncoding": "ros2msg",
+        "schemaName": "std_msgs/msg/Float64",
+        "schema": TEXT,
+    }
+    assert viewer.channels["/a"].items() >= told.items()
     viewer.wait(lambda: server.viewers == 1, "the subscription")
     server.send("/a", number(1.5), 123)
     viewer.wait(lambda: viewer.messages, "the message")
@@ -124,35 +126,12 @@ def test_a_port_that_is_taken_is_one_clear_line(server: GraphServer) -> None:
         GraphServer("rig", "127.0.0.1", port)
 
 
-def test_an_address_of_another_machine_is_one_clear_line() -> None:
-    with pytest.raises(ServingError, match=r"203\.0\.113\.7:8765 cannot be used: Cannot assign"):
-        GraphServer("rig", "203.0.113.7", 8765)
-
-
-@pytest.mark.parametrize(
-    ("address", "loopback"),
-    [("127.0.0.1", True), ("localhost", True), ("::1", True), ("0.0.0.0", False), ("rig", False)],
-)
-def test_which_addresses_are_this_machines_own(address: str, loopback: bool) -> None:
-    assert is_loopback(address) == loopback
-
-
-def test_without_a_clock_it_is_that_of_the_wall() -> None:
+def test_time_is_that_of_the_clock_and_stands_after_it_until_another_graph_has_samples() -> None:
     stream = StreamTime()
-    assert not stream.on_sample(1.0, clock=False)
-    assert abs(stream.now - time.time_ns()) < 10**10
-
-
-def test_with_one_it_is_that_of_the_plant() -> None:
-    stream = StreamTime()
-    assert stream.on_clock(7, 1.0)
-    assert not stream.on_clock(8, 1.1)
-    assert stream.now == 8
-
-
-def test_after_the_end_of_a_clock_it_stands_until_another_graph_has_samples() -> None:
-    stream = StreamTime()
-    stream.on_clock(7, 1.0)
+    assert not stream.on_sample(0.5, clock=False)
+    assert abs(stream.now - time.time_ns()) < 10**10  # without a clock it is that of the wall
+    assert stream.on_clock(6, 0.9)
+    assert not stream.on_clock(7, 1.0)
     assert not stream.on_sample(2.0, clock=False)  # still on its way when the clock ended
     assert not stream.on_sample(9.0, clock=True)  # the clock is there but slow
     assert stream.now == 7
@@ -226,16 +205,9 @@ def test_what_is_plotted_is_a_number_with_a_stamp_and_a_colour_of_its_own() -> N
 
 def test_the_plots_show_plant_twin_set_point_control_and_residuals() -> None:
     shown = {path["value"] for panel in panels("Plot") for path in panel["paths"]}
-    assert {
-        "/plant/sample.output[0]",
-        "/plant/sample.reference[0]",
-        "/plant/sample.input[0]",
-        "/twin/state.closed_output[0]",
-        "/twin/state.driven_residual_y[0]",
-        "/twin/state.closed_residual_u[0]",
-        "/twin/forecast.output_low[:]",
-        "/twin/forecast.input[:]",
-    } <= shown
+    measured = {f"/plant/sample.{name}[0]" for name in ("output", "reference", "input")}
+    twin = {f"/twin/state.{name}[0]" for name in ("closed_output", "driven_residual_y", "closed_residual_u")}
+    assert measured | twin | {"/twin/forecast.output_low[:]", "/twin/forecast.input[:]"} <= shown
 
 
 def test_the_other_panels_look_at_what_there_is() -> None:

@@ -76,20 +76,11 @@ def test_a_port_that_is_taken_is_one_clear_line(server: PageServer) -> None:
         PageServer("127.0.0.1", port, fill)
 
 
-def test_an_address_of_another_machine_is_one_clear_line() -> None:
-    with pytest.raises(ServingError, match=r"203\.0\.113\.7:5006 cannot be used"):
-        PageServer("203.0.113.7", 5006, fill)
-
-
 @pytest.mark.parametrize(
     ("address", "loopback"),
     [
-        ("127.0.0.1", True),
-        ("localhost", True),
-        ("::1", True),
-        ("0.0.0.0", False),
-        ("192.0.2.1", False),
-        ("rig", False),
+        *((one, True) for one in ("127.0.0.1", "localhost", "::1")),
+        *((one, False) for one in ("0.0.0.0", "192.0.2.1", "rig")),
     ],
 )
 def test_which_addresses_are_this_machines_own(address: str, loopback: bool) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import tracemalloc
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from twinmatch.comparing import ADMITTED, TrustLevel
+from twinmatch.comparing import ADMITTED, TrustLevel, Verdict
 from twinmatch.offline.judging import Judgement
 from twinmatch.showing.page.state import (
     CAPACITY,
@@ -37,20 +38,10 @@ def filled(number: int, capacity: int) -> RollingTable:
     return history
 
 
-def test_rows_come_back_in_order_and_once() -> None:
-    history = filled(7, 10)
-    columns, row = history.since(0)
-    assert columns["index"].tolist() == list(range(7))
-    assert columns["value"].tolist() == [10.0 * k for k in range(7)]
-    history.push(7, (70.0,))
-    columns, row = history.since(row)
-    assert columns["index"].tolist() == [7.0]
-    assert history.since(row)[0]["index"].size == 0
-
-
 def test_the_oldest_rows_are_forgotten() -> None:
     columns, row = filled(1003, 10).since(0)
     assert columns["index"].tolist() == list(range(993, 1003))
+    assert columns["value"].tolist() == [10.0 * k for k in range(993, 1003)]
     assert row == 1003
 
 
@@ -294,41 +285,27 @@ def test_an_hour_at_ten_hertz_is_kept() -> None:
     assert CAPACITY == 3600 * 10
 
 
-def judged_state(judged: Judgement, leave_out: range = range(0)) -> DashboardState:
+def summed_up(samples: Sequence[Sample], verdicts: Sequence[Verdict]) -> str:
     state = DashboardState()
-    for sample in judged.samples:
-        if sample.index not in leave_out:
-            state.push_sample(sample, 0.0)
-    for verdict in judged.verdicts:
+    for sample in samples:
+        state.push_sample(sample, 0.0)
+    for verdict in verdicts:
         state.push_verdict(verdict)
-    return state
+    update_sentence(state, TwinSettings().gains)
+    return state.sentence
 
 
-def test_at_the_end_it_is_the_terminals(judged: Judgement) -> None:
-    settings = TwinSettings()
-    state = judged_state(judged)
-    update_sentence(state, settings.gains)
-    assert state.sentence == sentence(judged.summary)
-    assert judged.summary.leader in state.sentence
-    assert judged.summary.nominal in state.sentence
+def test_the_sentence_is_the_terminals_and_empty_before_there_are_candidates(judged: Judgement) -> None:
+    text = summed_up(judged.samples, judged.verdicts)
+    assert text == sentence(judged.summary)
+    assert judged.summary.leader in text
+    assert judged.summary.nominal in text
+    assert summed_up(judged.samples[:50], []) == ""
+    assert judged.verdicts[0].leader is judged.verdicts[0].nominal is None
+    assert summed_up(judged.samples[:50], judged.verdicts[:1]) == ""
 
 
 def test_missing_samples_do_not_disturb_it(judged: Judgement) -> None:
-    settings = TwinSettings()
-    state = judged_state(judged, leave_out=range(5, 9))
-    update_sentence(state, settings.gains)
-    assert state.sentence.startswith("Leader")
-    assert judged.summary.leader in state.sentence
-
-
-@pytest.mark.parametrize("verdicts", [0, 1])
-def test_without_candidates_nothing_is_said(judged: Judgement, verdicts: int) -> None:
-    settings = TwinSettings()
-    state = DashboardState()
-    for sample in judged.samples[:50]:
-        state.push_sample(sample, 0.0)
-    for verdict in judged.verdicts[:verdicts]:
-        assert verdict.leader is verdict.nominal is None
-        state.push_verdict(verdict)
-    update_sentence(state, settings.gains)
-    assert state.sentence == ""
+    text = summed_up([*judged.samples[:5], *judged.samples[9:]], judged.verdicts)
+    assert text.startswith("Leader")
+    assert judged.summary.leader in text
