@@ -42,13 +42,14 @@ def check_plant(
         period = plant.loop.period
     findings: dict[str, Finding] = {}
     notes: list[str] = []
+    unusable = ""
     try:
         for found, remarks in _steps(plant, period, show):
             findings |= {one.what: one for one in found}
             notes += [note for note in remarks if note not in notes]
     except PlantError as error:
-        return CheckedPlant(plant.title, tuple(findings.values()), tuple(notes), str(error))
-    return CheckedPlant(plant.title, tuple(findings.values()), tuple(notes))
+        unusable = str(error)
+    return CheckedPlant(plant.title, tuple(findings.values()), tuple(notes), unusable)
 
 
 def _steps(
@@ -109,16 +110,14 @@ def unreached(plant: type[Plant]) -> list[Finding]:
     found = []
     for name, written in equations.items():
         place = f"structure {name!r}"
-        seen = _acting(written)
-        drive = plant.drive.name
-        if drive not in _names(written.rates[state] for state in written.rates if str(state) in seen):
+        seen, drive = _acting(written), plant.drive.name
+        if drive not in _names(rate for state, rate in written.rates.items() if str(state) in seen):
             what = f"{place}: the drive {drive} does not act on the output"
             found.append(Finding(what, f"use self.{drive} in the rate of a state that the output depends on"))
-        for state in written.rates:
-            if str(state) not in seen:
-                what = f"{place}: state {state} does not act on the output, so no recording can show it"
-                todo = "remove it, or use it in the output or in another rate"
-                found.append(Finding(what, todo))
+        todo = "remove it, or use it in the output or in another rate"
+        for state in (str(state) for state in written.rates if str(state) not in seen):
+            what = f"{place}: state {state} does not act on the output, so no recording can show it"
+            found.append(Finding(what, todo))
     return [*found, *_same(plant, equations), *_unused_parts(plant)]
 
 
@@ -189,10 +188,8 @@ def coarse(plant: type[Plant]) -> list[Finding]:
     low, high = y.span
     if y.least_step <= high - low:
         return []
-    what = (
-        f"{y.name}: with a noise of {y.noise:g} {y.unit}, a step that stands out is {y.least_step:g} "
-        f"{y.unit}, more than its span {low:g} to {high:g}"
-    )
+    step = f"a step that stands out is {y.least_step:g} {y.unit}, more than its span {low:g} to {high:g}"
+    what = f"{y.name}: with a noise of {y.noise:g} {y.unit}, {step}"
     return [Finding(what, "correct `noise`, the scatter of a reading at rest, or `span`")]
 
 
@@ -233,9 +230,8 @@ def ranges(model: Model) -> list[Finding]:
             f"{model.title}: with the defaults, over the drive's range, the output goes from {low:.4g} to "
             f"{high:.4g} {y.unit}, beyond its span {y.span[0]:g} to {y.span[1]:g}"
         )
-        found.append(
-            Finding(what, "widen `span` of the output, or check default values and units of the parameters")
-        )
+        todo = "widen `span` of the output, or check default values and units of the parameters"
+        found.append(Finding(what, todo))
     least, most = states.copy(), states.copy()
     for u, row in zip(trial.input, trial.disturbances, strict=True):
         states = advance(parameters, states, float(u), trial.period, row)
@@ -311,9 +307,8 @@ def in_bounds(model: Model) -> list[Finding]:
         trial = trial_for(model.parameters())
     except PlantError:
         return []
-    spread = qmc.Halton(len(free), seed=5).random(_POINTS)
     bad: list[tuple[str, str]] = []
-    for row in spread:
+    for row in qmc.Halton(len(free), seed=5).random(_POINTS):
         values = {n: _within(model, n, float(part)) for n, part in zip(free, row, strict=True)}
         point: Parameters = model.parameters(**values)
         where = ", ".join(f"{n} = {v:.3g}" for n, v in values.items())
@@ -322,9 +317,9 @@ def in_bounds(model: Model) -> list[Finding]:
         except PlantError as error:
             bad.append((where, str(error).removeprefix(f"{model.title}: ")))
             continue
-        span = np.ptp(model.plant.output.span)
-        if float(np.abs(run.output).max()) > 1e4 * span:
-            bad.append((where, f"its output diverges to {np.abs(run.output).max():.2g}"))
+        most = float(np.abs(run.output).max())
+        if most > 1e4 * np.ptp(model.plant.output.span):
+            bad.append((where, f"its output diverges to {most:.2g}"))
     if not bad:
         return []
     where, why = bad[0]

@@ -75,23 +75,17 @@ def check_data(session: Session, plant: type[Plant], show: Shown = lambda *_: No
     terms = terms_from_files(session)
     judgement = judge(session, terms, watch=partial(show, "judging the recording"))
     y = np.array([sample.output for sample in session.samples])
-    noise = noise_of(y)
-    findings, notes = [], []
-    declared = plant.output.noise
-    notes.append(
-        f"{session.name}: {y.size} samples, one every {session.period:g} s; measured noise {noise:g}"
-    )
-    findings += _of_noise(declared, noise)
+    noise, declared = noise_of(y), plant.output.noise
+    notes = [f"{session.name}: {y.size} samples, one every {session.period:g} s; measured noise {noise:g}"]
+    findings = _of_noise(declared, noise)
     if _SMALL * noise < declared <= _LARGE * noise:
-        notes.append(
-            f"errors count in units of the declared noise, {declared / noise:.2g} times the measured one"
-        )
+        ratio = f"{declared / noise:.2g} times the measured one"
+        notes.append(f"errors count in units of the declared noise, {ratio}")
     lags = time_constants(terms.settings.start)
     if lags.size and y.size * session.period < 2 * lags[-1]:
         what = f"the recording lasts {y.size * session.period:g} s, less than twice the slowest time constant"
-        findings.append(
-            Finding(f"{what} ({lags[-1]:.3g} s)", "record longer, or check the default of that parameter")
-        )
+        todo = "record longer, or check the default of that parameter"
+        findings.append(Finding(f"{what} ({lags[-1]:.3g} s)", todo))
     findings += loop_findings(session, plant, terms.settings.gains)
     faults = [verdict.reason for verdict in judgement.verdicts if verdict.fault]
     size = len(session.samples)
@@ -134,8 +128,7 @@ def _of_matches(matches: tuple[MatchReport, ...], faults: Sequence[str]) -> list
     if not matches:
         what = "no window could be matched: the signals did not move far enough, or not for long enough"
         return [Finding(what, _TODO[Status.NO_EXCITATION])]
-    accepted = sum(report.match.accepted for report in matches)
-    if accepted:
+    if any(report.match.accepted for report in matches):
         return []
     counted = Counter(report.match.status for report in matches)
     findings = []
@@ -175,13 +168,11 @@ def loop_findings(session: Session, plant: type[Plant], gains: Law | None) -> li
     """A finding if the declared controller does not give the recorded input from set-points and outputs."""
     if gains is None or not session.has_reference:
         return []
-    errors = [error for run in _runs(session.samples, gains.period) for error in _errors(run, gains)]
-    if not errors:
-        return []
-    found = np.concatenate(errors)
-    rms = float(np.sqrt(np.mean(np.square(found))))
+    rms = root_mean_square(
+        [off for run in _runs(session.samples, gains.period) for off in _errors(run, gains)]
+    )
     usual = float(np.std([sample.input for sample in session.samples]))
-    if rms <= max(_SHARE * usual, plant.drive.noise):
+    if not rms > max(_SHARE * usual, plant.drive.noise):  # or there is no such run
         return []
     unit = plant.drive.unit
     what = (
@@ -238,10 +229,9 @@ def compare_structures(samples: Sequence[Sample], plant: type[Plant], settings: 
     windows = _windows(samples, settings)
     if not windows:
         return Compared([], [], math.nan)
+    models = [plant.model(name) for name in names]
     try:
-        choice = choose_structure(
-            windows, [plant.model(name) for name in names], noise=settings.noise, gains=settings.gains
-        )
+        choice = choose_structure(windows, models, noise=settings.noise, gains=settings.gains)
     except (FittingError, PlantError) as error:
         return Compared([], [f"the structures cannot be compared on this recording: {error}"], math.nan)
     used = sum(len(window) for window in windows)

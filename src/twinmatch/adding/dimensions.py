@@ -9,6 +9,7 @@ or simple fraction in a product is dimensionless (½, 2). Any other number in a 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from fractions import Fraction
 from typing import Any, NamedTuple
 
@@ -67,10 +68,8 @@ class Dimensions:
             ("the output", y, written.output),
             *((f"the start of {state}", state, start) for state, start in written.start.items()),
         ):
-            shown = sympy.sympify(expression)
-            self._compare(
-                place, shown, _unit_of(self._units[symbol]), self._symbols[symbol].unit or "a number"
-            )
+            shown, unit = sympy.sympify(expression), self._symbols[symbol].unit or "a number"
+            self._compare(place, shown, _unit_of(self._units[symbol]), unit)
             self._zeros(place, [(symbol, -1), *_terms(shown)], numbers=_has_number(shown))
 
     def _compare(self, place: str, expression: Any, wanted: _Unit, words: str) -> None:
@@ -139,20 +138,13 @@ class Dimensions:
                     )
             return _Unit({}, 1.0)
         if base.is_Symbol and self._units[base].offset and exponent > 1:
-            what = (
-                f"{place}: {_short(expression)} takes a power of {base}, which is in "
-                f"{self._symbols[base].unit}"
-            )
+            declared = self._symbols[base].unit
+            what = f"{place}: {_short(expression)} takes a power of {base}, which is in {declared}"
             self._add(what, f"convert it to absolute temperature first: ({base} + 273.15) in kelvin")
         if found is None:
             return None
-        return _times(
-            _Unit({}, 1.0),
-            found,
-            Fraction(str(exponent))
-            if exponent.is_Rational
-            else Fraction(float(exponent)).limit_denominator(1000),
-        )
+        power = Fraction(float(exponent)).limit_denominator(1000)
+        return _times(_Unit({}, 1.0), found, Fraction(str(exponent)) if exponent.is_Rational else power)
 
     def _equal(self, place: str, parts: Any) -> _Known:
         known = [(part, unit) for part in parts if (unit := self._unit(place, part)) is not None]
@@ -182,29 +174,24 @@ class Dimensions:
                 counted[found.offset] += sign
                 named[found.offset] = symbol
         if counted[True] and counted[False]:
-            a, b = named[True], named[False]
-            what = (
-                f"{place}: {a} is in {self._symbols[a].unit} and {b} in {self._symbols[b].unit}, in one sum"
-            )
+            one, other = (f"in {self._symbols[s].unit}" for s in (named[True], named[False]))
+            what = f"{place}: {named[True]} is {one} and {named[False]} {other}, in one sum"
             self._add(what, "convert them to one zero: °C + 273.15 is K")
 
 
 def _unit_of(found: Measure) -> _Unit:
-    return _Unit(
-        {name: Fraction(power).limit_denominator(1000) for name, power in found.dimension}, found.factor
-    )
+    powers = {name: Fraction(power).limit_denominator(1000) for name, power in found.dimension}
+    return _Unit(powers, found.factor)
 
 
 def _times(one: _Unit, other: _Unit, power: Fraction) -> _Unit:
     powers = dict(one.powers)
     for name, value in other.powers.items():
         powers[name] = powers.get(name, Fraction(0)) + value * power
-    try:
-        factor = (
-            None if one.factor is None or other.factor is None else one.factor * other.factor ** float(power)
-        )
-    except OverflowError:
-        factor = None
+    factor = None
+    if one.factor is not None and other.factor is not None:
+        with suppress(OverflowError):
+            factor = one.factor * other.factor ** float(power)
     return _Unit({n: p for n, p in powers.items() if p}, factor or None)
 
 
@@ -234,9 +221,8 @@ def _terms(expression: Any) -> list[tuple[Any, Any]]:
 
 
 def _has_number(expression: Any) -> bool:
-    return bool(expression.is_Add and any(term.is_number for term in expression.args)) or bool(
-        expression.is_number
-    )
+    alone = expression.is_Add and any(term.is_number for term in expression.args)
+    return bool(alone or expression.is_number)
 
 
 _BASE = {
@@ -248,7 +234,7 @@ _BASE = {
 def _words(unit: _Unit) -> str:
     """Name of a common unit, otherwise the unit in base units."""
     for name in ("W", "J", "V", "Ω", "N", "Pa", "W/K", "J/K", "K/s", "N m", "V/K", "W/m²", "m³/s", "C", "F"):
-        if dict(_unit_of(measure(name)).powers) == dict(unit.powers):
+        if _alike(_unit_of(measure(name)), unit):
             return name
     if not unit.powers:
         return "plain numbers"

@@ -108,9 +108,8 @@ def propose(table: Table, given: ColumnMap) -> Proposal:
     others = [name for name in given.sources if name not in _KNOWN]
     part = max(done.stretches, key=lambda stretch: stretch.stop - stretch.start)  # no rate across a gap
     noise = noise_of(y[part])
-    gain, lag, rest = _first_order(
-        y[part], u[part], [done.columns[n][part] for n in others], noise, done.period
-    )
+    beside = [done.columns[n][part] for n in others]
+    gain, lag, rest = _first_order(y[part], u[part], beside, noise, done.period)
     wanted = _unit(table, given, "output")
     around = next((name for name in others if _alike(_unit(table, given, name), wanted)), None)
     if around is not None:  # it is taken as the steady-state output without input
@@ -120,25 +119,22 @@ def propose(table: Table, given: ColumnMap) -> Proposal:
     span, reach = float(np.ptp(y)) or 1.0, _range_of(u)
     ends = [rest + gain * limit for limit in reach]
     low, high = _round_out(min(float(y.min()), *ends) - span, max(float(y.max()), *ends) + span)
-    disturbances = tuple(
-        Signal(
-            _word(n, taken),
-            _unit(table, given, n),
-            float(done.columns[n].min()),
-            float(done.columns[n].max()),
-        )
-        for n in others
-    )
+    disturbances = []
+    for name in others:
+        values = done.columns[name]
+        word, unit = _word(name, taken), _unit(table, given, name)
+        disturbances.append(Signal(word, unit, float(values.min()), float(values.max())))
+    names = dict(zip(others, (d.name for d in disturbances), strict=True))
     return Proposal(
-        output=Signal(output[0], output[1], low, high),
-        input=Signal(input_[0], input_[1], *reach),
-        disturbances=disturbances,
+        output=Signal(*output, low, high),
+        input=Signal(*input_, *reach),
+        disturbances=tuple(disturbances),
         noise=noise,
         period=done.period,
         gain=gain,
         lag=lag,
         rest=rest,
-        sources=_renamed(given, dict(zip(others, (d.name for d in disturbances), strict=True))),
+        sources={names.get(signal, signal): source for signal, source in given.sources.items()},
         table=table.path.name,
         has_reference="reference" in given.sources,
     )
@@ -176,10 +172,6 @@ def _titles(table: Table, source: Source) -> list[str]:
 def _values(table: Table, source: Source) -> FloatArray:
     columns = [source.scale * table.values(title) + source.offset for title in _titles(table, source)]
     return np.asarray(np.mean(columns, axis=0), dtype=np.float64)
-
-
-def _renamed(given: ColumnMap, names: dict[str, str]) -> dict[str, Source]:
-    return {names.get(signal, signal): source for signal, source in given.sources.items()}
 
 
 def _signal(table: Table, given: ColumnMap, signal: str, taken: list[str]) -> tuple[str, str]:
@@ -237,10 +229,11 @@ def _first_order(
             lag = -block * period / math.log1p(-back)
             guess = float(slopes[2]) / back, lag, float(slopes[0]) / back
             break
-    return _rounded(guess[0]), _rounded(guess[1]), _rounded(guess[2], 3)
+    return rounded(guess[0]), rounded(guess[1]), rounded(guess[2], 3)
 
 
-def _rounded(value: float, digits: int = 2) -> float:
+def rounded(value: float, digits: int = 2) -> float:
+    """To so many digits."""
     return float(f"{value:.{digits}g}")
 
 
@@ -282,11 +275,11 @@ def noise_of(values: FloatArray) -> float:
         white = quiet if quiet < white / _FAR else white
     step = _step(bends)
     if step:
-        return float(f"{max(white, step / math.sqrt(12.0)):.2g}")
+        return rounded(max(white, step / math.sqrt(12.0)))
     changes = np.round(np.abs(np.diff(values)), 9)
     rounding = float(np.min(changes[changes > 0.0], initial=math.inf)) / math.sqrt(12.0)
     floor = _FLOOR * (float(np.ptp(values)) or 1.0)
-    return float(f"{max(white, rounding if rounding < 10 * max(white, floor) else 0.0, floor):.2g}")
+    return rounded(max(white, rounding if rounding < 10 * max(white, floor) else 0.0, floor))
 
 
 def _white(median: float | np.float64) -> float:

@@ -52,16 +52,12 @@ _SEED: Final = 7
 
 
 class Trial(NamedTuple):
-    """Inputs and initial value of the experiment."""
+    """Inputs, shapes (N,) and (N, m), sampling period (s) and initial output of the experiment."""
 
     input: FloatArray
-    """Shape (N,)."""
     disturbances: FloatArray
-    """Shape (N, m)."""
     period: float
-    """Sampling period, s."""
     output: float
-    """Initial output."""
 
 
 def middle_of(model: Model) -> float:
@@ -96,18 +92,13 @@ def time_constants(parameters: Parameters) -> FloatArray:
     return np.sort(1.0 / rates[rates > 0])
 
 
-def trial_for(parameters: Parameters, period: float | None = None) -> Trial:
-    """Design the experiment for a plant with these parameters.
-
-    Args:
-        parameters: the plant's parameters.
-        period: sampling period, s; a twentieth of the slowest time constant if not given.
-    """
+def trial_for(parameters: Parameters) -> Trial:
+    """Design the experiment for a plant with these parameters, sampled twenty times in its slowest time
+    constant."""
     model = parameters.model
-    if period is None:
-        lags = time_constants(parameters)
-        period = float(lags[-1]) / _PER_LAG if lags.size else 1.0
-        period = float(f"{min(max(period, 1e-6), 1e6):.2g}")
+    lags = time_constants(parameters)
+    period = float(lags[-1]) / _PER_LAG if lags.size else 1.0
+    period = float(f"{min(max(period, 1e-6), 1e6):.2g}")
     random = np.random.default_rng(_SEED)
     low, high = model.plant.drive.limits
     input_ = np.empty(SAMPLES)
@@ -135,14 +126,8 @@ def run_trial(parameters: Parameters, trial: Trial) -> tuple[Response, Window]:
         at = int(np.flatnonzero(~np.isfinite(run.output))[0])
         msg = f"{parameters.model.title}: its output is not a finite number after {at * trial.period:g} s"
         raise PlantError(msg)
-    window = Window(
-        np.full(trial.input.size, trial.output),
-        run.output,
-        trial.input,
-        period=trial.period,
-        disturbances=trial.disturbances,
-    )
-    return run, window
+    held, measured = np.full(trial.input.size, trial.output), trial.disturbances
+    return run, Window(held, run.output, trial.input, period=trial.period, disturbances=measured)
 
 
 _POINTS: Final = 4
@@ -185,11 +170,9 @@ def _points(model: Model, free: tuple[str, ...]) -> list[Parameters]:
     random = np.random.default_rng(11)
     points = [model.parameters()]
     for _ in range(_POINTS - 1):
-        values = {}
-        for name in free:
-            declared = model.declared[name]
-            values[name] = _moved(declared, model.defaults[name], float(random.uniform(-1.0, 1.0)))
-        points.append(model.parameters(**values))
+        by = {name: float(random.uniform(-1.0, 1.0)) for name in free}
+        moved = {name: _moved(model.declared[name], model.defaults[name], by[name]) for name in free}
+        points.append(model.parameters(**moved))
     return points
 
 

@@ -12,7 +12,7 @@ from typing import Any, Final
 import yaml
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-from twinmatch.adding.proposal import Proposal
+from twinmatch.adding.proposal import Proposal, rounded
 from twinmatch.errors import TwinmatchError
 from twinmatch.plants import PLANTS
 from twinmatch.plants.files import installed_names
@@ -75,21 +75,21 @@ def _plant(name: str, held: Proposal) -> dict[str, Any]:
         "noise": held.noise,
         "absolute": _ABSOLUTE.get(y.unit),
         "drive_rest": min(max(0.0, u.low), u.high),
-        "drive_noise": _short((u.high - u.low) / 100),
+        "drive_noise": rounded((u.high - u.low) / 100),
         "disturbances": [
-            d._asdict() | {"middle": _short((d.low + d.high) / 2, 4)} for d in held.disturbances
+            d._asdict() | {"middle": rounded((d.low + d.high) / 2, 4)} for d in held.disturbances
         ],
         "gain_unit": _per(y.unit, u.unit),
         "gain": held.gain,
-        "gain_low": _short(low),
-        "gain_high": _short(high),
+        "gain_low": rounded(low),
+        "gain_high": rounded(high),
         "lag": held.lag,
-        "lag_low": _short(held.lag / _WIDE),
-        "lag_high": _short(held.lag * _WIDE),
+        "lag_low": rounded(held.lag / _WIDE),
+        "lag_high": rounded(held.lag * _WIDE),
         "rest": held.rest,
-        "rest_scale": _short((y.high - y.low) / 10),
-        "sensor_lag": _short(held.lag / 10),
-        "sensor_low": _short(held.lag / 500),
+        "rest_scale": rounded((y.high - y.low) / 10),
+        "sensor_lag": rounded(held.lag / 10),
+        "sensor_low": rounded(held.lag / 500),
         "free": ", ".join(f'"{name}"' for name in free),
         "around": around.name if around else "rest",
     }
@@ -97,10 +97,10 @@ def _plant(name: str, held: Proposal) -> dict[str, Any]:
 
 def _test(held: Proposal) -> dict[str, Any]:
     low, high, around = held.input.low, held.input.high, held.around
-    measured = [_short((d.low + d.high) / 2, 4) for d in held.disturbances]
+    measured = [rounded((d.low + d.high) / 2, 4) for d in held.disturbances]
     return {
-        "period": _short(held.lag / 15),
-        "levels": [_short(low + part * (high - low), 4) for part in (0.0, 0.6, 0.2, 0.8, 0.4)],
+        "period": rounded(held.lag / 15),
+        "levels": [rounded(low + part * (high - low), 4) for part in (0.0, 0.6, 0.2, 0.8, 0.4)],
         "measured": measured,
         "begin": measured[held.disturbances.index(around)] if around else held.rest,
     }
@@ -121,9 +121,8 @@ def _source(source: Source) -> str:
     """A source as YAML, in one line."""
     columns: Any = list(source.columns) if len(source.columns) > 1 else source.columns[0]
     entry: dict[str, Any] = {"column": columns}
-    entry |= {"unit": source.unit} if source.unit else {}
-    entry |= {"scale": source.scale} if source.scale != 1.0 else {}
-    entry |= {"offset": source.offset} if source.offset else {}
+    more = {"unit": (source.unit, ""), "scale": (source.scale, 1.0), "offset": (source.offset, 0.0)}
+    entry |= {name: value for name, (value, usual) in more.items() if value != usual}
     return _quoted(entry if len(entry) > 1 else columns)
 
 
@@ -132,10 +131,6 @@ def _per(above: str, below: str) -> str:
     if not below:
         return above
     return f"{above}/({below})" if re.search(r"[ /·]", below) else f"{above}/{below}"
-
-
-def _short(value: float, digits: int = 2) -> float:
-    return float(f"{value:.{digits}g}")
 
 
 class AddingError(TwinmatchError):

@@ -39,13 +39,7 @@ def run(options: argparse.Namespace) -> int:
     written = read_map(options.map_file) if options.map_file else ColumnMap()
     said = replace(parse_map(options.map), plant=options.plant, period=options.period)
     with tempfile.TemporaryDirectory(prefix="twinmatch-attach-") as folder:
-        plan = attach_plan(
-            Path(folder),
-            written.joined(said),
-            config=options.config,
-            twin_config=options.twin_config,
-            candidates=options.candidates,
-            session=session,
-        )
+        asked = {name: getattr(options, name) for name in ("config", "twin_config", "candidates")}
+        plan = attach_plan(Path(folder), written.joined(said), session=session, **asked)
         with page_of(options, options.parser, plan.twin_config):
             return run_live(Live(plan))

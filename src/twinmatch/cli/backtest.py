@@ -13,6 +13,7 @@ from twinmatch.cli.shared import (
     add_options,
     check_writable,
     console_for,
+    judging,
     positive,
     write_json,
 )
@@ -29,19 +30,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.usage = "%(prog)s SESSION [SESSION ...] [options]"
     add_options(parser, "sessions")
     seconds = positive(float, "a time in seconds; give a positive number")
-    parser.add_argument(
-        "--every",
-        type=seconds,
-        metavar="S",
-        help="seconds between forecasts, in addition to those at every verdict (default: 60 for the rig)",
-    )
-    parser.add_argument(
-        "--horizon",
-        type=seconds,
-        nargs="+",
-        metavar="S",
-        help="forecast horizons, in seconds (default: those that the twin scores: 10 60 300 for the rig)",
-    )
+    every = "seconds between forecasts, in addition to those at every verdict (default: 60 for the rig)"
+    parser.add_argument("--every", type=seconds, metavar="S", help=every)
+    ahead = "forecast horizons, in seconds (default: those that the twin scores: 10 60 300 for the rig)"
+    parser.add_argument("--horizon", type=seconds, nargs="+", metavar="S", help=ahead)
     add_options(parser, "--peers")
     add_options(parser, "--json", help="write the scores, and those of every forecast, to this file")
     add_options(parser, "--figure", help="draw the scores (.png, .svg or .pdf)")
@@ -50,7 +42,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Test the twin; returns the exit code: 0 all sessions tested, 3 some skipped, 2 none tested."""
-
     check_writable(options.json, options.figure)
     sessions = find_sessions(options.sessions)
     found: list[Backtest] = []
@@ -79,25 +70,15 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _one(path: Path, options: argparse.Namespace) -> Backtest:
-
     horizons = None if options.horizon is None else tuple(options.horizon)
+    choices = Choices(options.every, horizons, tuple(options.peers))
     with Progress() as progress:
-        tested = backtest_session(
-            path,
-            Choices(options.every, horizons, tuple(options.peers)),
-            config=options.config,
-            candidates=options.candidates,
-            plant=options.plant,
-            watch=progress.advance,
-            progress=progress.reading,
-            second=True,
-        )
+        tested = backtest_session(path, choices, second=True, **judging(options, progress))
     _print(tested)
     return tested
 
 
 def _print(tested: Backtest) -> None:
-
     console = console_for(140)
     for table in backtest_tables(tested):
         console.print(table)

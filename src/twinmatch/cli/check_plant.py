@@ -14,24 +14,19 @@ from twinmatch.plants import find_plant
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.description = (
-        "Exit code 0: no findings; 1: findings, each with what to do; 2: the plant cannot be used."
-    )
+    codes = "Exit code 0: no findings; 1: findings, each with what to do; 2: the plant cannot be used."
+    parser.description = codes
     parser.add_argument("plant", metavar="NAME|FILE.py", help="the plant")
     add_options(parser, "--period", help="sampling period it will be run with")
-    parser.add_argument(
-        "--data", type=Path, metavar="SESSION|CSV", help="also check a recording of it against the gate"
-    )
+    data = "also check a recording of it against the gate"
+    parser.add_argument("--data", type=Path, metavar="SESSION|CSV", help=data)
     add_options(parser, "--map-file", help="map of signals to columns of the .csv")
 
 
 def run(options: argparse.Namespace) -> int:
     """Check and print; returns the exit code."""
-
     plant = find_plant(options.plant)
-    samples = None
-    if options.data is not None:
-        samples = data_for(options.data, plant, options.map_file)
+    samples = options.data and data_for(options.data, plant, options.map_file)
     with Progress("checking") as progress:
         checked = check_plant(plant, options.period or (samples.period if samples else None), progress.show)
     _print(checked)

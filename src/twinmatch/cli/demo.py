@@ -44,11 +44,8 @@ def _live(speed: float, config: Path | None) -> int:
     with Progress("compiling, the first time only") as progress:
         rehearse(Peltier, TwinSettings(), progress.advance)
     session = Path("out") / time.strftime("demo_%Y-%m-%d_%H-%M-%S")
-    plan = LivePlan(
-        config=config or shipped("config/demo.yaml"),
-        session=session,
-        virtual=VirtualPlan(speed=speed, board="python"),
-    )
+    virtual = VirtualPlan(speed=speed, board="python")
+    plan = LivePlan(config=config or shipped("config/demo.yaml"), session=session, virtual=virtual)
     return run_live(Live(plan)) or _look_back(session)
 
 

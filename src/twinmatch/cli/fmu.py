@@ -14,14 +14,12 @@ from twinmatch.plants import find_plant
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("file", type=Path, metavar="FMU", help="the FMU; its binary is not run")
-    parser.add_argument(
-        "--plant", default="peltier", help="the plant it will be a structure of (default: peltier)"
-    )
+    plant = "the plant it will be a structure of (default: peltier)"
+    parser.add_argument("--plant", default="peltier", help=plant)
 
 
 def run(options: argparse.Namespace) -> int:
     """Print the map as YAML, with the variables as comments; returns the exit code."""
-
     plant, process = find_plant(options.plant), FmuProcess()
     try:
         described = described_by(options.file, process)

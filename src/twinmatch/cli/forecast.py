@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from twinmatch.cli.shared import TERMS, Progress, add_options, check_writable, write_json
+from twinmatch.cli.shared import TERMS, Progress, add_options, check_writable, open_shown, write_json
 from twinmatch.errors import TwinmatchError
 from twinmatch.offline.judging import terms_from_files
 from twinmatch.offline.outlooks import (
@@ -20,7 +20,6 @@ from twinmatch.offline.outlooks import (
     samples_at,
 )
 from twinmatch.offline.processes import held_interrupts
-from twinmatch.sessions import open_any
 from twinmatch.showing.forecasts import comparison_words, forecast_document, forecast_words
 from twinmatch.showing.series import Fan, fan
 from twinmatch.twin import TwinSettings
@@ -34,28 +33,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "the set-points ahead. Without --reference and --hold, the set-point of that sample is held."
     )
     add_options(parser, "session", metavar="SESSION")
-    parser.add_argument(
-        "--at",
-        type=_sample,
-        nargs="+",
-        action="extend",
-        required=True,
-        metavar="SAMPLE",
-        help="indices of the samples to forecast from",
-    )
-    parser.add_argument(
-        "--reference",
-        metavar="FILE|recorded",
-        help="set-points ahead: a .csv of seconds ahead and set-point, or those recorded in the session",
-    )
+    several: dict[str, Any] = {"nargs": "+", "action": "extend", "required": True, "metavar": "SAMPLE"}
+    parser.add_argument("--at", type=_sample, **several, help="indices of the samples to forecast from")
+    ahead = "set-points ahead: a .csv of seconds ahead and set-point, or those recorded in the session"
+    parser.add_argument("--reference", metavar="FILE|recorded", help=ahead)
     parser.add_argument("--hold", type=float, metavar="VALUE", help="set-point to hold ahead")
     parser.add_argument("--candidate", metavar="NAME", help="candidate that forecasts (default: the leader)")
-    parser.add_argument(
-        "--horizon",
-        type=float,
-        metavar="S",
-        help="forecast horizon, s (default: 300, at least 60 and at most 600 samples)",
-    )
+    horizon = "forecast horizon, s (default: 300, at least 60 and at most 600 samples)"
+    parser.add_argument("--horizon", type=float, metavar="S", help=horizon)
     add_options(parser, "--json", help="write the forecasts to this file")
     add_options(parser, "--figure", help="draw them (.png, .svg or .pdf)")
     add_options(parser, *TERMS)
@@ -67,16 +52,18 @@ def run(options: argparse.Namespace) -> int:
     Raises:
         TwinmatchError: an option, the session or a file cannot be used.
     """
-    _check(options)
+    if options.reference is not None and options.hold is not None:
+        raise TwinmatchError("forecast: --reference and --hold exclude each other; give only one of them")
+    if options.candidate is not None and not options.candidate.strip():
+        raise TwinmatchError("forecast: --candidate is empty; give a name, or omit it to use the leader")
     check_writable(options.json, options.figure)
     with held_interrupts():
         settings, found = _forecasts(options)
 
     for one in found:
         _print(one, settings)
-    print(
-        "The leader is the candidate to forecast with: its forecasts have saved the most characters so far."
-    )
+    why = "its forecasts have saved the most characters so far"
+    print(f"The leader is the candidate to forecast with: {why}.")
     write_json(options.json, lambda: [forecast_document(one.fan.forecast) for one in found])
     if options.figure is not None:
         from twinmatch.showing.figures.drawing import save  # noqa: PLC0415 — matplotlib is slow
@@ -84,13 +71,6 @@ def run(options: argparse.Namespace) -> int:
 
         save(draw_forecasts(tuple(one.fan for one in found), settings.plant), options.figure)
     return 0
-
-
-def _check(options: argparse.Namespace) -> None:
-    if options.reference is not None and options.hold is not None:
-        raise TwinmatchError("forecast: --reference and --hold exclude each other; give only one of them")
-    if options.candidate is not None and not options.candidate.strip():
-        raise TwinmatchError("forecast: --candidate is empty; give a name, or omit it to use the leader")
 
 
 def _sample(text: str) -> int:
@@ -113,11 +93,9 @@ class _Requested(NamedTuple):
 
 def _forecasts(options: argparse.Namespace) -> tuple[TwinSettings, list[_Requested]]:
     """The settings, and the requested forecasts in the order of `--at`."""
-
     named = options.reference not in {None, RECORDED}
     rows = planned_rows(Path(options.reference)) if named else None
-    with Progress("reading") as progress:
-        session = open_any(options.session, progress=progress.advance, plant=options.plant)
+    session = open_shown(options.session, options.plant)
     terms = terms_from_files(session, options.config, options.candidates)
     settings, period = terms.settings, terms.settings.period
     size = samples_ahead(options.horizon, settings)
@@ -126,17 +104,14 @@ def _forecasts(options: argparse.Namespace) -> tuple[TwinSettings, list[_Request
     ahead = {k: ahead_of(session, sample, size, **given) for k, sample in samples.items()}
     with Progress() as progress:
         known = prospects(session, terms, samples, candidate=options.candidate, watch=progress.advance)
-    found = {
-        k: _Requested(
-            fan(forecast_of(known[k], ahead[k], period), session.samples, period), known[k], ahead[k].words
-        )
-        for k in samples
-    }
+    found = {}
+    for k in samples:
+        made = fan(forecast_of(known[k], ahead[k], period), session.samples, period)
+        found[k] = _Requested(made, known[k], ahead[k].words)
     return settings, [found[k] for k in options.at]
 
 
 def _print(one: _Requested, settings: TwinSettings) -> None:
-
     forecast, prospect = one.fan.forecast, one.prospect
     seconds = f"{forecast.sample * settings.period:g} s"
     print(f"At {seconds} (sample {forecast.sample}), {one.words}:")

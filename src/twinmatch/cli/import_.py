@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from twinmatch.cli.shared import Progress, add_options, console_for
+from twinmatch.cli.shared import Progress, add_options, console_for, positive_period
 from twinmatch.errors import TwinmatchError
 from twinmatch.plants import find_plant
 from twinmatch.sessions import plant_topics, read_recording, samples_of, write_session
@@ -18,10 +18,6 @@ from twinmatch.sessions.mapped import map_samples, with_plant_names
 from twinmatch.sessions.metadata import NO_REFERENCE, PLANT
 from twinmatch.sessions.tables import read_table
 from twinmatch.signals import Sample
-
-
-class ImportOptionError(TwinmatchError):
-    """Options of an import are missing or contradict each other."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -35,9 +31,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-o", "--output", type=Path, metavar="SESSION", help="folder to write")
     parser.add_argument("--overwrite", action="store_true", help="replace an existing session")
     other = parser.add_argument_group("your own plant, with any column names")
-    other.add_argument(
-        "--list", action="store_true", help="show the columns and propose a map; writes nothing"
-    )
+    listed = "show the columns and propose a map; writes nothing"
+    other.add_argument("--list", action="store_true", help=listed)
     add_options(other, "--plant", help="plant that was recorded")
     add_options(
         other,
@@ -47,31 +42,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_options(other, "--map-file")
     add_options(other, "--period", help="sampling period, if not that of the rows")
-    other.add_argument(
-        "--bridge", type=float, metavar="S", help="longest gap to interpolate across (default: three rows)"
-    )
-    other.add_argument(
-        "--gaps",
-        choices=("refuse", "split"),
-        default="refuse",
-        help="what to do with longer gaps: refuse them (default), or split the session there, so that no "
-        "window reaches across",
-    )
+    longest = "longest gap to interpolate across (default: three rows)"
+    other.add_argument("--bridge", type=float, metavar="S", help=longest)
+    gaps = "what to do with longer gaps: refuse them (default), or split the session there, so that no "
+    gaps += "window reaches across"
+    other.add_argument("--gaps", choices=("refuse", "split"), default="refuse", help=gaps)
 
 
 def run(options: argparse.Namespace) -> int:
     """Write the session; returns the exit code.
 
     Raises:
-        ImportOptionError: there is no session to write.
+        TwinmatchError: there is no session to write, or an option or the recording cannot be used.
     """
     if options.list:
         return _list(options.recording)
     if options.output is None:
-        raise ImportOptionError(
-            "import: name the session to write with -o SESSION (or show the columns with --list)"
-        )
-
+        msg = "import: name the session to write with -o SESSION (or show the columns with --list)"
+        raise TwinmatchError(msg)
     mapped = (options.map, options.map_file, options.plant, options.period, options.bridge)
     if any(mapped) or options.gaps != "refuse" or is_bag(options.recording):
         return _import_mapped(options)
@@ -79,27 +67,22 @@ def run(options: argparse.Namespace) -> int:
     with Progress("reading") as progress:
         window = read_recording(options.recording, progress.advance)
     _write(options, samples_of(window))
-    print(
-        f"{options.output}: {len(window)} samples, {len(window) * window.period:.0f} s, "
-        f"from {options.recording.name}"
-    )
+    seconds = len(window) * window.period
+    print(f"{options.output}: {len(window)} samples, {seconds:.0f} s, from {options.recording.name}")
     return 0
 
 
 def _write(options: argparse.Namespace, samples: Sequence[Sample], **settings: Any) -> None:
-
+    settings["overwrite"] = options.overwrite
     with Progress("writing") as progress:
-        write_session(
-            options.output, samples, overwrite=options.overwrite, progress=progress.advance, **settings
-        )
+        write_session(options.output, samples, progress=progress.advance, **settings)
 
 
 def _import_mapped(options: argparse.Namespace) -> int:
-
     given, limits = _given(options), {"longest": options.bridge, "gaps": options.gaps}
     if not given.plant:
         msg = "import: the plant is missing; give --plant NAME, --plant FILE.py, or plant: in the map file"
-        raise ImportOptionError(msg)
+        raise TwinmatchError(msg)
     plant = find_plant(given.plant)
     if is_bag(options.recording):
         with Progress("reading") as progress:
@@ -108,19 +91,11 @@ def _import_mapped(options: argparse.Namespace) -> int:
         table = read_table(options.recording)
         found = map_samples(table, with_plant_names(table, plant, given), plant, **limits)
     columns = "; ".join(f"{signal} = {source.text}" for signal, source in found.sources.items())
-    record = {
-        "plant": plant.name,
-        "source": options.recording.name,
-        "map": columns,
-        "reference": "recorded" if found.has_reference else NO_REFERENCE,
-    }
-    _write(
-        options,
-        found.samples,
-        records={PLANT: record},
-        gaps=options.gaps == "split",
-        topics=plant_topics([y.unit for y in plant.outputs.values()], has_reference=found.has_reference),
-    )
+    record = {"plant": plant.name, "source": options.recording.name, "map": columns}
+    record["reference"] = "recorded" if found.has_reference else NO_REFERENCE
+    topics = plant_topics([y.unit for y in plant.outputs.values()], has_reference=found.has_reference)
+    split = options.gaps == "split"
+    _write(options, found.samples, records={PLANT: record}, gaps=split, topics=topics)
     seconds = len(found.samples) * found.period
     print(
         f"{options.output}: {len(found.samples)} samples, one every {found.period:g} s, {seconds:.0f} s of "
@@ -132,12 +107,10 @@ def _import_mapped(options: argparse.Namespace) -> int:
 
 
 def _given(options: argparse.Namespace) -> ColumnMap:
-
-    if options.period is not None and not options.period > 0:
-        raise ImportOptionError(f"import: --period is {options.period:g}; give a positive number of seconds")
-    written = read_map(options.map_file) if options.map_file else ColumnMap()
-    said = parse_map(options.map)
-    return written.joined(ColumnMap(said.sources, options.plant or "", options.period))
+    period, written = positive_period(options, "import"), ColumnMap()
+    if options.map_file:
+        written = read_map(options.map_file)
+    return written.joined(ColumnMap(parse_map(options.map).sources, options.plant or "", period))
 
 
 def _list(path: Path) -> int:

@@ -42,14 +42,8 @@ def run(options: argparse.Namespace) -> int:
         options.twin_config = shipped(f"config/{twin}")
     session = session_to_record(options)
     virtual = VirtualPlan(options.speed, tuple(options.fault), options.board, options.seed, options.plant)
-    plan = LivePlan(
-        config=options.config or shipped(f"config/{rig}"),
-        session=session,
-        twin_config=options.twin_config,
-        virtual=virtual if options.virtual else None,
-        candidates=options.candidates,
-        plant=options.plant,
-        port=options.port,
-    )
+    asked = {name: getattr(options, name) for name in ("twin_config", "candidates", "plant", "port")}
+    config = options.config or shipped(f"config/{rig}")
+    plan = LivePlan(config=config, session=session, virtual=virtual if options.virtual else None, **asked)
     with page_of(options, usage, options.twin_config):
         return run_live(Live(plan))

@@ -6,42 +6,25 @@ import argparse
 import shlex
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from twinmatch.adding import Proposal, example, files_of, propose
-from twinmatch.cli.shared import add_options
+from twinmatch.cli.shared import add_options, positive_period
 from twinmatch.errors import TwinmatchError
 from twinmatch.sessions.column_map import ColumnMap, columns_of, parse_map, proposed
 from twinmatch.sessions.tables import read_table
 
 
-class NewPlantError(TwinmatchError):
-    """The files cannot be written, or the options do not allow it."""
-
-
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("name", help="name of the plant: lower-case letters, digits and _")
-    parser.add_argument(
-        "--from",
-        dest="table",
-        type=Path,
-        metavar="CSV",
-        help="recording (.csv or .mat) to take ranges, noise, sampling period and a first gain and lag from",
-    )
-    add_options(
-        parser,
-        "--map",
-        help="which column is which signal, as for twinmatch import; without it a guess is made",
-    )
+    table = "recording (.csv or .mat) to take ranges, noise, sampling period and a first gain and lag from"
+    parser.add_argument("--from", dest="table", type=Path, metavar="CSV", help=table)
+    guess = "which column is which signal, as for twinmatch import; without it a guess is made"
+    add_options(parser, "--map", help=guess)
     add_options(parser, "--period", help="sampling period, if the table has no times or finer ones")
-    parser.add_argument(
-        "-o",
-        "--output",
-        type=Path,
-        default=Path(),
-        metavar="DIR",
-        help="folder to write into (default: here)",
-    )
+    here: dict[str, Any] = {"type": Path, "default": Path(), "metavar": "DIR"}
+    parser.add_argument("-o", "--output", **here, help="folder to write into (default: here)")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -54,34 +37,31 @@ def run(options: argparse.Namespace) -> int:
     files = files_of(options.name, _proposal(options))
     folder: Path = options.output
     if not folder.is_dir():
-        raise NewPlantError(f"new-plant: the folder {folder} does not exist; create it first")
+        raise TwinmatchError(f"new-plant: the folder {folder} does not exist; create it first")
     for name in files:
         if (folder / name).exists():
-            raise NewPlantError(f"{folder / name}: exists already; move it away or choose another name")
+            raise TwinmatchError(f"{folder / name}: exists already; move it away or choose another name")
     for name, text in files.items():
         try:
             (folder / name).write_text(text, encoding="utf-8")
         except OSError as error:
-            raise NewPlantError(f"{folder / name}: cannot be written ({error.strerror})") from error
+            raise TwinmatchError(f"{folder / name}: cannot be written ({error.strerror})") from error
     _say(options, [str(folder / name) for name in files])
     return 0
 
 
 def _proposal(options: argparse.Namespace) -> Proposal:
-
-    if options.period is not None and not options.period > 0:
-        raise NewPlantError(f"new-plant: --period is {options.period:g}; give a positive number of seconds")
-    given = parse_map(options.map)
+    period, given = positive_period(options, "new-plant"), parse_map(options.map)
     if options.table is None:
         if given.sources:
-            raise NewPlantError("new-plant: --map needs the table it maps; name it with --from")
+            raise TwinmatchError("new-plant: --map needs the table it maps; name it with --from")
         return example()
     table = read_table(options.table)
     if not given.sources:
         given = ColumnMap(proposed(columns_of(table)))
         words = shlex.join(f"{signal}={source.text}" for signal, source in given.sources.items())
         print(f"Columns guessed as: --map {words}")
-    return propose(table, replace(given, period=options.period))
+    return propose(table, replace(given, period=period))
 
 
 def _say(options: argparse.Namespace, files: list[str]) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from twinmatch.cli.shared import Progress, add_options
+from twinmatch.cli.shared import add_options, open_shown
 from twinmatch.launching.processes import add_page_options, page_of
 
 
@@ -23,12 +23,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Play and show the verdicts as they come; returns the exit code: 130 if interrupted."""
     from twinmatch.launching.replay import Replay, play  # noqa: PLC0415 — needs ROS
-    from twinmatch.sessions import open_any  # noqa: PLC0415 — slow to import
 
     if not 0.0 <= options.rate <= 1000.0:
         options.parser.error(f"--rate is {options.rate:g}; it must be within 0 and 1000")
-    with Progress("reading") as progress:
-        session = open_any(options.session, progress=progress.advance, plant=options.plant)
+    session = open_shown(options.session, options.plant)
     with page_of(options, options.parser, options.config) as page:
         code = play(Replay(session, options.rate, options.candidates, options.config))
         if code == 0:

@@ -15,7 +15,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Repair; returns the exit code."""
-
     found = repair_session(options.session)
     held = f"{found.messages} messages over {found.duration:.1f} s"
     if not found.faults:

@@ -16,6 +16,7 @@ from twinmatch.cli.shared import (
     add_options,
     check_writable,
     console_for,
+    open_shown,
     positive,
     write_json,
 )
@@ -24,9 +25,9 @@ from twinmatch.offline.archive import Archive, ArchiveError, is_single, judge_ar
 from twinmatch.offline.judging import judge, terms_from_files
 from twinmatch.offline.processes import held_interrupts
 from twinmatch.plants import plant_named
-from twinmatch.sessions import Session, open_any
+from twinmatch.sessions import Session
 from twinmatch.showing.lines import Lines, redraws
-from twinmatch.showing.quantities import parameter_format
+from twinmatch.showing.quantities import number, parameter_format, percent
 from twinmatch.showing.summary import closing_lines, document
 from twinmatch.twin import Outcome
 
@@ -56,7 +57,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Judge and show; returns the exit code."""
-
     check_writable(options.json, options.figure)
     asked = (options.jobs, options.out, options.scheduler)
     if not is_single(options.sessions) or any(option is not None for option in asked):
@@ -70,8 +70,7 @@ def _replay_one(path: Path, options: argparse.Namespace) -> None:
     """Judge a session and show every match and verdict when it comes: a view that is redrawn on a terminal,
     plain lines elsewhere."""
 
-    with Progress("reading") as progress:
-        session = open_any(path, plant=options.plant, progress=progress.advance)
+    session = open_shown(path, options.plant)
     terms = terms_from_files(session, options.config, options.candidates)
     with _Display(session) as shown:
         judgement = judge(session, terms, on_outcome=shown.advance)
@@ -89,7 +88,6 @@ class _Display:
     """A screen on a terminal; elsewhere lines, with a progress bar on standard error."""
 
     def __init__(self, session: Session) -> None:
-
         self._total = len(session.samples)
         self._screen = redraws(sys.stdout)
         self._view: Screen | Lines = Lines(session.period)
@@ -126,7 +124,6 @@ class _Display:
 
 def _replay_many(options: argparse.Namespace) -> int:
     """Judge many sessions, print the table of all candidates and write the JSON; returns the exit code."""
-
     if options.allow_fmu is not None:
         msg = "--allow-fmu works with one session; for several, set allow_fmu in the file of --config"
         raise TwinmatchError(msg)
@@ -179,11 +176,11 @@ def _table(archive: Archive) -> Table:
         ("candidate", lambda row: f"{row['name']}{' *' if row['nominal'] else ''}"),
         *((q.label, lambda row, q=q: q.text(row["parameters"].get(q.name, math.nan))) for q in matched),
         ("order", lambda row: row["chosen_order"]),
-        ("gain", lambda row: _number(row["criteria"]["gain"], ".0f")),
-        ("Σ ν-gap", lambda row: _number(row["nu_gap_sum"], ".3f")),
-        ("ν-gap now", lambda row: _number(row["nu_gap_to_plant"], ".3f")),
-        ("fit y", lambda row: _number(row["fit"]["y"], ".1%")),
-        ("fit u", lambda row: _number(row["fit"]["u"], ".1%")),
+        ("gain", lambda row: number(row["criteria"]["gain"], 0)),
+        ("Σ ν-gap", lambda row: number(row["nu_gap_sum"], 3)),
+        ("ν-gap now", lambda row: number(row["nu_gap_to_plant"], 3)),
+        ("fit y", lambda row: _fit(row["fit"]["y"])),
+        ("fit u", lambda row: _fit(row["fit"]["u"])),
     ]
     shown = Table(title="Candidates over all sessions (* nominal)", box=None, pad_edge=False)
     for name, _ in columns:
@@ -197,5 +194,5 @@ def _table(archive: Archive) -> Table:
     return shown
 
 
-def _number(value: float | None, form: str) -> str:
-    return "–" if value is None or not math.isfinite(value) else format(value, form)
+def _fit(share: float | None) -> str:
+    return number(None) if share is None else f"{percent(share)}%"

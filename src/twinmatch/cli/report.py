@@ -8,10 +8,10 @@ import shlex
 import sys
 from pathlib import Path
 
-from twinmatch.cli.shared import TERMS, Progress, add_options, check_writable
+from twinmatch.cli.shared import TERMS, Progress, add_options, check_writable, judging
 from twinmatch.offline.processes import held_interrupts
 from twinmatch.showing.report.pictures import write_pictures
-from twinmatch.showing.report.report import SessionReport, make_report
+from twinmatch.showing.report.report import PEERS, make_report
 
 FORMATS = ("png", "pdf")
 
@@ -27,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--figures", type=Path, metavar="DIR", help="also write the figures into this folder")
     parser.add_argument("--format", choices=FORMATS, default="png", help="their format (default: png)")
     of_peers = "methods to compare the forecasts with; without a value: none (default: persistence arx)"
-    add_options(parser, "--peers", default=["persistence", "arx"], help=of_peers)
+    add_options(parser, "--peers", default=list(PEERS), help=of_peers)
     add_options(parser, *TERMS)
 
 
@@ -36,8 +36,10 @@ def run(options: argparse.Namespace) -> int:
     session = Path(os.path.realpath(options.session))  # does not raise on a loop of links
     output: Path = options.output or Path(f"{session.name if session.is_dir() else session.stem}.html")
     check_writable(output, example="report.html")
-    with held_interrupts():
-        report = _make(options)
+    command = shlex.join(["twinmatch", *sys.argv[1:]])
+    with held_interrupts(), Progress() as progress:
+        asked = judging(options, progress)
+        report = make_report(options.session, peers=options.peers, second=True, command=command, **asked)
     report.write(output)
     print(report.sentence)
     print(f"report: {output} ({output.stat().st_size / 1e6:.1f} MB, opens in any browser, offline)")
@@ -45,19 +47,3 @@ def run(options: argparse.Namespace) -> int:
         written = write_pictures(report.pictures, options.figures, options.format)
         print(f"figures: {len(written)} {options.format.upper()} files in {options.figures}")
     return 0
-
-
-def _make(options: argparse.Namespace) -> SessionReport:
-
-    with Progress() as progress:
-        return make_report(
-            options.session,
-            config=options.config,
-            candidates=options.candidates,
-            plant=options.plant,
-            peers=options.peers,
-            watch=progress.advance,
-            progress=progress.reading,
-            second=True,
-            command=shlex.join(["twinmatch", *sys.argv[1:]]),
-        )

@@ -11,6 +11,7 @@ import re
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -19,6 +20,8 @@ from twinmatch.errors import TwinmatchError
 if TYPE_CHECKING:
     from rich import progress
     from rich.console import Console
+
+    from twinmatch.sessions import Session
 
 EXIT_PARTLY: Final = 3
 """Exit code: some of several sessions were used and some skipped."""
@@ -85,6 +88,32 @@ def add_options(parser: argparse._ActionsContainer, *names: str, **changed: Any)
     """Add arguments of `OPTIONS`, with these changes of their settings."""
     for name in names:
         parser.add_argument(name, **OPTIONS[name] | changed)
+
+
+def open_shown(path: Path, plant: str | None = None) -> Session:
+    """Read a session of any kind, with a progress bar."""
+    from twinmatch.sessions import open_any  # noqa: PLC0415 — slow to import
+
+    with Progress("reading") as progress:
+        return open_any(path, progress=progress.advance, plant=plant)
+
+
+def judging(options: argparse.Namespace, progress: Progress) -> dict[str, Any]:
+    """Arguments of whatever reads a session and judges it: the options of `TERMS`, and its progress."""
+    given = {name: getattr(options, name) for name in ("config", "candidates", "plant")}
+    return {**given, "watch": progress.advance, "progress": partial(progress.show, "reading")}
+
+
+def positive_period(options: argparse.Namespace, command: str) -> float | None:
+    """The value of `--period`, s.
+
+    Raises:
+        TwinmatchError: it is not positive.
+    """
+    period: float | None = options.period
+    if period is not None and not period > 0:
+        raise TwinmatchError(f"{command}: --period is {period:g}; give a positive number of seconds")
+    return period
 
 
 def positive(kind: Callable[[str], float], what: str) -> Callable[[str], float]:
@@ -167,10 +196,6 @@ class Progress:
         """Show that `done` of `total` are done."""
         self.show(self._doing, done, total)
 
-    def reading(self, done: int, total: int) -> None:
-        """Show that `done` of `total` bytes of the file are read, before the work itself."""
-        self.show("reading", done, total)
-
     def show(self, doing: str, done: int, total: int) -> None:
         """Show what is being done, and that `done` of `total` parts of it are."""
         if self._bar is None and self._shown:
@@ -186,14 +211,10 @@ class Progress:
 
 def add_serving_options(parser: argparse.ArgumentParser, port: int) -> None:
     """Add the options for the address, the port (default `port`) and the namespace of a server."""
-    parser.add_argument(
-        "--address",
-        default="127.0.0.1",
-        help="serve on this address; any but 127.0.0.1 is open to other machines",
-    )
-    parser.add_argument(
-        "--port", type=int, default=port, help=f"TCP port (default: {port}); 0: any free port"
-    )
+    here = "serve on this address; any but 127.0.0.1 is open to other machines"
+    parser.add_argument("--address", default="127.0.0.1", help=here)
+    free = f"TCP port (default: {port}); 0: any free port"
+    parser.add_argument("--port", type=int, default=port, help=free)
     parser.add_argument("--namespace", default="", metavar="/RIG", help="namespace of the plant to show")
 
 

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import argparse
 
-from twinmatch.cli.shared import Progress, add_options
+from twinmatch.cli.shared import Progress, add_options, judging
 from twinmatch.offline.verification import verify_session
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add_options(parser, "session", help="session folder or .mcap file")
-    parser.add_argument(
-        "--topic", metavar="TOPIC", help="topic of the samples, if the session has several rigs"
-    )
+    topic = "topic of the samples, if the session has several rigs"
+    parser.add_argument("--topic", metavar="TOPIC", help=topic)
     add_options(parser, "--plant", "--allow-fmu")
     add_options(parser, "--config", help="parameters (.yaml) instead of the recorded ones")
     add_options(parser, "--candidates", help="candidates (.yaml) instead of the recorded ones")
@@ -21,17 +20,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Judge again and compare; returns the exit code: 0 identical, 1 different."""
-
     with Progress() as progress:
-        found = verify_session(
-            options.session,
-            topic=options.topic,
-            config=options.config,
-            candidates=options.candidates,
-            plant=options.plant,
-            watch=progress.advance,
-            progress=progress.reading,
-        )
+        found = verify_session(options.session, topic=options.topic, **judging(options, progress))
     for note in found.notes:
         print(f"Note: {note}")
     compared = f"{found.verdicts} verdicts and {found.matches} matches on {found.samples} samples"

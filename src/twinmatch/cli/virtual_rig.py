@@ -64,14 +64,8 @@ def run(options: argparse.Namespace) -> int:
     from twinmatch.emulation.virtual_rig import VirtualRig  # noqa: PLC0415
 
     faults = tuple(fault for text in options.fault for fault in parse_faults(text))
-    settings = RigSettings(
-        speed=options.speed,
-        in_step=options.in_step,
-        board=options.board,
-        seed=options.seed,
-        faults=faults,
-        duration=options.duration,
-    )
+    asked = {name: getattr(options, name) for name in ("speed", "in_step", "board", "seed", "duration")}
+    settings = RigSettings(faults=faults, **asked)
     stopping: list[int] = []
     before = {number: signal.signal(number, lambda n, _: stopping.append(n)) for number in _STOPS}
     try:
