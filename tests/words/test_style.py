@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import ast
-import io
 import json
 import re
 import subprocess
-import tokenize
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -47,6 +45,8 @@ RULES = {
     r"\bwhat (it|they) (was|were) given\b": 'write "its arguments" or "its input"',
 }
 """Wordings that are ruled out, with one blank between words, and what to write instead."""
+COMMENT = re.compile(r'"""[\s\S]*?"""|"(?:\\.|[^"\\\n])*"|\'(?:\\.|[^\'\\\n])*\'|(#[^\n]*)')
+"""A string, or a comment, which is the group."""
 SUSPECT = re.compile(
     r"\b(?:" + "|".join(re.sub(r"^(\(\?<![^)]*\))*", "", pattern) for pattern in RULES) + ")", re.IGNORECASE
 )
@@ -74,8 +74,7 @@ def prose_of_python(source: str) -> Iterator[str]:
             yield node.value
         elif isinstance(node, ast.FunctionDef) and node.name.startswith("test_"):
             yield node.name.replace("_", " ")
-    tokens = tokenize.generate_tokens(io.StringIO(source).readline)
-    yield "\n".join(token.string for token in tokens if token.type == tokenize.COMMENT)
+    yield "\n".join(found[1] for found in COMMENT.finditer(source) if found[1])
 
 
 def prose(path: Path) -> Iterator[str]:
