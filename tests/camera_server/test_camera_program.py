@@ -184,7 +184,7 @@ class Block:
             raise ImportError(name + " is not on the Raspberry Pi")
 
 sys.meta_path.insert(0, Block())
-import twinmatch_camera.choice, twinmatch_camera.program, twinmatch_camera.sources.emulated
+import twinmatch_camera.__main__, twinmatch_camera.program, twinmatch_camera.sources.emulated
 import twinmatch_camera.sources.recorded, twinmatch_camera.sources.lepton, twinmatch_camera.sources.v4l2
 """
 

@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 from twinmatch_camera.errors import SourceError
 from twinmatch_camera.sources.cci import SETTINGS, configure
 from twinmatch_camera.sources.lepton import LeptonSource
-from twinmatch_camera.sources.telemetry import exposure, parse_telemetry
+from twinmatch_camera.sources.telemetry import exposure
 from twinmatch_camera.sources.vospi import PACKET_BYTES, RESYNC_SILENCE, Assembler, SyncLost, VospiFrame
 
-from twinmatch.links.thermal_frame import FlatField, FrameFlags
+from twinmatch.links.thermal_frame import Exposure, FlatField, FrameFlags
 
 DISCARD = bytes([0xFF, 0x12]) + bytes(162)
 
@@ -135,20 +135,23 @@ def test_noise_gives_no_frame(data: bytes) -> None:
 # --- telemetry -----------------------------------------------------------------------------------
 
 
+def told(**words: int) -> Exposure:
+    """What telemetry makes of an image."""
+    return exposure(np.ones((60, 80), np.uint16), telemetry_rows(**words), 7)
+
+
 def test_telemetry_words() -> None:
-    found = parse_telemetry(telemetry_rows(counter=70_000, status=1 << 20 | 3 << 4, a2=1, a31=0))
-    assert found.uptime == 65_536 + 5000
-    assert found.frame_counter == 70_000
-    assert found.sensor_temperature == 30_315
+    found = told(counter=70_000, status=1 << 20 | 3 << 4, a2=1, a31=0)
+    assert (found.frame_counter, found.sensor_temperature, found.stamp) == (70_000, 30_315, 7)
     assert found.flat_field is FlatField.COMPLETE
     assert found.flat_field_age == 65_536 + 4000
     assert found.flags is FrameFlags.OVERHEATING
-    assert (found.linear, found.resolution) == (True, 0.01)
+    assert (found.radiometric, found.resolution) == (True, 0.01)
 
 
 @pytest.mark.parametrize("state", list(FlatField))
 def test_flat_field_states(state: FlatField) -> None:
-    found = parse_telemetry(telemetry_rows(status=state << 4))
+    found = told(status=state << 4)
     assert found.flat_field is state
     assert (found.flat_field_age is None) == (state is FlatField.NEVER)
 
@@ -163,14 +166,14 @@ def test_flat_field_states(state: FlatField) -> None:
     ],
 )
 def test_status_bits(bit: int, flag: FrameFlags) -> None:
-    assert parse_telemetry(telemetry_rows(status=1 << bit)).flags is flag
+    assert told(status=1 << bit).flags is flag
 
 
 def test_counts_that_are_not_temperatures() -> None:
-    found = parse_telemetry(telemetry_rows(c48=0, c49=0))
+    found = told(c48=0, c49=0)
     assert found.flags is FrameFlags.NOT_RADIOMETRIC
     assert found.resolution == 0.1
-    assert not exposure(np.ones((60, 80), np.uint16), found, 0).radiometric
+    assert not found.radiometric
 
 
 # --- the source ----------------------------------------------------------------------------------

@@ -14,10 +14,10 @@ from pathlib import Path
 import pytest
 
 from tests.support import boards, pwm_mutations
-from tests.support.boards import Wire
+from tests.support.boards import Board, Wire
 from tests.support.places import PROJECT
 from twinmatch.emulation import arduino_virtual
-from twinmatch.emulation.arduino import ArduinoError, Board, StandInArduino
+from twinmatch.emulation.arduino import ArduinoError, StandInArduino
 from twinmatch.emulation.arduino_virtual import VirtualArduino, VirtualTools, build_virtual_board
 from twinmatch.links.pwm_link import AMPERES_PER_COUNT
 from twinmatch.links.pwm_protocol import PROTOCOL, Banner, BoardStatus, Code, Flags, Refusal, seal

@@ -11,14 +11,15 @@ import threading
 import tty
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from tests.support import boards
+from tests.support.boards import Board
 from tests.support.waiting import wait_for
-from twinmatch.emulation.arduino import Board
 from twinmatch.links import pwm_link
 from twinmatch.links.pwm_link import (
     AMPERES_PER_COUNT,
@@ -41,7 +42,7 @@ from twinmatch.links.pwm_protocol import Flags, FrameReader, Request, parse_requ
 
 PATIENT = LinkSettings(timeout=2.0)
 """For boards that share a busy machine with the tests; nothing here measures by the wall clock."""
-HASTY = LinkSettings(timeout=1.0, retries=1, first_pause=0.01, longest_pause=0.05)
+HASTY = LinkSettings(timeout=1.0, retries=1)
 """Where the wait for an answer that does not come is part of the story."""
 
 
@@ -319,7 +320,7 @@ def test_another_version_of_the_protocol_is_refused(impostor: Make) -> None:
         link.open()
     assert not link.is_open
     with pytest.raises(PwmVersionError, match="not protocol version"):
-        link.reopen(patience=1000, sleep=lambda _: pytest.fail("waiting does not change a version"))
+        link.reopen(patience=1000)  # at once: waiting does not change a version
 
 
 def test_a_board_that_knows_no_greeting_is_refused(impostor: Make) -> None:
@@ -353,20 +354,20 @@ def test_no_port() -> None:
         pwm_link.PwmLink("/dev/no-such-port", PATIENT).open()
 
 
-def test_reopening_waits_longer_each_time_up_to_a_limit() -> None:
+def test_reopening_waits_longer_each_time_up_to_a_limit(monkeypatch: pytest.MonkeyPatch) -> None:
     pauses: list[float] = []
-    link = pwm_link.PwmLink("/dev/no-such-port", LinkSettings(first_pause=0.1, longest_pause=0.5))
+    clock = SimpleNamespace(monotonic=lambda: sum(pauses), sleep=pauses.append)
+    monkeypatch.setattr(pwm_link, "time", clock)
     with pytest.raises(PwmPortMissingError, match="cannot be opened"):
-        link.reopen(patience=3.0, clock=lambda: sum(pauses), sleep=pauses.append)
-    assert pauses == pytest.approx([0.1, 0.2, 0.4, 0.5, 0.5, 0.5, 0.5])
+        pwm_link.PwmLink("/dev/no-such-port").reopen(patience=8.0)
+    assert pauses == pytest.approx([0.1, 0.2, 0.4, 0.8, 1.6, 2.0, 2.0])
 
 
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
         ({"timeout": 0.0}, "timeout is 0.0 s"),
-        ({"first_pause": math.nan}, "first_pause is nan s"),
-        ({"longest_pause": -1.0}, "longest_pause is -1.0 s"),
+        ({"timeout": math.nan}, "timeout is nan s"),
         ({"retries": -1}, "retries is -1"),
     ],
 )

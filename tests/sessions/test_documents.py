@@ -27,16 +27,7 @@ from twinmatch.plants.records import parameters_from
 from twinmatch.sessions import SessionError, messages
 from twinmatch.sessions.candidates import CandidateFileError, parse_candidates, read_candidates
 from twinmatch.sessions.documents import MOST_BYTES, DocumentError, parse_json, parse_yaml, read_yaml
-from twinmatch.sessions.messages import (
-    FLOAT64,
-    HEADER,
-    LOOP_SAMPLE,
-    TEMPERATURE,
-    TIME,
-    Qos,
-    fields_of,
-    schema_of,
-)
+from twinmatch.sessions.messages import PLANT_TOPICS, SAMPLE, Qos, Topic, fields_of, schema_of
 from twinmatch.sessions.metadata import files_listed, parse_qos
 
 PROJECT = Path(__file__).resolve().parents[2]
@@ -355,63 +346,44 @@ def test_unknown_plants_are_named() -> None:
 
 # Our definitions are those of the installed messages, the hashes those of ROS 2; schemas of any types.
 
-TYPES = (LOOP_SAMPLE, HEADER, TIME, TEMPERATURE, FLOAT64)
 SOURCE = Path(messages.__file__).parents[2] / "twinmatch_msgs" / "msg"
 
 
-def share_folders() -> list[Path]:
-    prefixes = [sys.prefix, *os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)]
-    return [Path(prefix) / "share" for prefix in prefixes if prefix]
-
-
-def installed(name: str, suffix: str) -> Path:
-    package, _, short = name.split("/")
-    for share in share_folders():
-        path = share / package / "msg" / f"{short}{suffix}"
-        if path.is_file():
-            return path
-    return pytest.skip(f"no {short}{suffix} of {package} is installed to compare with")
-
-
-def test_loop_sample_is_the_text_of_our_message_package():
+def test_loop_sample_is_the_text_of_our_message_package() -> None:
     if not SOURCE.is_dir():
         pytest.skip("the sources of twinmatch_msgs are not beside this package")
-    assert (SOURCE / "LoopSample.msg").read_text("utf-8") == LOOP_SAMPLE.text
+    assert SAMPLE.schema.startswith((SOURCE / "LoopSample.msg").read_text("utf-8"))
 
 
-@pytest.mark.parametrize("message", TYPES, ids=lambda m: m.name)
-def test_texts_are_the_installed_ones(message):
-    assert bare(installed(message.name, ".msg").read_text("utf-8")) == bare(message.text)
+@pytest.mark.parametrize("topic", PLANT_TOPICS, ids=lambda t: t.type)
+def test_schemas_and_hashes_are_the_installed_ones(topic: Topic) -> None:
+    if not (Path(sys.prefix) / "share" / "twinmatch_msgs").is_dir():
+        pytest.skip("twinmatch_msgs is not built; run make setup")
+    assert bare(schema_of(topic.type)) == bare(topic.schema)
+    package, _, short = topic.type.split("/")
+    prefixes = [sys.prefix, *os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)]
+    paths = (Path(prefix) / "share" / package / "msg" / f"{short}.json" for prefix in prefixes if prefix)
+    if (path := next(filter(Path.is_file, paths), None)) is None:
+        pytest.skip(f"no hashes of {package} are installed to compare with")
+    published = json.loads(path.read_text("utf-8"))["type_hashes"]
+    assert {h["type_name"]: h["hash_string"] for h in published}[topic.type] == topic.type_hash
 
 
-@pytest.mark.parametrize("message", TYPES, ids=lambda m: m.name)
-def test_hashes_are_the_installed_ones(message):
-    published = json.loads(installed(message.name, ".json").read_text("utf-8"))["type_hashes"]
-    assert {h["type_name"]: h["hash_string"] for h in published}[message.name] == message.type_hash
-
-
-@pytest.mark.parametrize("message", TYPES, ids=lambda m: m.name)
-def test_hashes_are_those_of_an_independent_implementation(message):
+@pytest.mark.parametrize("topic", PLANT_TOPICS, ids=lambda t: t.type)
+def test_hashes_are_those_of_an_independent_implementation(topic: Topic) -> None:
     store = get_typestore(Stores.EMPTY)
-    store.register(get_types_from_msg(message.schema, message.name))
-    assert store.hash_rihs01(message.name) == message.type_hash
+    store.register(get_types_from_msg(topic.schema, topic.type))
+    assert store.hash_rihs01(topic.type) == topic.type_hash
 
 
-def test_schema_names_each_part_once():
-    headings = [line for line in LOOP_SAMPLE.schema.splitlines() if line.startswith("MSG: ")]
+def test_schema_names_each_part_once() -> None:
+    headings = [line for line in SAMPLE.schema.splitlines() if line.startswith("MSG: ")]
     assert headings == ["MSG: std_msgs/Header", "MSG: builtin_interfaces/Time"]
 
 
 def test_fields_ignore_comments_and_blanks():
     text = "# a\nfloat64   x  # metres\n\n" + "=" * 80 + "\nMSG: a/B\nint8 y\n"
     assert fields_of(text) == ["float64 x"]
-
-
-@pytest.mark.parametrize("known", [LOOP_SAMPLE, TEMPERATURE, FLOAT64], ids=lambda t: t.name)
-def test_installed_schemas_are_the_known_ones(known):
-    if not (Path(sys.prefix) / "share" / "twinmatch_msgs").is_dir():
-        pytest.skip("twinmatch_msgs is not built; run make setup")
-    assert bare(schema_of(known.name)) == bare(known.schema)
 
 
 def install(folder: Path, **texts: str) -> dict[str, str]:

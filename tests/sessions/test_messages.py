@@ -23,7 +23,7 @@ from twinmatch.offline.verification import verify_session
 from twinmatch.plants import Peltier
 from twinmatch.sessions import SessionError, read_session, write_session
 from twinmatch.sessions.messages import (
-    LOOP_SAMPLE,
+    SAMPLE,
     decode_sample,
     encode_float64,
     encode_sample,
@@ -34,8 +34,8 @@ from twinmatch.sessions.recording import repair_session
 from twinmatch.signals import Sample
 
 STORE = get_typestore(Stores.ROS2_KILTED)
-STORE.register(get_types_from_msg(LOOP_SAMPLE.schema, LOOP_SAMPLE.name))
-LoopSample = STORE.types[LOOP_SAMPLE.name]
+STORE.register(get_types_from_msg(SAMPLE.schema, SAMPLE.type))
+LoopSample = STORE.types[SAMPLE.type]
 Header = STORE.types["std_msgs/msg/Header"]
 Time = STORE.types["builtin_interfaces/msg/Time"]
 Temperature = STORE.types["sensor_msgs/msg/Temperature"]
@@ -58,20 +58,13 @@ def loop_sample(sample: Sample, frame: str):
 
 @given(samples, frames)
 def test_samples_are_encoded_as_rosbags_does(sample, frame):
-    theirs = STORE.serialize_cdr(
-        loop_sample(sample, frame),
-        LOOP_SAMPLE.name,
-    )
+    theirs = STORE.serialize_cdr(loop_sample(sample, frame), SAMPLE.type)
     assert encode_sample(sample, frame) == bytes(theirs)
 
 
 @given(samples, frames, st.booleans())
 def test_samples_are_decoded_from_what_rosbags_encodes(sample, frame, little):
-    theirs = STORE.serialize_cdr(
-        loop_sample(sample, frame),
-        LOOP_SAMPLE.name,
-        little_endian=little,
-    )
+    theirs = STORE.serialize_cdr(loop_sample(sample, frame), SAMPLE.type, little_endian=little)
     assert decode_sample(bytes(theirs)) == sample
 
 
@@ -117,7 +110,7 @@ def test_a_sample_without_a_signal_is_refused():
     ):
         message = LoopSample(header(0, "plate"), 9, *map(np.array, arrays), np.array([]))
         with pytest.raises(SessionError, match=f"session: {said}; every sample has at least one of each"):
-            decode_sample(bytes(STORE.serialize_cdr(message, LOOP_SAMPLE.name)))
+            decode_sample(bytes(STORE.serialize_cdr(message, SAMPLE.type)))
 
 
 def test_another_encoding_is_refused():
@@ -177,7 +170,7 @@ def test_outputs_and_inputs_are_those_of_the_loop() -> None:
 def test_its_samples_are_played_as_those_of_today() -> None:
     session = read_session(SESSION)
     (topic,) = (t for t in session.topics if t.name == "/plant/sample")
-    assert (topic.schema, topic.type_hash) == (LOOP_SAMPLE.schema, LOOP_SAMPLE.type_hash)
+    assert (topic.schema, topic.type_hash) == (SAMPLE.schema, SAMPLE.type_hash)
     played = list(session.messages(["/plant/sample"]))
     assert {m.topic for m in played} == {topic}
     assert [decode_sample(m.data) for m in played] == session.samples

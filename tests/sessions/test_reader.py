@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from mcap.writer import CompressionType, Writer
 
 from twinmatch.sessions import Qos, SessionError, SessionWriter, Topic, read_session, write_session
-from twinmatch.sessions.messages import FLOAT64, REFERENCE, SAMPLE, encode_float64, encode_sample
+from twinmatch.sessions.messages import REFERENCE, SAMPLE, encode_float64, encode_sample
 from twinmatch.sessions.metadata import Part, Summary, files_listed, parse_qos, qos_text
 from twinmatch.sessions.scan import MAGIC, Scan
 from twinmatch.signals import Sample, SignalError
@@ -144,7 +144,7 @@ def too_short(folder: Path) -> None:
 def of_a_car(folder: Path) -> None:
     with SessionWriter(folder) as writer:
         for name in ("/speed", "/plant/sample"):
-            writer.add_topic(Topic.of(name, FLOAT64, Qos()))
+            writer.add_topic(REFERENCE._replace(name=name))
             writer.write(name, encode_float64(1.0), 0)
 
 

@@ -24,7 +24,7 @@ from rosbags.interfaces import QosDurability, QosReliability
 from rosbags.rosbag2 import Reader
 
 from twinmatch.sessions import EPOCH, SessionError, SessionWriter, read_session, samples_of, write_session
-from twinmatch.sessions.messages import FLOAT64, LOOP_SAMPLE, SAMPLE, TEMPERATURE, encode_sample
+from twinmatch.sessions.messages import PLANT_TOPICS, SAMPLE, encode_sample
 from twinmatch.sessions.recording import DiskFullError, Recording, RecordingLimits
 from twinmatch.signals import Sample, Window
 
@@ -98,10 +98,8 @@ def test_rosbags_reads_folder_metadata_and_messages(tmp_path):
     samples = hour(700)
     folder = write_session(tmp_path / "run", samples)
     with AnyReader([folder]) as reader:
-        assert {c.topic: (c.msgtype, c.digest) for c in reader.connections} == {
-            "/plant/sample": (LOOP_SAMPLE.name, LOOP_SAMPLE.type_hash),
-            "/plant/temperature": (TEMPERATURE.name, TEMPERATURE.type_hash),
-            "/plant/reference": (FLOAT64.name, FLOAT64.type_hash),
+        assert {(c.topic, c.msgtype, c.digest) for c in reader.connections} == {
+            (topic.name, topic.type, topic.type_hash) for topic in PLANT_TOPICS
         }
         offered = {c.topic: c.ext.offered_qos_profiles[0] for c in reader.connections}
         assert offered["/plant/sample"].reliability == QosReliability.RELIABLE

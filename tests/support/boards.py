@@ -20,7 +20,7 @@ from typing import NoReturn, TypeVar
 import pytest
 
 from tests.support.places import PROJECT
-from twinmatch.emulation.arduino import ArduinoError, Board, PinDrive, StandInArduino
+from twinmatch.emulation.arduino import ArduinoError, EmulatedBoard, PinDrive, StandInArduino
 from twinmatch.emulation.arduino_virtual import VirtualArduino, VirtualTools, build_virtual_board
 from twinmatch.links.pwm_protocol import BoardStatus, FrameReader, Reply, parse_reply, seal
 
@@ -55,11 +55,8 @@ def make(kind: str) -> Board:
     return board
 
 
-class RealBoard(Board):
+class RealBoard(EmulatedBoard):
     """A board on the desk: its time is ours, its pins are out of sight."""
-
-    def __init__(self, port: str) -> None:
-        super().__init__(port)
 
     def advance(self, seconds: float) -> PinDrive:
         time.sleep(seconds)
@@ -72,26 +69,13 @@ class RealBoard(Board):
     def pause(self) -> None:
         """It cannot."""
 
-    def drive(self) -> PinDrive:
-        self._skip()
-
-    def set_current(self, amperes: float) -> None:  # noqa: ARG002
-        self._skip()
-
-    def set_fault(self, fault: bool) -> None:  # noqa: ARG002
-        self._skip()
-
-    def unplug(self) -> None:
-        self._skip()
-
-    def plug(self) -> None:
-        self._skip()
-
-    def hang(self) -> None:
-        self._skip()
-
-    def _skip(self) -> NoReturn:
+    def _skip(self, *_: object) -> NoReturn:
         pytest.skip("needs an emulated board")
+
+    drive = set_current = set_fault = unplug = plug = hang = _skip
+
+
+Board = StandInArduino | VirtualArduino | RealBoard
 
 
 class Wire:

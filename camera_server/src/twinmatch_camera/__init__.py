@@ -2,12 +2,8 @@
 
 `sources` has the cameras behind one small interface, `broadcast` hands the newest frame to every
 client, `program` joins the two, `__main__` is the command line. It runs without ROS; from twinmatch it
-uses the frame type and codec (`twinmatch.links.thermal_frame`, `thermal_codec`) and, for the emulated
+uses the frame type and codec (`twinmatch.links.thermal_frame`) and, for the emulated
 camera, `twinmatch.emulation.lepton`.
 """
-
-from __future__ import annotations
-
-__all__ = ["__version__"]
 
 __version__ = "0.1.0"

@@ -6,10 +6,12 @@ import argparse
 import logging
 import sys
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from twinmatch_camera.errors import CameraError, UsageError
 
-__all__ = ["main"]
+if TYPE_CHECKING:
+    from twinmatch_camera.sources.base import Source
 
 _log = logging.getLogger("twinmatch_camera")
 
@@ -38,10 +40,9 @@ def _run(arguments: argparse.Namespace) -> None:
         msg = f"{error}; install the frame codec with `pip install --no-deps twinmatch`"
         raise UsageError(msg) from error
     from twinmatch_camera.broadcast import Broadcast  # noqa: PLC0415
-    from twinmatch_camera.choice import source  # noqa: PLC0415
     from twinmatch_camera.program import run  # noqa: PLC0415
 
-    chosen = source(arguments)
+    chosen = arguments.make(arguments)
     host, port = _address(arguments.listen, DEFAULT_PORT)
     run(chosen, Broadcast(host, port, max_clients=arguments.max_clients, patience=arguments.patience))
 
@@ -54,6 +55,46 @@ def _address(text: str, default_port: int) -> tuple[str, int]:
     if not host or not port.isdecimal() or int(port) > 65535:
         raise UsageError(f"--listen {text}: give HOST or HOST:PORT, such as {DEFAULT_HOST}:{default_port}")
     return host, int(port)
+
+
+# Each source's libraries are imported only when it is chosen.
+
+
+def _emulated(arguments: argparse.Namespace) -> Source:
+    from twinmatch.emulation.lepton import LeptonError, LeptonSettings  # noqa: PLC0415
+    from twinmatch_camera.sources.emulated import EmulatedSource  # noqa: PLC0415
+    from twinmatch_camera.sources.followed import FollowedSource  # noqa: PLC0415
+
+    try:
+        settings = LeptonSettings(ambient=arguments.ambient, flat_field_period=arguments.flat_field_period)
+        if arguments.feed == "-":
+            return FollowedSource(settings=settings, seed=arguments.seed)
+        return EmulatedSource(
+            plate=arguments.plate, feed=arguments.feed, settings=settings, seed=arguments.seed
+        )
+    except LeptonError as error:
+        raise UsageError(str(error)) from error
+
+
+def _recorded(arguments: argparse.Namespace) -> Source:
+    from twinmatch_camera.sources.recorded import RecordedSource  # noqa: PLC0415
+
+    return RecordedSource(arguments.file, loop=arguments.loop)
+
+
+def _lepton(arguments: argparse.Namespace) -> Source:
+    from twinmatch_camera.sources.lepton import LeptonSource  # noqa: PLC0415
+
+    bus, dot, device = arguments.spi.partition(".")
+    if not (dot and bus.isdecimal() and device.isdecimal()):
+        raise UsageError(f"--spi {arguments.spi}: give BUS.DEVICE, such as 0.0 for /dev/spidev0.0")
+    return LeptonSource(spi=(int(bus), int(device)), speed=arguments.speed, i2c=arguments.i2c)
+
+
+def _v4l2(arguments: argparse.Namespace) -> Source:
+    from twinmatch_camera.sources.v4l2 import V4l2Source  # noqa: PLC0415
+
+    return V4l2Source(arguments.device, size=arguments.size, resolution=arguments.resolution)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -91,14 +132,18 @@ def _parser() -> argparse.ArgumentParser:
         "--flat-field-period", type=_positive, default=180.0, metavar="S", help="seconds (default: 180)"
     )
 
+    emulated.set_defaults(make=_emulated)
+
     recorded = sources.add_parser("recorded", parents=[common], help="frames from a file")
     recorded.add_argument("file", help="CBOR sequence of frames, as received from this program")
     recorded.add_argument("--loop", action="store_true", help="begin again at the end")
+    recorded.set_defaults(make=_recorded)
 
     lepton = sources.add_parser("lepton", parents=[common], help="a FLIR Lepton 2.5 over SPI and I2C")
     lepton.add_argument("--spi", default="0.0", metavar="BUS.DEVICE", help="default: 0.0, /dev/spidev0.0")
     lepton.add_argument("--speed", type=int, default=16_000_000, metavar="HZ", help="SPI clock (16000000)")
     lepton.add_argument("--i2c", type=int, default=1, metavar="BUS", help="default: 1, /dev/i2c-1")
+    lepton.set_defaults(make=_lepton)
 
     v4l2 = sources.add_parser("v4l2", parents=[common], help="a video device that delivers Y16")
     v4l2.add_argument("device", nargs="?", default="/dev/video0", help="default: /dev/video0")
@@ -108,6 +153,7 @@ def _parser() -> argparse.ArgumentParser:
     v4l2.add_argument(
         "--resolution", type=_positive, default=0.01, metavar="K", help="kelvin per count (0.01)"
     )
+    v4l2.set_defaults(make=_v4l2)
     return parser
 
 

@@ -15,8 +15,6 @@ import time
 
 from twinmatch_camera.errors import ListenError
 
-__all__ = ["Broadcast"]
-
 _log = logging.getLogger(__name__)
 
 _SEND_BUFFER = 16_384

@@ -8,10 +8,6 @@
 0 is a stop that was asked for, or the end of a recording; 1 is a defect of this program, with a traceback.
 """
 
-from __future__ import annotations
-
-__all__ = ["CameraError", "ListenError", "SourceError", "UsageError"]
-
 
 class CameraError(Exception):
     """The program cannot continue; its message is one line that says what to do."""

@@ -12,8 +12,6 @@ from twinmatch_camera.broadcast import Broadcast
 from twinmatch_camera.errors import CameraError
 from twinmatch_camera.sources.base import EndOfRecording, Source
 
-__all__ = ["CameraThread", "run"]
-
 _log = logging.getLogger(__name__)
 
 _STOPS = (signal.SIGTERM, signal.SIGINT)

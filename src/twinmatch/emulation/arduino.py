@@ -16,9 +16,8 @@ import tempfile
 import threading
 import time
 import tty
-from abc import ABC, abstractmethod
 from pathlib import Path
-from typing import NamedTuple, TypeVar
+from typing import ClassVar, NamedTuple, TypeVar
 
 from twinmatch.errors import TwinmatchError
 from twinmatch.links.pwm_link import AMPERES_PER_COUNT
@@ -41,7 +40,7 @@ from twinmatch.links.pwm_protocol import (
 )
 
 _log = logging.getLogger(__name__)
-_Own = TypeVar("_Own", bound="Board")
+_Own = TypeVar("_Own", bound="EmulatedBoard")
 
 FIRMWARE = "standin-1.0.0"
 """Firmware name in the banner, which cannot be mistaken for the real firmware."""
@@ -72,12 +71,15 @@ class PinDrive(NamedTuple):
     """Whether the driver is on. On with zero PWM it shorts the plate; off it leaves the circuit open."""
 
 
-class Board(ABC):
+class EmulatedBoard:
     """An emulated Arduino at the end of a pseudo-terminal; a context manager.
 
     Its port appears at `port`, by default a temporary path, and vanishes and returns with the cable. Its time
     stands still until `advance` (lockstep) or `run` is called.
     """
+
+    WHAT: ClassVar[str]
+    """What it is, for messages."""
 
     def __init__(self, port: str | Path | None = None) -> None:
         self._folder = None if port else tempfile.TemporaryDirectory(prefix="twinmatch-arduino-")
@@ -89,54 +91,19 @@ class Board(ABC):
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    @abstractmethod
-    def advance(self, seconds: float) -> PinDrive:
-        """Advance by this time, rounded to ms, and return the drive at the end.
-
-        Raises:
-            ArduinoError: it is running, or has ended.
-        """
-
-    @abstractmethod
-    def run(self, speed: float = 1.0) -> None:
-        """Run `speed` times as fast as the wall clock, without jumps.
-
-        Raises:
-            ArduinoError: the speed is not positive, or the board has ended.
-        """
-
-    @abstractmethod
-    def pause(self) -> None:
-        """Stop running."""
-
-    @abstractmethod
-    def drive(self) -> PinDrive:
-        """The drive now."""
-
-    @abstractmethod
-    def set_current(self, amperes: float) -> None:
-        """Set the current on the driver's feedback pin, A, averaged over the PWM."""
-
-    @abstractmethod
-    def set_fault(self, fault: bool) -> None:
-        """Set or release the driver's fault flag."""
-
-    @abstractmethod
-    def unplug(self) -> None:
-        """Unplug the USB cable; the board keeps its power."""
-
-    @abstractmethod
-    def plug(self) -> None:
-        """Plug the USB cable in again."""
-
-    @abstractmethod
-    def hang(self) -> None:
-        """Let the firmware hang with interrupts off; only the watchdog ends that."""
-
     def close(self) -> None:
         """End the board; its port disappears."""
         if self._folder is not None:
             self._folder.cleanup()
+
+    def error(self, why: str) -> ArduinoError:
+        """An error that names the board."""
+        return ArduinoError(f"{self.WHAT} at {self.port}: {why}")
+
+    def check_speed(self, speed: float) -> None:
+        """Refuse a speed that is not positive."""
+        if not speed > 0:
+            raise self.error(f"speed is {speed}; it must be positive")
 
 
 class SerialPort:
@@ -215,14 +182,11 @@ class ArduinoModel:
         """Whether the driver pulls its fault flag."""
         self.restarts = 0
         """Starts since power-up."""
+        self.level = 0
+        """PWM on the pins, −255 to 255."""
         self._time_ms = 0
         self._reader = FrameReader()
         self._boot(_POWER_ON)
-
-    @property
-    def level(self) -> int:
-        """PWM on the pins, −255 to 255."""
-        return self._level
 
     @property
     def enabled(self) -> bool:
@@ -249,7 +213,7 @@ class ArduinoModel:
     def _boot(self, cause: int) -> None:
         self._cause = cause
         self._flags = Flags.TRIPPED | Flags.RESET
-        self._level = self._time_ms = self._remaining = self._settle = self._low = self._hung_ms = 0
+        self.level = self._time_ms = self._remaining = self._settle = self._low = self._hung_ms = 0
         self._heat = True
         self._last: int | None = None
         self._reader = FrameReader()
@@ -284,7 +248,7 @@ class ArduinoModel:
         self._flags |= Flags.TRIPPED | reason
 
     def _disable(self) -> None:
-        self._level = 0
+        self.level = 0
         self._flags &= ~Flags.ENABLED
 
     def _answer(self, event: bytes | Damage) -> list[Reply]:
@@ -293,13 +257,11 @@ class ArduinoModel:
         request = parse_request(event)
         if isinstance(request, Refusal):
             return [request]
-        if request.verb is Verb.HELLO:
-            return [self._greet(request)]
         if request.verb is Verb.SET:
             return self._set(request)
-        if request.verb is Verb.QUERY:
-            return [self._status(request)]
-        return [self._clear(request)]
+        if request.verb is Verb.HELLO:
+            return [self._greet(request)]
+        return [self._clear(request) if request.verb is Verb.CLEAR else self._status(request)]
 
     def _greet(self, request: Request) -> Banner:
         self._disable()
@@ -313,7 +275,7 @@ class ArduinoModel:
         if not self._is_new(request):
             return [self._status(request, Flags.DUPLICATE)]
         if request.pwm and (request.pwm > 0) != self._heat:
-            self._level = 0
+            self.level = 0
             self._turn = _REVERSAL_MS, request
             return []
         return [self._apply(request)]
@@ -335,7 +297,7 @@ class ArduinoModel:
         if not self.enabled:
             self._settle, self._low = _SETTLE_MS, 0
             self._flags |= Flags.ENABLED
-        self._level = request.pwm
+        self.level = request.pwm
         return self._status(request)
 
     def _clear(self, request: Request) -> BoardStatus:
@@ -353,11 +315,13 @@ class ArduinoModel:
         return True
 
     def _status(self, request: Request, extra: Flags = Flags.NONE) -> BoardStatus:
-        return BoardStatus(request.sequence, self._time_ms, self._level, self.counts, self._flags | extra)
+        return BoardStatus(request.sequence, self._time_ms, self.level, self.counts, self._flags | extra)
 
 
-class StandInArduino(Board):
-    """A `Board` in Python."""
+class StandInArduino(EmulatedBoard):
+    """A board in Python."""
+
+    WHAT = "stand-in"
 
     def __init__(self, port: str | Path | None = None) -> None:
         super().__init__(port)
@@ -372,9 +336,13 @@ class StandInArduino(Board):
         _log.info("%s is a stand-in for the Arduino (%s); no firmware runs behind it", self.port, FIRMWARE)
 
     def advance(self, seconds: float) -> PinDrive:
-        """Advance by this time."""
+        """Advance by this time, rounded to ms, and return the drive at the end.
+
+        Raises:
+            ArduinoError: it is running.
+        """
         if self._thread is not None:
-            raise ArduinoError(f"stand-in at {self.port}: it is running; pause() it before advance()")
+            raise self.error("it is running; pause() it before advance()")
         received = True
         for _ in range(round(seconds * 1000)):
             # What a host sends during this call, which takes no time, is read at the next one.
@@ -382,9 +350,12 @@ class StandInArduino(Board):
         return self.drive()
 
     def run(self, speed: float = 1.0) -> None:
-        """Run in a thread."""
-        if not speed > 0:
-            raise ArduinoError(f"stand-in at {self.port}: speed is {speed}; it must be positive")
+        """Run in a thread, `speed` times as fast as the wall clock, without jumps.
+
+        Raises:
+            ArduinoError: the speed is not positive.
+        """
+        self.check_speed(speed)
         self.pause()
         self._running.set()
         self._thread = threading.Thread(
@@ -405,7 +376,7 @@ class StandInArduino(Board):
             return PinDrive(self._elapsed_ms / 1000, float(self.model.level), self.model.enabled)
 
     def set_current(self, amperes: float) -> None:
-        """Show a current on the feedback pin, A."""
+        """Show a current on the driver's feedback pin, A, averaged over the PWM."""
         self.model.counts = min(1023, max(0, round(amperes / AMPERES_PER_COUNT)))
 
     def set_fault(self, fault: bool) -> None:
@@ -413,18 +384,18 @@ class StandInArduino(Board):
         self.model.fault = fault
 
     def hang(self) -> None:
-        """Let the firmware hang."""
+        """Let the firmware hang with interrupts off; only the watchdog ends that."""
         with self._lock:
             self.model.hang()
 
     def unplug(self) -> None:
-        """Remove the port."""
+        """Unplug the USB cable; the board keeps its power."""
         with self._lock:
             self._away_ms = 0
             self._line.unplug()
 
     def plug(self) -> None:
-        """Create the port, or restore it."""
+        """Plug the USB cable in."""
         with self._lock:
             self._line.plug()
 

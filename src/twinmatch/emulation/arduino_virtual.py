@@ -18,7 +18,7 @@ import threading
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from twinmatch.emulation.arduino import ArduinoError, Board, PinDrive, StandInArduino
+from twinmatch.emulation.arduino import ArduinoError, EmulatedBoard, PinDrive, StandInArduino
 from twinmatch.links.pwm_protocol import PWM_LIMIT
 
 _log = logging.getLogger(__name__)
@@ -74,14 +74,16 @@ class _State(NamedTuple):
     port_is_there: int
 
 
-class VirtualArduino(Board):
-    """A `Board` that runs the firmware.
+class VirtualArduino(EmulatedBoard):
+    """A board that runs the firmware.
 
     `heat_level` is the level of the direction pin for heating, as in the firmware's `config.h`.
 
     Raises:
-        ArduinoError: the simulator does not start.
+        ArduinoError: the simulator does not start; of all methods: it has ended.
     """
+
+    WHAT = "virtual board"
 
     def __init__(
         self, tools: VirtualTools, port: str | Path | None = None, *, heat_level: bool = False
@@ -112,21 +114,15 @@ class VirtualArduino(Board):
             raise
         _log.info("%s is a simulated board that runs %s", self.port, tools.image.name)
 
-    @property
-    def restarts(self) -> int:
-        """Number of restarts of the firmware."""
-        return self._ask("state").restarts
-
     def advance(self, seconds: float) -> PinDrive:
-        """Advance by this time."""
+        """Advance by this time, rounded to ms, and return the drive at the end."""
         if self._running:
-            raise ArduinoError(f"virtual board at {self.port}: it is running; pause() it before advance()")
+            raise self.error("it is running; pause() it before advance()")
         return self._drive(self._ask(f"step {round(seconds * 1000) * 1000}"))
 
     def run(self, speed: float = 1.0) -> None:
-        """Run by itself."""
-        if not speed > 0:
-            raise ArduinoError(f"virtual board at {self.port}: speed is {speed}; it must be positive")
+        """Run by itself, `speed` times as fast as the wall clock."""
+        self.check_speed(speed)
         self._ask(f"run {speed:.6f}")
         self._running = True
 
@@ -180,7 +176,7 @@ class VirtualArduino(Board):
                 self._process.stdin.write(line.encode() + b"\n")
                 self._process.stdin.flush()
             except (OSError, ValueError) as error:
-                raise ArduinoError(f"virtual board at {self.port}: its process has ended") from error
+                raise self.error("its process has ended") from error
             return self._hear()
 
     def _hear(self) -> _State:
@@ -189,11 +185,9 @@ class VirtualArduino(Board):
         if not words:
             self._remarks.seek(0)
             said = self._remarks.read().decode(errors="replace").strip()[-500:]
-            raise ArduinoError(f"virtual board at {self.port}: its process has ended: {said}")
+            raise self.error(f"its process has ended: {said}")
         if words[0] != b"state":
-            raise ArduinoError(
-                f"virtual board at {self.port}: it refused a command; rebuild it from this version's sources"
-            )
+            raise self.error("it refused a command; rebuild it from this version's sources")
         return _State(*map(int, words[1:]))
 
     def _drive(self, state: _State) -> PinDrive:
@@ -201,6 +195,10 @@ class VirtualArduino(Board):
         magnitude = PWM_LIMIT * state.high / state.top if enabled and state.top else 0.0
         cools = bool(state.direction) != self._heat_level and magnitude > 0
         return PinDrive(state.time_us / 1e6, -magnitude if cools else magnitude, enabled)
+
+
+Board = StandInArduino | VirtualArduino
+"""Either board."""
 
 
 class VirtualBoard(NamedTuple):

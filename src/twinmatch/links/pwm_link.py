@@ -103,30 +103,22 @@ WIRE_ERRORS = (OSError, termios.error)
 
 @dataclass(frozen=True, slots=True)
 class LinkSettings:
-    """Timeouts and retries of a link.
+    """Timeout and retries of a link.
 
     Raises:
-        PwmRangeError: a time is not positive, or `retries` is negative.
+        PwmRangeError: the timeout is not positive, or `retries` is negative.
     """
 
     timeout: float = setting(
         0.2, "Longest wait for an answer of the board, by the wall clock.", "s", 0.01, 2.0
     )  # with all retries it must stay below the board's deadline
     retries: int = setting(2, "Retries of an unanswered request.", "", 0, 10)
-    first_pause: float = 0.1
-    """Pause before the second attempt to reopen a lost port, s; doubled each time."""
-    longest_pause: float = 2.0
-    """Longest pause between two such attempts, s."""
 
     def __post_init__(self) -> None:
-        for name in ("timeout", "first_pause", "longest_pause"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0):
-                msg = f"PWM link: {name} is {value} s; it must be positive"
-                raise PwmRangeError(msg)
+        if not 0 < self.timeout < math.inf:
+            raise PwmRangeError(f"PWM link: timeout is {self.timeout} s; it must be positive")
         if self.retries < 0:
-            msg = f"PWM link: retries is {self.retries}; it must be 0 or more"
-            raise PwmRangeError(msg)
+            raise PwmRangeError(f"PWM link: retries is {self.retries}; it must be 0 or more")
 
 
 def open_port(port: str, timeout: float) -> serial.Serial:
@@ -142,20 +134,18 @@ def open_port(port: str, timeout: float) -> serial.Serial:
         wire = serial.Serial(port, BAUD_RATE, timeout=timeout, write_timeout=timeout, exclusive=True)
         wire.reset_input_buffer()
     except (*WIRE_ERRORS, ValueError) as error:
-        if _is_busy(error):
-            msg = f"PWM link: another program holds {port}; end it first"
-            raise PwmPortBusyError(msg) from error
+        busy = getattr(error, "errno", None) in (errno.EBUSY, errno.EAGAIN)
+        if busy or "exclusively lock" in str(error):
+            raise PwmPortBusyError(f"PWM link: another program holds {port}; end it first") from error
         msg = f"PWM link: {port} cannot be opened ({error}); check the cable and your access to the port"
         raise PwmPortMissingError(msg) from error
     return wire
 
 
-def _is_busy(error: Exception) -> bool:
-    return getattr(error, "errno", None) in (errno.EBUSY, errno.EAGAIN) or "exclusively lock" in str(error)
-
-
 _SHORT = 0.005
 """Wait for a reply of a board in step, s."""
+_FIRST_PAUSE, _LONGEST_PAUSE = 0.1, 2.0
+"""Pauses between attempts to reopen a lost port, s; each is twice the one before."""
 
 
 class Patience:
@@ -216,12 +206,10 @@ class PwmLink:
         self._cleared = False
 
     def __enter__(self) -> PwmLink:
-        """Open the port."""
         self.open()
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Set zero and close the port."""
         self.close()
 
     @property
@@ -253,30 +241,24 @@ class PwmLink:
             self.banner, self._known_restarts = banner, banner.restarts
             return banner
 
-    def reopen(
-        self,
-        patience: float = 10.0,
-        *,
-        clock: Callable[[], float] = time.monotonic,
-        sleep: Callable[[float], None] = time.sleep,
-    ) -> Banner:
+    def reopen(self, patience: float = 10.0) -> Banner:
         """Open the port again, with retries for `patience` seconds and growing pauses.
 
         Raises:
             PwmVersionError: at once, since waiting does not help.
             PwmLinkError: the error of the last attempt.
         """
-        start, pause = clock(), self.settings.first_pause
+        start, pause = time.monotonic(), _FIRST_PAUSE
         while True:
             try:
                 return self.open()
             except PwmVersionError:
                 raise
             except PwmLinkError:
-                if clock() - start + pause > patience:
+                if time.monotonic() - start + pause > patience:
                     raise
-            sleep(pause)
-            pause = min(2 * pause, self.settings.longest_pause)
+            time.sleep(pause)
+            pause = min(2 * pause, _LONGEST_PAUSE)
 
     def command(self, pwm: float) -> Applied:
         """Set the output to `pwm`, −255 to 255, rounded to a whole number; positive heats.
@@ -287,13 +269,13 @@ class PwmLink:
             PwmResetError: the board restarted since it was cleared.
             PwmLinkError: any other failure of the link; see `pwm_errors`.
         """
-        if not (math.isfinite(pwm) and abs(pwm) <= PWM_LIMIT):
+        if not abs(pwm) <= PWM_LIMIT:  # also if it is not a number
             msg = f"PWM link: the command is {pwm}; give a number from -{PWM_LIMIT:g} to {PWM_LIMIT:g}"
             raise PwmRangeError(msg)
         with self._lock:
             reply = self._ask(Verb.SET, round(pwm))
             latched = isinstance(reply, Refusal) and reply.code is Code.LATCHED
-            status = self._status(Verb.QUERY) if latched else self._expect_status(reply)
+            status = self._status(self._ask(Verb.QUERY) if latched else reply)
             if status.flags & Flags.TRIPPED:
                 self._tripped(status.flags)
             return _applied(status)
@@ -306,7 +288,7 @@ class PwmLink:
             PwmLinkError: any other failure of the link; see `pwm_errors`.
         """
         with self._lock:
-            status = self._status(Verb.QUERY)
+            status = self._status(self._ask(Verb.QUERY))
             self._notice_reset(status.flags)
             return _applied(status)
 
@@ -317,7 +299,7 @@ class PwmLink:
             PwmLinkError: the link failed; see `pwm_errors`.
         """
         with self._lock:
-            status = self._status(Verb.CLEAR)
+            status = self._status(self._ask(Verb.CLEAR))
             self._cleared = True
             return _applied(status)
 
@@ -340,10 +322,7 @@ class PwmLink:
             )
         return reply
 
-    def _status(self, verb: Verb) -> BoardStatus:
-        return self._expect_status(self._ask(verb))
-
-    def _expect_status(self, reply: Reply) -> BoardStatus:
+    def _status(self, reply: Reply) -> BoardStatus:
         if not isinstance(reply, BoardStatus):
             raise self._refused(reply)
         return reply

@@ -71,14 +71,9 @@ class FrameReader:
         """Take received bytes; return the payloads and damages they complete, in order."""
         found = []
         for byte in data:
-            event = self._take(byte)
-            if event is not None:
+            if (event := self._take(byte)) is not None:
                 found.append(event)
         return found
-
-    def reset(self) -> None:
-        """Discard an incomplete frame."""
-        self._line = None
 
     def _take(self, byte: int) -> bytes | Damage | None:
         if byte == ord(":"):
@@ -168,14 +163,13 @@ class Flags(IntFlag):
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """A request. `pwm`, −255 to 255, belongs to `Verb.SET` only."""
+    """A request, as text its payload. `pwm`, −255 to 255, belongs to `Verb.SET` only."""
 
     verb: Verb
     sequence: int
     pwm: int = 0
 
     def __str__(self) -> str:
-        """Its payload."""
         value = f" {self.pwm}" if self.verb is Verb.SET else ""
         return f"{self.verb.value} {self.sequence}{value}"
 
@@ -195,7 +189,6 @@ class Banner:
     """Starts since power-up, modulo 65536."""
 
     def __str__(self) -> str:
-        """Its payload."""
         return (
             f"B {self.sequence} {self.firmware} {self.protocol} {self.reset_flags} "
             f"{self.deadline_ms} {self.restarts}"
@@ -216,7 +209,6 @@ class BoardStatus:
     flags: Flags
 
     def __str__(self) -> str:
-        """Its payload."""
         return f"S {self.sequence} {self.time_ms} {self.applied} {self.adc} {int(self.flags)}"
 
 
@@ -228,7 +220,6 @@ class Refusal:
     code: Code
 
     def __str__(self) -> str:
-        """Its payload."""
         return f"E {'-' if self.sequence is None else self.sequence} {self.code.value}"
 
 
@@ -306,11 +297,6 @@ class Conversation:
         self.refused_line: Refusal | None = None
         """The board's report that it could not read the request, since this was last sent."""
 
-    @property
-    def outstanding(self) -> Request | None:
-        """The request without a reply yet."""
-        return self._request
-
     def ask(self, verb: Verb, pwm: int = 0) -> bytes:
         """Start a new request and abandon the outstanding one; returns the bytes to send."""
         self._request = Request(verb, self._next, pwm)
@@ -346,16 +332,10 @@ class Conversation:
             self.spoiled = True
         elif reply is not None and reply.sequence != self._request.sequence:
             self.stale += 1
-        elif reply is None or not _fits(reply, self._request.verb):
+        elif not isinstance(reply, (Refusal, Banner if self._request.verb is Verb.HELLO else BoardStatus)):
             self.damaged += 1
             self.spoiled = True
         else:
             self._request = None
             return reply
         return None
-
-
-def _fits(reply: Reply, verb: Verb) -> bool:
-    if isinstance(reply, Refusal):
-        return True
-    return isinstance(reply, Banner if verb is Verb.HELLO else BoardStatus)

@@ -7,6 +7,7 @@ and reconnects. `region` gives the temperatures of a rectangle of a frame.
 
 from __future__ import annotations
 
+import contextlib
 import math
 import socket
 import threading
@@ -56,16 +57,12 @@ class StampMapper:
 
     def map(self, stamp: int, received: int) -> int:
         """Time on our clock, ns, at which a frame stamped `stamp` and received at `received` was taken."""
+        if self._stretch_start is None or received - self._stretch_start >= self._memory:
+            self._stretch_start = received
+            self._previous, self._current = self._current, None
         difference = received - stamp
-        if self._stretch_start is None or self._current is None:
-            self._stretch_start, self._current = received, difference
-        elif received - self._stretch_start >= self._memory:
-            self._previous = self._current
-            self._stretch_start, self._current = received, difference
-        else:
-            self._current = min(self._current, difference)
-        offset = self._current if self._previous is None else min(self._current, self._previous)
-        return stamp + offset
+        self._current = difference if self._current is None else min(self._current, difference)
+        return stamp + min(self._current, self._current if self._previous is None else self._previous)
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +92,10 @@ class ClientSettings:
             raise ThermalLinkError(f"thermal client: {waits}")
 
 
-def back_off(failures: int, settings: ClientSettings = ClientSettings()) -> float:
+_DEFAULTS = ClientSettings()
+
+
+def back_off(failures: int, settings: ClientSettings = _DEFAULTS) -> float:
     """Time to wait after this many failures in a row (1, 2, …), s: doubling, capped, without jitter."""
     return float(min(settings.first_wait * 2.0 ** min(failures - 1, 60), settings.longest_wait))
 
@@ -251,7 +251,6 @@ def region(exposure: Exposure, roi: Region | None = None) -> RegionStatistics:
     )
 
 
-_DEFAULTS = ClientSettings()
 _RECEIVE_BUFFER = 32_768
 
 
@@ -284,9 +283,9 @@ class ThermalClient:
     def close(self, timeout: float = 3.0) -> None:
         """End the connection and the thread, waiting at most `timeout` seconds for it."""
         self._stopping.set()
-        connection = self._socket
-        if connection is not None:
-            _shut(connection)
+        if (connection := self._socket) is not None:
+            with contextlib.suppress(OSError):  # already closed, as intended
+                connection.shutdown(socket.SHUT_RDWR)
         with self._arrived:
             self._arrived.notify_all()
         if self._thread.is_alive():
@@ -437,10 +436,3 @@ class _Reader:
         if not piece:
             raise ThermalEndError(f"{self._name}: the server closed the connection")
         return piece
-
-
-def _shut(connection: socket.socket) -> None:
-    try:
-        connection.shutdown(socket.SHUT_RDWR)
-    except OSError:
-        return  # already closed, as intended

@@ -31,36 +31,6 @@ from typing import Any, NamedTuple
 from twinmatch.sessions.files import SessionError
 from twinmatch.signals import Sample, incomplete
 
-_PRIMITIVE = {"bool", "byte", "char", "string", "wstring", "float32", "float64"} | {
-    f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)
-}
-
-
-class MessageType(NamedTuple):
-    """A ROS message type as a session file describes it."""
-
-    name: str
-    """Full name, `package/msg/Type`."""
-    text: str
-    """Text of the `.msg` file."""
-    type_hash: str
-    """RIHS01 hash of the fields."""
-    parts: tuple[MessageType, ...] = ()
-    """Types of the nested fields, in breadth-first order."""
-
-    @property
-    def schema(self) -> str:
-        """The `ros2msg` schema: this text, then those of the nested types, each after its name."""
-        return _joined(self.text, ((part.name, part.text) for part in self.parts))
-
-
-def _joined(text: str, parts: Iterable[tuple[str, str]]) -> str:
-    blocks = [text]
-    for name, nested in parts:
-        package, _, short = name.split("/")
-        blocks.append(f"{'=' * 80}\nMSG: {package}/{short}\n{nested}")
-    return "\n".join(blocks)
-
 
 def fields_of(schema: str) -> list[str]:
     """The field lines of a schema's first type, without comments and extra spaces."""
@@ -69,44 +39,13 @@ def fields_of(schema: str) -> list[str]:
     return [line for line in lines if line]
 
 
-def _defined(name: str, type_hash: str, *parts: MessageType) -> MessageType:
-    text = (Path(__file__).with_name("definitions") / f"{name.rpartition('/')[2]}.msg").read_text("utf-8")
-    return MessageType(name, text, type_hash, parts)
-
-
-TIME = _defined(
-    "builtin_interfaces/msg/Time",
-    "RIHS01_b106235e25a4c5ed35098aa0a61a3ee9c9b18d197f398b0e4206cea9acf9c197",
-)
-HEADER = _defined(
-    "std_msgs/msg/Header",
-    "RIHS01_f49fb3ae2cf070f793645ff749683ac6b06203e41c891e17701b1cb597ce6a01",
-    TIME,
-)
-LOOP_SAMPLE = _defined(
-    "twinmatch_msgs/msg/LoopSample",
-    "RIHS01_29aed8c2ef7b66a60fb7166b3918f2b3b9606a5b297e5fd222d2c049b2df8cb0",
-    HEADER,
-    TIME,
-)
-TEMPERATURE = _defined(
-    "sensor_msgs/msg/Temperature",
-    "RIHS01_72514a14126ab9f8a9abec974c78e5610a367b59db5da355ff1fb982d5bad4b8",
-    HEADER,
-    TIME,
-)
-FLOAT64 = _defined(
-    "std_msgs/msg/Float64",
-    "RIHS01_705ba9c3d1a09df43737eb67095534de36fd426c0587779bda2bc51fe790182a",
-)
-
-SCALAR_SAMPLE = (
+SCALAR_SAMPLE = [
     "std_msgs/Header header",
     "uint64 index",
     "float64 reference",
     "float64 temperature",
     "float64 pwm",
-)
+]
 """Fields of the first definition of LoopSample; sessions recorded with it are converted when read."""
 
 
@@ -120,43 +59,48 @@ def schema_of(kind: str, environment: Mapping[str, str] = os.environ) -> str:
     Raises:
         SessionError: the type or a nested one is not installed, or `kind` is not such a name.
     """
-    texts = {kind: _text(kind, environment)}
+    prefixes = [*filter(None, environment.get("AMENT_PREFIX_PATH", "").split(":")), sys.prefix]
+
+    def text(part: str) -> str:
+        match = re.fullmatch(r"(\w+)/msg/(\w+)", part)
+        if match is None:
+            raise SessionError(f"session: {part!r} is not a message type; give package/msg/Type")
+        for prefix in prefixes:
+            path = Path(prefix) / "share" / match[1] / "msg" / f"{match[2]}.msg"
+            if path.is_file():
+                return path.read_text("utf-8")
+        looked = ", ".join(prefixes)
+        raise SessionError(f"session: the definition of {part} is not installed; looked in {looked}")
+
+    return _schema(kind, text)
+
+
+def _schema(kind: str, text: Callable[[str], str]) -> str:
+    """The definition, then those of the nested types in breadth-first order, each after its name."""
+    texts = {kind: text(kind)}
     todo = [kind]
     while todo:
         owner = todo.pop(0)
         for part in _parts(owner, texts[owner]):
             if part not in texts:
-                texts[part] = _text(part, environment)
+                texts[part] = text(part)
                 todo.append(part)
-    return _joined(texts.pop(kind), texts.items())
-
-
-def _text(kind: str, environment: Mapping[str, str]) -> str:
-    match = re.fullmatch(r"(\w+)/msg/(\w+)", kind)
-    if match is None:
-        raise SessionError(f"session: {kind!r} is not a message type; give package/msg/Type")
-    package, name = match.groups()
-    prefixes = [*filter(None, environment.get("AMENT_PREFIX_PATH", "").split(":")), sys.prefix]
-    for prefix in prefixes:
-        path = Path(prefix) / "share" / package / "msg" / f"{name}.msg"
-        if path.is_file():
-            return path.read_text("utf-8")
-    raise SessionError(f"session: the definition of {kind} is not installed; looked in {', '.join(prefixes)}")
+    blocks = [texts.pop(kind)]
+    for name, nested in texts.items():
+        package, _, short = name.split("/")
+        blocks.append(f"{'=' * 80}\nMSG: {package}/{short}\n{nested}")
+    return "\n".join(blocks)
 
 
 def _parts(owner: str, text: str) -> Iterator[str]:
-    for line in text.splitlines():
-        field = line.split("#", 1)[0].strip()
-        if not field or re.match(r"\S+\s+\w+\s*=", field):  # empty, or a constant
-            continue
+    for field in fields_of(text):
         kind = re.split(r"[\[<\s]", field)[0]
-        if kind in _PRIMITIVE:
-            continue
         package, *_, name = kind.split("/") if "/" in kind else (owner.split("/", 1)[0], kind)
-        yield f"{package}/msg/{name}"
+        if name[0].isupper():  # not a number or text, perhaps a constant
+            yield f"{package}/msg/{name}"
 
 
-FOREVER = {"sec": 9223372036, "nsec": 854775807}
+_FOREVER = {"sec": 9223372036, "nsec": 854775807}
 """An infinite duration in ROS 2."""
 
 
@@ -177,10 +121,10 @@ class Qos(NamedTuple):
             "depth": self.depth,
             "reliability": self.reliability,
             "durability": self.durability,
-            "deadline": dict(FOREVER),
-            "lifespan": dict(FOREVER),
+            "deadline": dict(_FOREVER),
+            "lifespan": dict(_FOREVER),
             "liveliness": "automatic",
-            "liveliness_lease_duration": dict(FOREVER),
+            "liveliness_lease_duration": dict(_FOREVER),
             "avoid_ros_namespace_conventions": False,
         }
 
@@ -199,11 +143,6 @@ class Topic(NamedTuple):
     qos: Qos = Qos()
     """Profile offered by the publisher."""
 
-    @classmethod
-    def of(cls, name: str, message: MessageType, qos: Qos) -> Topic:
-        """A topic of one of the types in `definitions`."""
-        return cls(name, message.name, message.schema, message.type_hash, qos)
-
 
 class Message(NamedTuple):
     """A stored message: serialised, with the two times of MCAP."""
@@ -217,10 +156,32 @@ class Message(NamedTuple):
     """The CDR bytes, including the encapsulation header."""
 
 
-SAMPLE = Topic.of("/plant/sample", LOOP_SAMPLE, Qos("reliable", "volatile", 100))
-TEMPERATURE_READING = Topic.of("/plant/temperature", TEMPERATURE, Qos("best_effort", "volatile", 5))
+def _defined(name: str, kind: str, type_hash: str, qos: Qos) -> Topic:
+    """A topic of one of the types in `definitions`."""
+    folder = Path(__file__).with_name("definitions")
+    schema = _schema(kind, lambda part: (folder / f"{part.rpartition('/')[2]}.msg").read_text("utf-8"))
+    return Topic(name, kind, schema, type_hash, qos)
+
+
+SAMPLE = _defined(
+    "/plant/sample",
+    "twinmatch_msgs/msg/LoopSample",
+    "RIHS01_29aed8c2ef7b66a60fb7166b3918f2b3b9606a5b297e5fd222d2c049b2df8cb0",
+    Qos("reliable", "volatile", 100),
+)
+TEMPERATURE_READING = _defined(
+    "/plant/temperature",
+    "sensor_msgs/msg/Temperature",
+    "RIHS01_72514a14126ab9f8a9abec974c78e5610a367b59db5da355ff1fb982d5bad4b8",
+    Qos("best_effort", "volatile", 5),
+)
 # The reference is published when it changes, so it is latched for late subscribers.
-REFERENCE = Topic.of("/plant/reference", FLOAT64, Qos("reliable", "transient_local", 1))
+REFERENCE = _defined(
+    "/plant/reference",
+    "std_msgs/msg/Float64",
+    "RIHS01_705ba9c3d1a09df43737eb67095534de36fd426c0587779bda2bc51fe790182a",
+    Qos("reliable", "transient_local", 1),
+)
 
 PLANT_TOPICS = (SAMPLE, TEMPERATURE_READING, REFERENCE)
 """Topics that follow from the samples alone; the *applied* PWM does not."""
@@ -267,8 +228,8 @@ def plant_messages(samples: Iterable[Sample], topics: Collection[Topic] = PLANT_
 @lru_cache(maxsize=64)
 def current_topic(topic: Topic) -> Topic:
     """The topic with the current definition of its messages; unchanged if it is current or unknown."""
-    if topic.type == LOOP_SAMPLE.name and fields_of(topic.schema) == list(SCALAR_SAMPLE):
-        return Topic.of(topic.name, LOOP_SAMPLE, topic.qos)
+    if topic.type == SAMPLE.type and fields_of(topic.schema) == SCALAR_SAMPLE:
+        return SAMPLE._replace(name=topic.name, qos=topic.qos)
     return topic
 
 
@@ -351,11 +312,6 @@ def _arrays(lengths: tuple[int, ...]) -> str:
     return fields
 
 
-@lru_cache(maxsize=16)
-def _reader(order: str, lengths: tuple[int, ...]) -> struct.Struct:
-    return struct.Struct(order + _arrays(lengths))
-
-
 def encode_temperature(stamp: int, temperature: float, variance: float = 0.0, frame: str = FRAME) -> bytes:
     """Encode a `sensor_msgs/msg/Temperature`, °C and °C²; a variance of 0 means unknown.
 
@@ -385,7 +341,7 @@ def decode_sample(data: bytes) -> Sample:
         seconds, nanoseconds, length = _HEADER[order].unpack_from(data, 4)
         at = 4 + (12 + length + 7) // 8 * 8
         lengths = _lengths(order, data, at + 8)
-        index, *_ = values = _reader(order, lengths).unpack_from(data, at)
+        index, *_ = values = struct.unpack_from(order + _arrays(lengths), data, at)
     except struct.error:
         msg = f"session: a LoopSample of {len(data)} bytes is too short for its fields"
         raise SessionError(msg) from None

@@ -20,7 +20,7 @@ from typing import Final
 
 from twinmatch.sessions.files import ProgressCallback, SessionError, part_of
 from twinmatch.sessions.messages import (
-    LOOP_SAMPLE,
+    SAMPLE,
     Message,
     Topic,
     current,
@@ -30,7 +30,7 @@ from twinmatch.sessions.messages import (
 )
 from twinmatch.sessions.metadata import CONTINUES, METADATA, files_listed, has_reference, mcap_files, plant_of
 from twinmatch.sessions.resampling import rounded_period
-from twinmatch.sessions.scan import Scan
+from twinmatch.sessions.scan import Scan, messages_of
 from twinmatch.signals import Sample, Window
 
 SUFFIX = "plant/sample"
@@ -244,7 +244,7 @@ def _read(path: Path, topic: str | None, progress: ProgressCallback | None) -> S
         name = message.topic.name
         counts[name] += 1
         start, end = min(start, message.log_time), max(end, message.log_time)
-        if message.topic.type == LOOP_SAMPLE.name:
+        if message.topic.type == SAMPLE.type:
             raw.setdefault(name, []).append(message)
     topics = list({known.name: known for scan in scans for known in scan.topics}.values())
     name = path.resolve().name if path.is_dir() else re.sub(r"_\d+$", "", path.stem)
@@ -264,7 +264,7 @@ def _read(path: Path, topic: str | None, progress: ProgressCallback | None) -> S
         start=start,
         end=end,
         notes=[*notes, *(_extent(fault, samples) for fault in faults), *_gaps(samples), *_clock(samples)],
-        source=lambda: map(current, chain.from_iterable(Scan(file) for file in files)),
+        source=lambda: map(current, messages_of(files)),
         records=records,
         plant=plant_of(records),
         has_reference=has_reference(records),
@@ -273,13 +273,9 @@ def _read(path: Path, topic: str | None, progress: ProgressCallback | None) -> S
 
 def _reported(scans: Sequence[Scan], progress: ProgressCallback | None) -> Iterator[Message]:
     """The messages of all files, with calls of `progress` in between."""
-    if progress is None:
-        yield from chain.from_iterable(scans)
-        return
-    total = sum(scan.path.stat().st_size for scan in scans if scan.path.is_file())
     for number, message in enumerate(chain.from_iterable(scans), 1):
-        if number % MESSAGES_BETWEEN == 0:
-            progress(sum(scan.read for scan in scans), total)
+        if progress is not None and number % MESSAGES_BETWEEN == 0:
+            progress(sum(scan.read for scan in scans), sum(scan.path.stat().st_size for scan in scans))
         yield message
 
 
@@ -299,17 +295,17 @@ def _files(path: Path) -> tuple[list[Path], list[str]]:
 
 
 def _plant_topic(topics: list[Topic], wanted: str | None, place: str) -> Topic:
-    plants = [topic for topic in topics if topic.type == LOOP_SAMPLE.name]
+    plants = [topic for topic in topics if topic.type == SAMPLE.type]
     if wanted is None:
         plants = [topic for topic in plants if topic.name.endswith(SUFFIX)]
     else:
         plants = [topic for topic in plants if topic.name == wanted]
     if not plants:
         asked = f"topic {wanted}" if wanted else f"topic ending in {SUFFIX}"
-        raise SessionError(f"{place}: has no {asked} of type {LOOP_SAMPLE.name}; it has {_names(topics)}")
+        raise SessionError(f"{place}: has no {asked} of type {SAMPLE.type}; it has {_names(topics)}")
     if len(plants) > 1:
         raise SessionError(f"{place}: has samples of several rigs ({_names(plants)}); give the topic to use")
-    if fields_of(current_topic(plants[0]).schema) != fields_of(LOOP_SAMPLE.schema):
+    if fields_of(current_topic(plants[0]).schema) != fields_of(SAMPLE.schema):
         raise SessionError(
             f"{place}: {plants[0].name} was recorded with another definition of LoopSample; "
             "read it with the version that recorded it"

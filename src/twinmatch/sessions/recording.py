@@ -16,15 +16,15 @@ import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from itertools import chain, zip_longest
+from itertools import zip_longest
 from pathlib import Path
 from typing import NamedTuple
 
 from twinmatch.sessions.files import ProgressCallback, SessionError
-from twinmatch.sessions.messages import SAMPLE, Message, Topic, plant_messages, topics_of
+from twinmatch.sessions.messages import SAMPLE, Topic, plant_messages, topics_of
 from twinmatch.sessions.metadata import METADATA, distro_of, files_listed, mcap_files
 from twinmatch.sessions.reader import check_samples, gaps_of
-from twinmatch.sessions.scan import Scan
+from twinmatch.sessions.scan import Scan, messages_of
 from twinmatch.sessions.writer import SessionWriter, sync_folder
 from twinmatch.settings import setting
 from twinmatch.signals import Sample, Window
@@ -376,7 +376,7 @@ def _rewrite(copy: Path, files: list[Path], ros_distro: str) -> None:
 def _compare(copy: Path, files: list[Path]) -> None:
     """Check that the copy is complete and has the messages of the original."""
     written = _files(copy)
-    for new, old in zip_longest(_messages(written), _messages(files)):
+    for new, old in zip_longest(messages_of(written), messages_of(files)):
         if new is None or old is None or new[1:] != old[1:] or new.topic.name != old.topic.name:
             msg = f"session {copy.name}: the repaired copy differs from the original; nothing was changed"
             raise SessionError(msg)
@@ -384,7 +384,3 @@ def _compare(copy: Path, files: list[Path]) -> None:
     if faults:
         msg = f"session {copy.name}: the repaired copy has faults ({'; '.join(faults)}); nothing was changed"
         raise SessionError(msg)
-
-
-def _messages(files: list[Path]) -> Iterator[Message]:
-    return chain.from_iterable(Scan(file) for file in files)

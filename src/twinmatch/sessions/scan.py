@@ -11,8 +11,9 @@ from __future__ import annotations
 import contextlib
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from io import BytesIO
+from itertools import chain
 from pathlib import Path
 from typing import BinaryIO, TypeVar
 
@@ -79,20 +80,14 @@ class Scan:
         """
         try:
             with open_regular(self.path) as file:
-                self._check_beginning(file)
-                try:
-                    yield from self._messages(file)
-                except _FaultError as fault:
-                    self.fault = str(fault)
+                if (beginning := file.read(len(MAGIC))) != MAGIC:
+                    what = "is not a session: it does not begin like an MCAP file"
+                    raise SessionError(f"session {self.path}: {what if beginning else 'the file is empty'}")
+                yield from self._messages(file)
+        except _FaultError as fault:
+            self.fault = str(fault)
         except OSError as error:
             raise SessionError(f"session {self.path}: cannot be read ({error.strerror})") from error
-
-    def _check_beginning(self, file: BinaryIO) -> None:
-        beginning = file.read(len(MAGIC))
-        if not beginning:
-            raise SessionError(f"session {self.path}: the file is empty")
-        if beginning != MAGIC:
-            raise SessionError(f"session {self.path}: is not a session: it does not begin like an MCAP file")
 
     def _messages(self, file: BinaryIO) -> Iterator[Message]:
         try:
@@ -100,7 +95,7 @@ class Scan:
             for opcode, body in records:
                 self.read += _RECORD.size + len(body)
                 if opcode == Opcode.CHUNK:
-                    yield from self._chunk(unpacked(_parsed(Chunk, body)))
+                    yield from self._chunk(_unpacked(_parsed(Chunk, body)))
                 elif opcode == Opcode.DATA_END:
                     self._check_end(records, file)
                     return
@@ -175,6 +170,11 @@ class Scan:
         self.topics.append(topic)
 
 
+def messages_of(files: Iterable[Path]) -> Iterator[Message]:
+    """The messages of several files, one after the other."""
+    return chain.from_iterable(map(Scan, files))
+
+
 def _records(file: BinaryIO, begin: int, end: int) -> Iterator[tuple[int, bytes]]:
     """Opcode and body of the records between two byte positions."""
     at = begin
@@ -201,12 +201,8 @@ def _parsed(kind: type[_Record], body: bytes) -> _Record:
     return record
 
 
-def unpacked(chunk: Chunk) -> bytes:
-    """The records in a chunk, checked against its stated size and CRC.
-
-    Raises:
-        _FaultError: it is compressed in an unknown way, unpacks to another size, or is too large.
-    """
+def _unpacked(chunk: Chunk) -> bytes:
+    """The records in a chunk, checked against its stated size and CRC."""
     size = chunk.uncompressed_size
     if size > _MOST_UNPACKED:
         raise _FaultError(f"a chunk of {size} bytes is longer than the limit of {_MOST_UNPACKED}")

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -21,22 +22,6 @@ from twinmatch.showing.quantities import number
 from twinmatch.signals import Sample, Window, unbroken
 from twinmatch.twin import MatchReport, TwinSettings, response_on
 from twinmatch.twin.matcher import one_thread
-
-__all__ = [
-    "CRITERIA",
-    "OUTPUTS",
-    "Criterion",
-    "CriterionFigure",
-    "CriterionRow",
-    "Interval",
-    "Member",
-    "computed",
-    "criterion_rows",
-    "family",
-    "interval",
-    "outputs_of",
-    "value_of",
-]
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,18 +63,14 @@ class Member:
     def simulated(self, order: str) -> Window:
         """The measured window as simulated by the model of this order: B/F alone, as for the gain."""
         model = next(m for m in self.models if m.order == order)
-        measured = self.measured
-        level = operating_level(measured, driven=model.u is None, lead=model.lead)
+        of_y, of_u, measured = model.y, model.u, self.measured
+        level = operating_level(measured, driven=of_u is None, lead=model.lead)
         r, y, u = deviations(measured, level)
-        return Window(
-            measured.reference,
-            model.y.simulate(u if model.u is None else r, outputs=y[: len(model.y.F)]) + level.output,
-            measured.input
-            if model.u is None
-            else model.u.simulate(ahead(r), outputs=u[: len(model.u.F)]) + level.input,
-            first=measured.first,
-            period=measured.period,
-        )
+        output = of_y.simulate(u if of_u is None else r, outputs=y[: len(of_y.F)]) + level.output
+        entry = measured.input
+        if of_u is not None:
+            entry = of_u.simulate(ahead(r), outputs=u[: len(of_u.F)]) + level.input
+        return Window(measured.reference, output, entry, first=measured.first, period=measured.period)
 
 
 def family(
@@ -105,18 +86,14 @@ def family(
     if verdict is None:
         return ()
     members = []
+    # A candidate from a file has an empty window and no match.
+    accepted = {m.match.samples: m.match for m in reversed(matches) if m.match.accepted}
     for score in verdict.modelled:
-        match = _match_of(score, matches)
         window = _window_of(score, matches, samples, settings.period)
         if window is not None:
+            match = accepted.get((score.first, score.last))
             members.append(Member(score, score.name == verdict.nominal, match, window, settings))
     return tuple(members)
-
-
-def _match_of(score: CandidateScore, matches: Sequence[MatchReport]) -> Match | None:
-    """The accepted match of exactly this window; a candidate from a file has an empty window and no match."""
-    wanted = (score.first, score.last)
-    return next((m.match for m in matches if m.match.accepted and m.match.samples == wanted), None)
 
 
 def _window_of(
@@ -126,12 +103,10 @@ def _window_of(
     if last < first:  # from a file, so judged on the first window that excited the loop
         last = next((m.match.samples[1] for m in matches if m.match.samples[0] == first), last)
     held = [s for s in samples if first <= s.index <= last]
-    if len(held) != last - first + 1 or len(unbroken(held)) != 1:
-        return None
-    try:
-        return Window.from_samples(held, period)
-    except TwinmatchError:
-        return None
+    if len(held) == last - first + 1 and len(unbroken(held)) == 1:
+        with suppress(TwinmatchError):
+            return Window.from_samples(held, period)
+    return None
 
 
 _NORMAL = 1.959964
@@ -159,13 +134,12 @@ def interval(match: Match, name: str) -> Interval:
     """The interval of a free parameter; NaN for one that was not fitted."""
     if name not in match.free:
         return Interval(math.nan, math.nan, math.nan, profile=False)
-    place = match.free.index(name)
+    place, value = match.free.index(name), value_of(match, name)
     error = float(match.standard_errors[place])
     if len(match.intervals) > place:
-        low, high = (float(v) for v in match.intervals[place])
+        low, high = map(float, match.intervals[place])
         if not (math.isnan(low) or math.isnan(high)):
             return Interval(low, high, error, profile=True)
-    value = value_of(match, name)
     return Interval(value - _NORMAL * error, value + _NORMAL * error, error, profile=False)
 
 
@@ -185,10 +159,6 @@ class Criterion(NamedTuple):
     decimals: int
     larger_is_better: bool | None
     """None: the column is not a criterion, so no value in it is best."""
-
-    def text(self, value: float) -> str:
-        """The value as shown in the table, without unit."""
-        return number(value, self.decimals)
 
 
 CRITERIA: tuple[Criterion, ...] = (
@@ -220,11 +190,10 @@ def outputs_of(orders: Sequence[OrderScore]) -> tuple[tuple[str, str], ...]:
 
 
 class CriterionFigure(NamedTuple):
-    """One figure of the table."""
+    """One figure of the table, and whether the order is its candidate's best by it, on this output."""
 
     text: str
     best: bool
-    """Whether this order is the best of its candidate by this criterion, on this output."""
 
 
 class CriterionRow(NamedTuple):
@@ -242,36 +211,36 @@ def criterion_rows(
     candidate: CandidateScore, criteria: Sequence[Criterion] = CRITERIA
 ) -> tuple[CriterionRow, ...]:
     """The table of one candidate: a row per order, for y, for u and for both; for y alone in open loop."""
+    orders, chosen = candidate.orders, candidate.chosen_order
     return tuple(
         CriterionRow(
-            output=output,
-            order=order.order,
-            chosen=order.order == candidate.chosen_order,
-            cells=tuple(_figure(candidate.orders, order, output, criterion) for criterion in criteria),
+            *(output, o.order, o.order == chosen), tuple(_figure(orders, o, output, c) for c in criteria)
         )
-        for output, _ in outputs_of(candidate.orders)
-        for order in candidate.orders
+        for output, _ in outputs_of(orders)
+        for o in orders
     )
+
+
+def chosen_score(candidate: CandidateScore) -> OrderScore | None:
+    """The scores of the order chosen for a candidate; None for a structure, which has no such models."""
+    return next((o for o in candidate.orders if o.order == candidate.chosen_order), None)
 
 
 def computed(candidates: Sequence[CandidateScore]) -> tuple[Criterion, ...]:
     """The criteria that have a value for at least one candidate."""
-    return tuple(
-        c
-        for c in CRITERIA
-        if any(not math.isnan(_value(o, "total", c)) for candidate in candidates for o in candidate.orders)
-    )
+    orders = [order for candidate in candidates for order in candidate.orders]
+    return tuple(c for c in CRITERIA if any(not math.isnan(_value(o, "total", c)) for o in orders))
 
 
 def _figure(
     orders: Sequence[OrderScore], order: OrderScore, output: str, criterion: Criterion
 ) -> CriterionFigure:
     value = _value(order, output, criterion)
+    text = number(value, criterion.decimals)
     if criterion.larger_is_better is None or math.isnan(value):
-        return CriterionFigure(criterion.text(value), best=False)
+        return CriterionFigure(text, best=False)
     pick = max if criterion.larger_is_better else min
-    best = pick(_value(o, output, criterion) for o in orders)
-    return CriterionFigure(criterion.text(value), best=value == best)
+    return CriterionFigure(text, best=value == pick(_value(o, output, criterion) for o in orders))
 
 
 def _value(order: OrderScore, output: str, criterion: Criterion) -> float:

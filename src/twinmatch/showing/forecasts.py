@@ -25,17 +25,6 @@ from twinmatch.showing.series import Fan, root_mean_square
 from twinmatch.signals import FloatArray
 from twinmatch.twin import TwinSettings
 
-__all__ = [
-    "asked",
-    "backtest_tables",
-    "backtest_words",
-    "card_columns",
-    "comparison_words",
-    "forecast_document",
-    "forecast_words",
-    "levels_words",
-]
-
 if TYPE_CHECKING:
     from rich.table import Table
 
@@ -131,7 +120,7 @@ def _arrival(part: Forecast, plant: type[Plant], *, only: bool) -> str:
     """When the output reaches one set-point, and whether it stays there."""
     unit, level = plant.output.unit, float(part.reference[0])
     near = NEAR * plant.output.noise
-    goal = f"within {_with(f'{near:g}', unit)} of {_with(f'{level:g}', unit)}"
+    goal = f"within {f'{near:g} {unit}'.rstrip()} of {f'{level:g} {unit}'.rstrip()}"
     if not only:
         goal += f" (set-point from {part.time[0]:g} to {part.time[-1]:g} s)"
     reached, held = time_to_reach(part, level, near), settling_time(part, level, near)
@@ -180,22 +169,17 @@ def _range(moment: Moment) -> str:
     return f" ({first} to {moment.latest:g})" if moment.latest is not None else f" ({first} or later)"
 
 
-def _with(text: str, unit: str) -> str:
-    return f"{text} {unit}".rstrip()
-
-
 def card_columns(plant: type[Plant], *, driven: bool = False) -> list[tuple[str, Callable[[Card], str]]]:
     """Name and text of one forecaster's figures, those of inputs left out if they were given (`driven`).
 
     Ends and widths are in the plant's units, the others in units of its noise.
     """
     w, y, u = signal_names(plant), plant.output, plant.drive
+    called = (f" {w.output_unit or w.output}", f" {w.input_unit or w.input}")
+    in_unit = [f" /{unit}" for unit in called]
     if w.output_unit == w.input_unit:
         called = (f" {w.output}", f" {w.input}")
-        in_unit = tuple(with_unit(name, w.output_unit) for name in called)
-    else:
-        called = (f" {w.output_unit or w.output}", f" {w.input_unit or w.input}")
-        in_unit = tuple(f" /{unit}" for unit in called)
+        in_unit = [with_unit(name, w.output_unit) for name in called]
     columns: list[tuple[str, Callable[[Card], str]]] = [
         ("who", lambda c: c.who),
         ("error", lambda c: number(c.median)),
@@ -239,17 +223,15 @@ def backtest_words(backtest: Backtest) -> list[str]:
     w, noise = signal_names(backtest.plant), backtest.plant.output.noise
     found = []
     for horizon, cards in backtest.at_horizons.items():
-        held = {card.who: card for card in cards}
-        if LEADER not in held:
+        own = next((card for card in cards if card.who == LEADER), None)
+        if own is None:
             continue
-        own = held[LEADER]
         text = (
             f"{horizon:g} s ahead, the leader's {w.output} was off by less than "
-            f"{number(own.end_output * noise, backtest.plant.output.decimals + 1)} {w.output_unit}".rstrip()
-            + f" half of the time, and its band held {100 * own.coverage_output:.0f} % of the readings"
-            f" ({100 * backtest.confidence:.0f} % expected)"
+            f"{w.y(own.end_output * noise, finer=1)} half of the time, and its band held "
+            f"{100 * own.coverage_output:.0f} % of the readings ({100 * backtest.confidence:.0f} % expected)"
         )
-        peers = [card for who, card in held.items() if who not in TWINS]
+        peers = [card for card in cards if card.who not in TWINS]
         if peers:
             best = min(peers, key=lambda card: card.median)
             text += f"; {best.who}, the best of the peers, {_compared(best.median, own.median)}"

@@ -10,18 +10,6 @@ from typing import Final, NamedTuple
 from twinmatch.dynamics import Parameter, Plant, State
 from twinmatch.signals import KELVIN
 
-__all__ = [
-    "ParameterFormat",
-    "SignalNames",
-    "in_order",
-    "number",
-    "parameter_format",
-    "percent",
-    "signal_names",
-    "span_text",
-    "with_unit",
-]
-
 _TAKE_PREFIXES: Final = frozenset({"V", "A", "W", "J", "N", "Ω", "m", "s", "F", "H", "Pa", "Hz", "rad"})
 
 
@@ -106,11 +94,10 @@ def number(value: float | None, decimals: int = 2, *, plus: bool = False) -> str
     return text.replace("-", "−")
 
 
-def span_text(low: float, high: float, decimals: int = 3) -> str:
+def span_text(low: float, high: float, decimals: int = 3, to: str = " to ") -> str:
     """An interval; a dash where an end is not known."""
-    if math.isnan(low) or math.isnan(high):
-        return number(None)
-    return f"{number(low, decimals)} to {number(high, decimals)}"
+    known = not (math.isnan(low) or math.isnan(high))
+    return f"{number(low, decimals)}{to}{number(high, decimals)}" if known else number(None)
 
 
 def percent(share: float, decimals: int = 1) -> str:

@@ -13,8 +13,6 @@ from twinmatch.forecasting import Band, Forecast
 from twinmatch.signals import FloatArray, Sample, Window, unbroken
 from twinmatch.twin import response_on
 
-__all__ = ["Comparison", "Fan", "compare", "fan", "rolling_rms", "root_mean_square"]
-
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
@@ -34,21 +32,17 @@ class Comparison:
     @property
     def closed_residual_y(self) -> FloatArray:
         """Measured minus closed-loop-twin output; empty without one."""
-        if self.closed is None:
-            return np.empty(0)
-        return np.asarray(self.window.output[SKIPPED:] - self.closed.output)
+        return np.empty(0) if self.closed is None else self.window.output[SKIPPED:] - self.closed.output
 
     @property
     def closed_residual_u(self) -> FloatArray:
         """Measured minus closed-loop-twin input; empty without one."""
-        if self.closed is None:
-            return np.empty(0)
-        return np.asarray(self.window.input[SKIPPED:] - self.closed.input)
+        return np.empty(0) if self.closed is None else self.window.input[SKIPPED:] - self.closed.input
 
     @property
     def driven_residual_y(self) -> FloatArray:
         """Measured minus driven-twin output."""
-        return np.asarray(self.window.output[SKIPPED:] - self.driven)
+        return self.window.output[SKIPPED:] - self.driven
 
 
 def compare(
@@ -67,16 +61,10 @@ def compare(
         if gains is None:
             found.append(Comparison(window, None, response_on(parameters, window, None).output))
             continue
-        disturbances = window.disturbances[SKIPPED:]
-        driven = simulate_driven(
-            parameters,
-            window.input[SKIPPED:],
-            states=begin_window(parameters, window),
-            period=window.period,
-            disturbances=disturbances,
-        )
-        closed = response_on(parameters, window, gains)
-        found.append(Comparison(window, closed, driven.output))
+        states, measured = begin_window(parameters, window), window.disturbances[SKIPPED:]
+        inputs, step = window.input[SKIPPED:], window.period
+        driven = simulate_driven(parameters, inputs, states=states, period=step, disturbances=measured)
+        found.append(Comparison(window, response_on(parameters, window, gains), driven.output))
     return tuple(found)
 
 
@@ -117,8 +105,9 @@ class Fan:
     @property
     def error(self) -> FloatArray:
         """Measured output minus the mean of the forecast, shape (judged,)."""
-        mean = self.forecast.output.mean[: self.judged]
-        return np.asarray((self.measured.output if self.measured is not None else mean) - mean)
+        if self.measured is None:
+            return np.empty(0)
+        return self.measured.output - self.forecast.output.mean[: self.judged]
 
     @property
     def in_band(self) -> tuple[FloatArray, FloatArray]:
@@ -136,12 +125,7 @@ def fan(forecast: Forecast, samples: Sequence[Sample], period: float) -> Fan:
     """A forecast with the samples of its session around it.
 
     Measurements are compared with it up to the first sample that is missing, or whose set-point (or input)
-    differs from the one the forecast was made for.
-
-    Args:
-        forecast: made at one of the samples.
-        samples: the session's, in order.
-        period: s.
+    differs from the one the forecast was made for. `period` is in s.
     """
     size, now = forecast.time.size, forecast.sample
     before = max(round(_BEFORE * size), 1)

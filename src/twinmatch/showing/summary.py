@@ -12,8 +12,6 @@ from twinmatch.record import document_of, finite, parameters_document
 from twinmatch.showing.quantities import parameter_format, percent, signal_names
 from twinmatch.twin import MatchReport
 
-__all__ = ["UNEXPLAINED", "closing_lines", "document", "sentence"]
-
 _POOR: Final = 0.5
 """A fit over the whole session below this needs an explanation beside forecasts that hold."""
 UNEXPLAINED = "unexplained"
@@ -28,11 +26,9 @@ def sentence(summary: SessionSummary) -> str:
         if summary.refusal:
             last = f"{summary.refusal[0].upper()}{summary.refusal[1:].rstrip('.')}."
             return f"No nominal twin: {summary.verdicts} verdicts, but no valid match. {last}"
-        needed = (
-            "The loop needs set-point steps far above the noise, some minutes apart."
-            if summary.closed
-            else "The input has to move far above its noise, for some minutes in total."
-        )
+        needed = "The loop needs set-point steps far above the noise, some minutes apart."
+        if not summary.closed:
+            needed = "The input has to move far above its noise, for some minutes in total."
         return f"No nominal twin: {summary.verdicts} verdicts, but no valid match. {needed}"
     parts = [_who(summary)]
     if math.isfinite(summary.fit_y):
@@ -48,9 +44,8 @@ def _who(summary: SessionSummary) -> str:
     """The leader, or the nominal candidate without one."""
     if summary.leader is None:
         return f"Nominal: {_match(summary, str(summary.nominal))}{_order(summary, '; ')}"
-    shown = ShownTwin(summary.leader, summary.parameters) if summary.parameters else None
-    known = shown is None or shown.is_structure
-    name = summary.leader if known else _match(summary, summary.leader)
+    matched = summary.parameters and not ShownTwin(summary.leader, summary.parameters).is_structure
+    name = _match(summary, summary.leader) if matched else summary.leader
     if summary.leader == summary.nominal:
         return f"Leader and nominal: {name}{_order(summary, '; ')}"
     return f"Leader: {name}"
@@ -78,11 +73,10 @@ def _order(summary: SessionSummary, before: str) -> str:
 
 def _trust(summary: SessionSummary) -> str:
     held = f"between {summary.range}" if summary.range else ""
+    before = f" (it held {held})" if held else ""
     if summary.level is TrustLevel.FAULT:
-        before = f" (it held {held})" if held else ""
         return f"do not trust it now: {_trouble(summary)}{before}"
     if summary.level is TrustLevel.DOUBTFUL:
-        before = f" (it held {held})" if held else ""
         return f"doubtful now: {summary.beaten or 'measurements lie outside the bands'}{before}"
     if not held:
         return "how far to trust it is not known yet"
@@ -100,14 +94,14 @@ def closing_lines(summary: SessionSummary, verdict: Verdict | None) -> list[str]
     `verdict` is the last one.
     """
     lines = [f"Note: {note}" for note in summary.notes]
-    if verdict is not None and verdict.leader is not None:
-        lines.append(
-            "The leader is the twin to ask what comes next, the nominal one the centre of the family."
-        )
-    if verdict is not None and verdict.certainty:
-        lines.append(f"Certainty: {verdict.certainty}.")
-    if verdict is not None and verdict.structure:
-        lines.append(f"Structure: the samples justify {verdict.structure}{_plant(verdict)}.")
+    if verdict is not None:
+        if verdict.leader is not None:
+            text = "The leader is the twin to ask what comes next, the nominal one the centre of the family."
+            lines.append(text)
+        if verdict.certainty:
+            lines.append(f"Certainty: {verdict.certainty}.")
+        if verdict.structure:
+            lines.append(f"Structure: the samples justify {verdict.structure}{_plant(verdict)}.")
     return [*lines, sentence(summary)]
 
 

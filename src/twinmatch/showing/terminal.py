@@ -20,9 +20,9 @@ from rich.text import Text
 from twinmatch.comparing import CandidateScore, TrustLevel, Verdict
 from twinmatch.dynamics import Plant
 from twinmatch.offline.summary import nominal_score
-from twinmatch.showing.family import CRITERIA
+from twinmatch.showing.family import CRITERIA, chosen_score
 from twinmatch.showing.lines import STYLES, Lines, redraws
-from twinmatch.showing.quantities import number, parameter_format
+from twinmatch.showing.quantities import number, parameter_format, span_text
 from twinmatch.showing.verdicts import Event, EventKind, events_since, leader_words, level_words, missed
 from twinmatch.twin import MatchReport
 
@@ -56,10 +56,7 @@ class Screen:
 
     def __init__(self, console: Console, title: str, period: float = 1.0, total: int | None = None) -> None:
         """Show a run of `total` samples (None: not known), `period` seconds apart."""
-        self._console = console
-        self._title = title
-        self._period = period
-        self._total = total
+        self._console, self._title, self._period, self._total = console, title, period, total
         self._done = self._part = 0
         self._matches: list[MatchReport] = []
         self._verdict: Verdict | None = None
@@ -198,7 +195,7 @@ def _headline(verdict: Verdict | None, period: float) -> RenderableType:
 def _event_line(event: Event, period: float) -> RenderableType:
     mark, style = _MARKS[event.kind]
     if event.kind is EventKind.LEVEL:
-        style = next((s for level, s in STYLES.items() if level.value == event.title), style)
+        style = STYLES[TrustLevel(event.title)]
     why = f": {event.why}" if event.why else ""
     grid = Table.grid(padding=(0, 1, 0, 0))
     when = f"{number((event.sample or 0) * period, 0):>6} s"
@@ -263,10 +260,6 @@ def _family_columns(verdict: Verdict) -> tuple[FamilyColumn, ...]:
         marks = ("▶" if c.name == verdict.leader else " ") + ("○" if c.name == verdict.nominal else " ")
         return f"{marks} {c.name}"
 
-    def sum_interval(c: CandidateScore, _: Sequence[str]) -> str:
-        low, high = number(c.nu_gap_sum_low), number(c.nu_gap_sum_high)
-        return low if low == high == number(None) else f"{low}…{high}"
-
     first = FamilyColumn("candidate", 0, candidate)
     if not verdict.modelled:
         return (first,)
@@ -290,7 +283,9 @@ def _family_columns(verdict: Verdict) -> tuple[FamilyColumn, ...]:
             )
         ),
         FamilyColumn("ν-gap\nsum", 2, lambda c, _: number(c.nu_gap_sum, 3)),
-        FamilyColumn("90 %\ninterval", 10, sum_interval),
+        FamilyColumn(
+            "90 %\ninterval", 10, lambda c, _: span_text(c.nu_gap_sum_low, c.nu_gap_sum_high, 2, "…")
+        ),
         FamilyColumn("P\nnominal", 3, lambda c, _: number(c.nominal_probability)),
         FamilyColumn("margin\nb(P, C)", 9, lambda c, _: number(c.margin, 3)),
     )
@@ -310,7 +305,7 @@ def _criterion(name: str, header: str, priority: float) -> FamilyColumn:
     decimals = next(c.decimals for c in CRITERIA if c.attribute == name)
 
     def text(candidate: CandidateScore, _: Sequence[str]) -> str:
-        chosen = next((o for o in candidate.orders if o.order == candidate.chosen_order), None)
-        return number(None if chosen is None else getattr(chosen.total, name), decimals)
+        chosen = chosen_score(candidate)
+        return number(getattr(chosen.total, name) if chosen else None, decimals)
 
     return FamilyColumn(header, priority, text)

@@ -11,32 +11,9 @@ from typing import Final
 from twinmatch.comparing import ADMITTED, REFUSED, TrustLevel, Verdict, beaten_words
 from twinmatch.fitting import Status
 from twinmatch.offline.summary import nominal_score
+from twinmatch.showing.family import chosen_score
 from twinmatch.showing.quantities import number, signal_names
 from twinmatch.twin import MatchReport
-
-__all__ = [
-    "COLUMNS",
-    "LEVEL_WORDS",
-    "STATUS_WORDS",
-    "Event",
-    "EventKind",
-    "LevelStretch",
-    "Mark",
-    "News",
-    "admitted",
-    "events",
-    "events_since",
-    "extend_stretches",
-    "last_verdict",
-    "leader_words",
-    "level_stretches",
-    "level_words",
-    "match_word",
-    "missed",
-    "news",
-    "refusal",
-    "row",
-]
 
 LEVEL_WORDS: Final = {
     TrustLevel.UNKNOWN: "no forecast has been compared with measurements yet",
@@ -76,21 +53,22 @@ def row(verdict: Verdict, period: float = 1.0) -> tuple[str, ...]:
     nominal = nominal_score(verdict)
     order = gain = total = now = "–"
     if nominal is not None:
-        score = next((o for o in nominal.orders if o.order == nominal.chosen_order), None)
-        if score is not None:  # a structure has no Box–Jenkins models
+        score = chosen_score(nominal)
+        if score is not None:
             order, gain = score.order, number(score.total.gain, 0)
         total, now = number(nominal.nu_gap_sum, 3), number(nominal.nu_gap_to_plant, 3)
-    names = (verdict.level.value, verdict.leader or "–", verdict.nominal or "–")
-    misses = (number(verdict.miss_y), number(verdict.miss_u))
-    return (number(verdict.sample * period, 0), *names, order, gain, total, now, *misses, verdict.reason)
+    return (
+        *(number(verdict.sample * period, 0), verdict.level.value),
+        *(verdict.leader or "–", verdict.nominal or "–", order, gain, total, now),
+        *(number(verdict.miss_y), number(verdict.miss_u), verdict.reason),
+    )
 
 
 def level_words(verdict: Verdict | None) -> str:
     """What a verdict's trust level means; None: before the first verdict."""
     if verdict is None:
         return LEVEL_WORDS[TrustLevel.UNKNOWN]
-    leading = verdict.leading
-    beaten = beaten_words(leading.beaten(verdict.horizons)) if leading else ""
+    beaten = beaten_words(verdict.leading.beaten(verdict.horizons)) if verdict.leading else ""
     if beaten and verdict.level is TrustLevel.TRUSTED:
         return f"{LEVEL_WORDS[verdict.level]}, but {beaten}"
     if beaten and verdict.level is TrustLevel.DOUBTFUL and verdict.miss_since is None:
@@ -188,6 +166,10 @@ _LEVEL_MARKS: Final = {
     TrustLevel.DOUBTFUL: Mark.WARNING,
     TrustLevel.FAULT: Mark.BAD,
 }
+_MATCH_EVENTS: Final = {
+    ADMITTED: (EventKind.ADMITTED, Mark.GOOD),
+    REFUSED: (EventKind.REFUSED, Mark.WARNING),
+}
 
 
 @dataclass(frozen=True)
@@ -223,10 +205,9 @@ def events_since(before: Verdict | None, verdict: Verdict) -> list[Event]:
     def add(kind: EventKind, mark: Mark, title: str, why: str) -> None:
         found.append(Event(verdict.sample, kind, title, why, mark))
 
-    if verdict.match == ADMITTED:
-        add(EventKind.ADMITTED, Mark.GOOD, f"match {verdict.match}", refusal(verdict))
-    elif verdict.match == REFUSED:
-        add(EventKind.REFUSED, Mark.WARNING, f"match {verdict.match}", refusal(verdict))
+    if verdict.match:
+        kind, mark = _MATCH_EVENTS[verdict.match]
+        add(kind, mark, kind.value, refusal(verdict))
     for name in verdict.dismissed:
         why = "the fault was present in its window"
         add(EventKind.DISMISSED, Mark.WARNING, f"{name} dismissed", why)
@@ -237,9 +218,8 @@ def events_since(before: Verdict | None, verdict: Verdict) -> list[Event]:
     if verdict.nominal not in {nominal, None}:
         why = f"previously {nominal}" if nominal else "the first candidate"
         add(EventKind.NOMINAL, Mark.NOTE, f"{verdict.nominal} is nominal", why)
-    if (verdict.level, verdict.fault) != (
-        (before.level, before.fault) if before else (TrustLevel.UNKNOWN, "")
-    ):
+    level = (before.level, before.fault) if before else (TrustLevel.UNKNOWN, "")
+    if (verdict.level, verdict.fault) != level:
         faulty = verdict.fault or verdict.level is TrustLevel.FAULT
         kind = EventKind.FAULT if faulty else EventKind.LEVEL
         add(kind, _LEVEL_MARKS[verdict.level], *_level_event(verdict))
@@ -263,6 +243,10 @@ class LevelStretch:
     last: int
     level: TrustLevel
 
+    def times(self, period: float) -> str:
+        """From when to when, for a sampling period in s."""
+        return f"{self.first * period:.0f} to {self.last * period:.0f} s"
+
 
 def level_stretches(verdicts: Iterable[Verdict], first: int = 0) -> list[LevelStretch]:
     """The trust level over time; `first` is the index of the session's first sample."""
@@ -280,13 +264,7 @@ def extend_stretches(
     """Extend the trust level over time: a verdict's level covers the samples since the last verdict.
 
     A fault begins at `fault_since`, even if there was a verdict since, and lasts until the first verdict
-    without it.
-
-    Args:
-        stretches: of the verdicts before.
-        verdict: the next one.
-        fault: name of the fault in the last verdict; empty for none.
-        first: index of the session's first sample.
+    without it. `fault` is the name of the fault in the last verdict, `first` the session's first sample.
     """
     sample, since = max(verdict.sample, first), verdict.fault_since
     if not stretches:

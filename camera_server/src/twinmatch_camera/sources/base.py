@@ -6,8 +6,6 @@ from typing import Protocol
 
 from twinmatch.links.thermal_frame import Exposure
 
-__all__ = ["EndOfRecording", "Source"]
-
 
 class EndOfRecording(Exception):  # noqa: N818 (it is not an error)
     """A source has nothing more to show, which is not a fault."""

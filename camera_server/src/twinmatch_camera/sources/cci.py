@@ -14,8 +14,6 @@ from typing import Final, Protocol
 
 from twinmatch_camera.errors import SourceError
 
-__all__ = ["SETTINGS", "CciWire", "configure"]
-
 _STATUS: Final = 0x0002
 _COMMAND: Final = 0x0004
 _LENGTH: Final = 0x0006

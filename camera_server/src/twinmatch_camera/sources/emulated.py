@@ -11,8 +11,6 @@ from twinmatch.emulation.lepton import EmulatedLepton, LeptonError, LeptonSettin
 from twinmatch.links.thermal_frame import Exposure
 from twinmatch_camera.errors import SourceError
 
-__all__ = ["EmulatedSource"]
-
 _log = logging.getLogger(__name__)
 
 

@@ -16,8 +16,6 @@ from twinmatch.emulation.lepton import EmulatedLepton, LeptonError, LeptonSettin
 from twinmatch.links.thermal_frame import Exposure, FrameFieldError
 from twinmatch_camera.sources.base import EndOfRecording
 
-__all__ = ["FollowedSource"]
-
 _log = logging.getLogger(__name__)
 
 _LONGEST = 256

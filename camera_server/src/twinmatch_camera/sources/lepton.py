@@ -11,10 +11,8 @@ from typing import Protocol
 from twinmatch.links.thermal_frame import Exposure
 from twinmatch_camera.errors import SourceError
 from twinmatch_camera.sources.cci import CciWire, configure
-from twinmatch_camera.sources.telemetry import exposure, parse_telemetry
+from twinmatch_camera.sources.telemetry import exposure
 from twinmatch_camera.sources.vospi import PACKET_BYTES, RESYNC_SILENCE, Assembler, SyncLost
-
-__all__ = ["LeptonSource", "SpiWire"]
 
 _log = logging.getLogger(__name__)
 
@@ -120,7 +118,7 @@ class LeptonSource:
             return None
         if frame is None:
             return None
-        return exposure(frame.image, parse_telemetry(frame.telemetry), time.monotonic_ns())
+        return exposure(frame.image, frame.telemetry, time.monotonic_ns())
 
     def _fetch(self) -> None:
         if self._spi is None:

@@ -15,8 +15,6 @@ from twinmatch.links.thermal_frame import Exposure, FrameError, FrameFlags, Ther
 from twinmatch_camera.errors import SourceError
 from twinmatch_camera.sources.base import EndOfRecording
 
-__all__ = ["RecordedSource"]
-
 _PAUSE_BETWEEN_ROUNDS = 0.2
 
 
@@ -68,10 +66,11 @@ class RecordedSource:
             return None
         if wait > 0:
             time.sleep(wait)
-        self._last_counter = (frame.frame_counter + self._counter_shift) % 2**32
+        counter = self._last_counter = (frame.frame_counter + self._counter_shift) % 2**32
         self._frames += 1
         self._advance()
-        return _exposure(frame, self._last_counter)
+        flags = frame.flags | FrameFlags.RECORDED
+        return replace(frame, stamp=time.monotonic_ns(), frame_counter=counter, flags=flags)
 
     def close(self) -> None:
         """Close the file."""
@@ -105,12 +104,3 @@ class RecordedSource:
         if len(piece) < count:
             raise _Ended
         return piece
-
-
-def _exposure(frame: ThermalFrame, counter: int) -> Exposure:
-    return replace(
-        frame,
-        stamp=time.monotonic_ns(),
-        frame_counter=counter,
-        flags=frame.flags | FrameFlags.RECORDED,
-    )

@@ -16,9 +16,7 @@ import numpy as np
 
 from twinmatch.links.thermal_frame import CountArray, Exposure
 from twinmatch_camera.errors import SourceError
-from twinmatch_camera.sources.telemetry import exposure, parse_telemetry
-
-__all__ = ["Capture", "V4l2Source"]
+from twinmatch_camera.sources.telemetry import exposure
 
 _PATIENCE = 5.0
 _TELEMETRY_SHAPE = (63, 80)
@@ -94,8 +92,7 @@ class V4l2Source:
             return None  # a frame the USB transfer cut short; the next one comes
         counts = np.frombuffer(data, dtype="<u2").reshape(rows, columns).copy()
         if counts.shape == _TELEMETRY_SHAPE:
-            telemetry = parse_telemetry(counts[_VIDEO_ROWS:])
-            return exposure(counts[:_VIDEO_ROWS].copy(), telemetry, time.monotonic_ns())
+            return exposure(counts[:_VIDEO_ROWS].copy(), counts[_VIDEO_ROWS:], time.monotonic_ns())
         if self._last is None or not np.array_equal(counts, self._last):
             self._counter = (self._counter + 1) % 2**32
         self._last = counts
@@ -129,11 +126,10 @@ class _LinuxCapture:
                 raise OSError(f"it delivers {chosen.pixel_format.name}, not Y16")
             self.shape = (int(chosen.height), int(chosen.width))
             self._stream.open()
-        except V4L2Error as error:
+        except BaseException as error:
             self._device.close()
-            raise OSError(str(error)) from error
-        except BaseException:
-            self._device.close()
+            if isinstance(error, V4L2Error):
+                raise OSError(str(error)) from error
             raise
 
     def read(self, timeout: float) -> bytes | None:

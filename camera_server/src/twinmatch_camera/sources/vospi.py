@@ -15,8 +15,6 @@ import numpy as np
 
 from twinmatch.links.thermal_frame import LEPTON_SHAPE, CountArray
 
-__all__ = ["PACKET_BYTES", "RESYNC_SILENCE", "Assembler", "SyncLost", "VospiFrame", "packet_crc"]
-
 PACKET_BYTES = 164
 RESYNC_SILENCE = 0.2
 """Seconds without a clock edge after which the camera starts over."""

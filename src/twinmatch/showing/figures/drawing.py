@@ -12,21 +12,6 @@ from twinmatch.errors import TwinmatchError
 from twinmatch.showing.style import PLANT, SET_POINT, rc
 from twinmatch.signals import FloatArray, Window
 
-__all__ = [
-    "draw_inputs",
-    "draw_outputs",
-    "draw_set_point",
-    "empty",
-    "legend_above",
-    "new_figure",
-    "png",
-    "save",
-    "stack",
-    "styled",
-    "svg",
-    "time_axis",
-]
-
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
@@ -89,9 +74,8 @@ def save(figure: Figure, path: Path) -> None:
     Raises:
         TwinmatchError: matplotlib cannot write such a file there.
     """
-    # Without a date the same figure gives the same file.
     _arrange(figure)
-    undated = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
+    undated = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}  # the same figure, the same file
     try:
         figure.savefig(path, metadata=undated.get(path.suffix.lower()))
     except (OSError, ValueError) as error:

@@ -24,16 +24,6 @@ from twinmatch.showing.style import CLOSED, FAMILY_MAP, MATRIX_MAP, MODEL, ORDER
 from twinmatch.signals import FloatArray
 from twinmatch.twin import MatchReport, response_on
 
-__all__ = [
-    "draw_criteria",
-    "draw_gains",
-    "draw_matrix",
-    "draw_parameters",
-    "draw_responses",
-    "draw_uncertainty",
-    "fill_matrix",
-]
-
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
@@ -98,14 +88,13 @@ def _above_best(table: FloatArray, attribute: str) -> FloatArray:
     best = np.min(table, axis=1, keepdims=True)
     with np.errstate(invalid="ignore", divide="ignore"):
         above = table / best - 1 if attribute == "mdl" else table - best
-    return np.asarray(np.nan_to_num(above, nan=0.0, posinf=0.0, neginf=0.0), dtype=np.float64)
+    return np.asarray(np.nan_to_num(above, nan=0.0, posinf=0.0, neginf=0.0))
 
 
 @styled
 def draw_matrix(verdict: Verdict) -> Figure:
     """The ν-gaps between all candidates as a heat map, and their sums."""
-    count = len(verdict.candidates)
-    size = 1.2 + 0.55 * count
+    size = 1.2 + 0.55 * len(verdict.candidates)
     figure = new_figure(size + 2.6, size)
     fill_matrix(figure.add_subplot(), verdict)
     return figure
@@ -175,29 +164,19 @@ def _draw_parameter(
     }
     everything: list[float] = []
     for name, group in groups.items():
-        points = [(m.sample * period, m.match) for m in group if shown.name in m.match.free]
+        points = {m.sample * period: m.match for m in group if shown.name in m.match.free}
         if not points:
             continue
-        values = np.array([_value(match, shown) for _, match in points])
-        ends = np.array([_ends(match, shown) for _, match in points])
-        spread, times = np.abs(ends.T - values), [t for t, _ in points]
-        axes.errorbar(times, values, spread, ls="", lw=1, capsize=2, label=name, **styles[name])
+        values = np.array([shown.shown(value_of(match, shown.name)) for match in points.values()])
+        ends = np.array([interval(match, shown.name)[:2] for match in points.values()])
+        ends = (ends * shown.factor + shown.offset).T
+        # No bar is drawn to an unbounded or unknown end.
+        spread = np.abs(np.where(np.isfinite(ends), ends, values) - values)
+        axes.errorbar(list(points), values, spread, ls="", lw=1, capsize=2, label=name, **styles[name])
         everything += values.tolist()
     low, high = min(everything), max(everything)
     margin = 0.25 * (high - low) + 0.05 * abs(high) + 1e-9
     axes.set_ylim(max(low - margin, 0.0) if low >= 0 else low - margin, high + margin)
-
-
-def _value(match: Match, shown: ParameterFormat) -> float:
-    return shown.shown(value_of(match, shown.name))
-
-
-def _ends(match: Match, shown: ParameterFormat) -> tuple[float, float]:
-    """The interval's ends; an unbounded or unknown end equals the value, so that no bar is drawn there."""
-    found = interval(match, shown.name)
-    value = _value(match, shown)
-    low, high = shown.shown(found.low), shown.shown(found.high)
-    return (low if np.isfinite(low) else value), (high if np.isfinite(high) else value)
 
 
 @styled
@@ -260,14 +239,13 @@ def draw_uncertainty(members: Sequence[Member]) -> Figure:
         name = f"twin of {member.score.name}{' (nominal)' if member.nominal else ''}"
         axes[0].plot(time, answer.output, label=name, **line)
         axes[1].plot(time, answer.input, **line)
-    for place, name in ((2, "output"), (3, "input")):
-        table = np.stack([getattr(answer, name) for answer in answers])
-        _draw_spread(axes[place], time, table, members)
+    _draw_spread(axes[2], time, np.stack([answer.output for answer in answers]), members)
+    _draw_spread(axes[3], time, np.stack([answer.input for answer in answers]), members)
     signals = signal_names(nominal.settings.plant)
-    for each, unit in zip(axes[2:], (signals.output_unit, signals.input_unit), strict=True):
-        each.set_ylabel(with_unit("minus nominal", unit))
-    axes[0].set_ylabel(signals.output_label)
-    axes[1].set_ylabel(signals.input_label)
+    labels = [signals.output_label, signals.input_label]
+    labels += [with_unit("minus nominal", unit) for unit in (signals.output_unit, signals.input_unit)]
+    for each, label in zip(axes, labels, strict=True):
+        each.set_ylabel(label)
     axes[-1].set_xlabel("time since the session began / s")
     axes[0].margins(x=0.005)
     figure.align_ylabels(axes)

@@ -24,8 +24,6 @@ from twinmatch.showing.series import Fan
 from twinmatch.showing.style import CLOSED, DRIVEN, MODEL, PLANT, SET_POINT
 from twinmatch.signals import FloatArray
 
-__all__ = ["draw_backtest", "draw_forecasts"]
-
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
@@ -48,7 +46,7 @@ def draw_forecasts(fans: Sequence[Fan], plant: type[Plant]) -> Figure:
     if not fans:
         empty(figure.add_subplot(), "no forecast was made")
         return figure
-    grids = figure.add_gridspec(rows, columns, wspace=0.04, hspace=0.06)
+    grids, signals = figure.add_gridspec(rows, columns, wspace=0.04, hspace=0.06), signal_names(plant)
     for k, fan in enumerate(fans):
         inner = grids[k // columns, k % columns].subgridspec(3, 1, height_ratios=(3, 1.6, 2))
         output = figure.add_subplot(inner[0])
@@ -56,29 +54,19 @@ def draw_forecasts(fans: Sequence[Fan], plant: type[Plant]) -> Figure:
         _draw(output, control, fan)
         _draw_error(error, fan)
         if k % columns == 0:
-            _label(output, error, control, plant)
+            output.set_ylabel(signals.output_label)
+            error.set_ylabel(with_unit("measured −\nforecast", signals.output_unit))
+            control.set_ylabel(signals.input_label)
         if k + columns >= len(fans):
             control.set_xlabel("time after that sample / s")
         for axes in (output, error):
             axes.tick_params(labelbottom=False)
-    _add_legend(figure)
-    return figure
-
-
-def _label(output: Axes, error: Axes, control: Axes, plant: type[Plant]) -> None:
-    signals = signal_names(plant)
-    output.set_ylabel(signals.output_label)
-    error.set_ylabel(with_unit("measured −\nforecast", signals.output_unit))
-    control.set_ylabel(signals.input_label)
-
-
-def _add_legend(figure: Figure) -> None:
-    """One legend for all panels, with each label once."""
-    known: dict[str, Artist] = {}
+    known: dict[str, Artist] = {}  # each label once
     for axes in figure.axes:
         for line, label in zip(*axes.get_legend_handles_labels(), strict=True):
             known.setdefault(str(label), line)
     figure.legend(list(known.values()), list(known), loc="outside upper right", ncols=len(known))
+    return figure
 
 
 def _draw(output: Axes, control: Axes, fan: Fan) -> None:

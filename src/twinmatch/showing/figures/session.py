@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -28,8 +29,6 @@ from twinmatch.showing.style import CLOSED, DRIVEN, LEVELS, PLANT, SET_POINT, TE
 from twinmatch.showing.verdicts import admitted, last_verdict, level_stretches
 from twinmatch.signals import FloatArray, Sample, Window, unbroken
 from twinmatch.twin import MatchReport, TwinSettings, response_on
-
-__all__ = ["draw_health", "draw_session", "draw_verdict"]
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -62,13 +61,13 @@ def draw_session(samples: Sequence[Sample], verdicts: Sequence[Verdict], setting
         _draw_twins(axes[0], axes[1], part, first=number == 0)
         _draw_residuals(axes[2:], part, first=number == 0)
     signals = signal_names(settings.plant)
-    axes[0].set_ylabel(signals.output_label)
-    axes[1].set_ylabel(signals.input_label)
+    labels = [signals.output_label, signals.input_label]
+    labels += [with_unit("plant − twin", unit) for unit in (signals.output_unit, signals.input_unit)]
+    for each, label in zip(axes, labels, strict=False):
+        each.set_ylabel(label)
     if parts:
-        axes[2].set_ylabel(with_unit("plant − twin", signals.output_unit))
         _limit(axes[2], [p.closed_residual_y for p in parts] + [p.driven_residual_y for p in parts])
     if parts and closed:
-        axes[3].set_ylabel(with_unit("plant − twin", signals.input_unit))
         _limit(axes[3], [p.closed_residual_u for p in parts])
     for each in axes:
         if each.get_legend_handles_labels()[0]:
@@ -158,13 +157,12 @@ def _draw_levels(axes: Axes, verdicts: Sequence[Verdict], period: float, first: 
 def _draw_misses(
     axes: Axes, verdicts: Sequence[Verdict], attribute: str, period: float, limit: float
 ) -> None:
-    known = [v for v in verdicts if getattr(v, attribute) == getattr(v, attribute)]
-    values = [float(getattr(v, attribute)) for v in known]
-    if not values:
+    known = {v.sample * period: miss for v in verdicts if not math.isnan(miss := getattr(v, attribute))}
+    if not known:
         empty(axes, "no residual: there is no candidate")
         return
-    axes.plot([v.sample * period for v in known], values, color=PLANT, marker=".", ms=4, lw=1)
-    top = 1.15 * max(values)
+    axes.plot(list(known), list(known.values()), color=PLANT, marker=".", ms=4, lw=1)
+    top = 1.15 * max(known.values())
     if limit <= _DRAWN * top:
         axes.axhline(limit, color=LEVELS[TrustLevel.DOUBTFUL], lw=1.2, ls="--")
         place: dict[str, Any] = {"xycoords": axes.get_yaxis_transform(), "textcoords": "offset points"}
@@ -183,8 +181,8 @@ def _draw_matches(
         times = [m.sample * period for m in matches if (m.sample in joined) is inside]
         axes.plot(times, [float(inside)] * len(times), marker, color=LEVELS[level], ms=6, mew=1.6, ls="")
     for m in matches:
-        at, letters = (m.sample * period, float(m.sample in joined)), {"fontsize": 7, "color": TEXT}
-        place: dict[str, Any] = {"textcoords": "offset points", "ha": "center", **letters}
+        at = (m.sample * period, float(m.sample in joined))
+        place: dict[str, Any] = {"textcoords": "offset points", "ha": "center", "fontsize": 7, "color": TEXT}
         axes.annotate(f"{m.operating_point:g}", at, (0, 5), **place)
     axes.set_ylim(-0.6, 2.0)
     axes.set_yticks([0, 1], ["refused", "admitted"])

@@ -67,13 +67,8 @@ def layout(described: Description, topics: Collection[str] = (), rig: str = "") 
         **_nodes(),
         "Tab!more": _tabs(),
     }
-    return {
-        "configById": panels,
-        "globalVariables": {},
-        "userNodes": {},
-        "playbackConfig": {"speed": 1},
-        "layout": _places(image=IMAGE in topics),
-    }
+    rest = {"globalVariables": {}, "userNodes": {}, "playbackConfig": {"speed": 1}}
+    return {"configById": panels, **rest, "layout": _places(image=IMAGE in topics)}
 
 
 def write_layout(path: Path, made: Mapping[str, Any]) -> None:
@@ -155,16 +150,10 @@ def _plot(title: str, label: str, lines: Sequence[dict[str, Any]], **settings: A
 
 def _forecast(topic: str, of: Quantity, lines: Sequence[dict[str, Any]]) -> _Panel:
     """The newest forecast, over the seconds ahead rather than the time of its message."""
-    return _plot(
-        f"{of.name} forecast",
-        of.label,
-        lines,
-        xAxisVal="currentCustom",
-        xAxisPath={"value": f"{topic}.time[:]", **_STAMP},
-        xAxisLabel="time ahead / s",
-        showPlotValuesInLegend=False,
-        isSynced=False,
-    )
+    axis: dict[str, Any] = {"xAxisVal": "currentCustom", "xAxisLabel": "time ahead / s"}
+    axis |= {"xAxisPath": {"value": f"{topic}.time[:]", **_STAMP}}
+    still = {"showPlotValuesInLegend": False, "isSynced": False}
+    return _plot(f"{of.name} forecast", of.label, lines, **axis, **still)
 
 
 def _image(rig: str) -> _Panel:
@@ -208,12 +197,11 @@ def _verdict(rig: str) -> dict[str, _Panel]:
 
 
 def _nodes() -> dict[str, _Panel]:
+    health = {"topicToRender": "/diagnostics"}
     summary = {"minLevel": 0, "pinnedIds": [], "hardwareIdFilter": "", "sortByLevel": True}
     return {
-        "DiagnosticSummary!nodes": _titled("Nodes", topicToRender="/diagnostics", **summary),
-        "DiagnosticStatusPanel!node": _titled(
-            "Node in detail", topicToRender="/diagnostics", collapsedSections=[]
-        ),
+        "DiagnosticSummary!nodes": _titled("Nodes", **health, **summary),
+        "DiagnosticStatusPanel!node": _titled("Node in detail", **health, collapsedSections=[]),
         "RosOut!log": _titled("Log", topicToRender="/rosout", searchTerms=[], minLogLevel=2),
     }
 

@@ -8,7 +8,7 @@ import re
 import time
 from functools import partial
 from pathlib import Path
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 from foxglove import Channel, Context, Schema, set_log_level, start_server
 from foxglove.websocket import Capability, ChannelView, Client, ServerListener
@@ -63,15 +63,9 @@ class GraphServer:
         self._last: dict[int, _Last] = {}
         self._viewers: dict[int, set[int]] = {}
         try:
-            self._server = start_server(
-                name=name,
-                host=address,
-                port=port,
-                context=self._context,
-                capabilities=[Capability.Time],
-                server_listener=_Listener(self),
-                message_backlog_size=BACKLOG,
-            )
+            place: dict[str, Any] = {"name": name, "host": address, "port": port, "context": self._context}
+            able: dict[str, Any] = {"capabilities": [Capability.Time], "message_backlog_size": BACKLOG}
+            self._server = start_server(**place, **able, server_listener=_Listener(self))
         except RuntimeError as error:
             cause = re.sub(r"^.*Failed to bind port: | \(os error \d+\)$", "", str(error))
             raise unusable("foxglove", address, port, cause) from error
@@ -268,22 +262,19 @@ class Foxglove(TwinmatchNode):
         path = Path(self.values["layout"])
         try:
             write_layout(path, layout(self._described, present, rig))
+            print(f"layout for {self._described.title}: {path}", flush=True)
         except ServingError as error:
             self.health.flag("layout", Level.WARN, str(error))
-            return
-        print(f"layout for {self._described.title}: {path}", flush=True)
 
     def _subscribe(self, name: str) -> None:
         """Subscribe to a topic, or again if its publishers now offer another QoS."""
         publishers = self._following.news(name)
-        if publishers is None:
-            return
-        if not publishers:
+        if publishers:
+            kind = publishers[0].topic_type
+            if name in self._following or self._advertise(name, kind):
+                self._following.subscribe(name, kind, publishers, partial(self._on_message, name))
+        elif publishers is not None:
             self._server.forget(name)
-            return
-        kind = publishers[0].topic_type
-        if name in self._following or self._advertise(name, kind):
-            self._following.subscribe(name, kind, publishers, partial(self._on_message, name))
 
     def _advertise(self, name: str, kind: str) -> bool:
         """Advertise a topic to viewers, once; returns whether it can be shown."""

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
-import numpy as np
 from bokeh.models import ColumnDataSource, CustomJS, DataRange1d, FactorRange, HoverTool, Legend, LegendItem
 from bokeh.plotting import figure
 
@@ -102,8 +101,7 @@ class ForecastBands:
         for source, colour, name in ((self._forecast, CLOSED, "forecast"), (self._what_if, MODEL, "what if")):
             drawn = _draw_band(output, "output", source, colour)
             of_input = _draw_band(control, "input", source, colour)
-            asked = output.step("t", "reference", source=source, mode="after", color=colour, line_width=1)
-            asked.glyph.line_dash = [2, 3]
+            asked = _step(output, "reference", source, colour, width=1, dash=[2, 3])
             for chart, parts in ((output, [*drawn, asked]), (control, of_input)):
                 chart.legend[0].items.append(LegendItem(label=name, renderers=parts))
             self.lines.append(drawn[-1])
@@ -126,11 +124,9 @@ def _columns(forecast: Forecast | None, period: float, most: float) -> dict[str,
     if forecast is None:
         return {name: [] for name in FORECAST_COLUMNS}
     near = forecast.time <= most * (1 + 1e-9)
-    columns = {"t": forecast.sample * period + forecast.time[near], "reference": forecast.reference[near]}
-    for name, band in (("output", forecast.output), ("input", forecast.input)):
-        columns[name] = band.mean[near]
-        columns[f"{name}_low"], columns[f"{name}_high"] = band.low[near], band.high[near]
-    return {name: np.asarray(columns[name]) for name in FORECAST_COLUMNS}
+    bands = [b for band in (forecast.output, forecast.input) for b in (band.mean, band.low, band.high)]
+    columns = (forecast.sample * period + forecast.time, forecast.reference, *bands)
+    return {name: values[near] for name, values in zip(FORECAST_COLUMNS, columns, strict=True)}
 
 
 _NARROW = """
@@ -175,12 +171,10 @@ class TimeCharts:
 
     def show(self, *, measured: bool, mirrored: bool) -> None:
         """Show the charts that have data; Bokeh computes no range for an empty chart."""
-        for chart in (self.output, self.control, self.happened):
-            if chart.visible != measured:
-                chart.visible = measured
-        for chart in (self.residual, self.control_residual):
-            if chart.visible != mirrored:
-                chart.visible = mirrored
+        for chart in self.figures:
+            wanted = mirrored if chart in (self.residual, self.control_residual) else measured
+            if chart.visible != wanted:
+                chart.visible = wanted
 
     @property
     def fit_to_narrow(self) -> CustomJS:
@@ -213,18 +207,9 @@ class TimeCharts:
         }
 
     def _figure(self, name: str, height: int, label: str, **options: Any) -> Any:
-        chart = figure(
-            name=name,
-            height=height,
-            sizing_mode="stretch_width",
-            x_range=self.time,
-            tools=TOOLS,
-            active_drag=None,
-            active_scroll=None,
-            y_axis_label=label,
-            lod_threshold=None,
-            **options,
-        )
+        options |= {"x_range": self.time, "y_axis_label": label, "tools": TOOLS, "lod_threshold": None}
+        options |= {"active_drag": None, "active_scroll": None, "sizing_mode": "stretch_width"}
+        chart = figure(name=name, height=height, **options)
         chart.toolbar.logo = None
         chart.toolbar.autohide = True
         chart.xaxis.major_label_text_font_size = "0px"  # only the lowest chart has tick labels
@@ -234,9 +219,7 @@ class TimeCharts:
         chart = self._figure("output", 320, self._described.output.label)
         plant = chart.line("t", "output", source=self._plant, color=PLANT, line_width=2)
         closed = chart.line("t", "closed_output", source=self._twin, color=CLOSED, line_width=1.6)
-        steps: dict[str, Any] = {"source": self._plant, "mode": "after", "color": SET_POINT}
-        asked = chart.step("t", "reference", line_width=1.4, **steps)
-        asked.glyph.line_dash = [6, 4]
+        asked = _step(chart, "reference", self._plant, SET_POINT, width=1.4, dash=[6, 4])
         self.time.renderers = [plant]
         _legend(chart, {"plant": plant, "closed-loop twin": closed, "set-point": asked})
         _hover_value(chart, plant, "plant", "output", self._described.output)
@@ -244,13 +227,8 @@ class TimeCharts:
 
     def _control(self) -> Any:
         chart = self._figure("control", 210, self._described.input.label)
-        plant, closed = (
-            chart.step("t", column, source=source, mode="after", color=colour, line_width=width)
-            for column, source, colour, width in (
-                ("input", self._plant, PLANT, 1.6),
-                ("closed_input", self._twin, CLOSED, 1.2),
-            )
-        )
+        plant = _step(chart, "input", self._plant, PLANT, width=1.6)
+        closed = _step(chart, "closed_input", self._twin, CLOSED, width=1.2)
         _legend(chart, {"plant": plant, "closed-loop twin": closed})
         _hover_value(chart, plant, "plant", "input", self._described.input)
         return chart
@@ -284,13 +262,22 @@ class TimeCharts:
         chart.xaxis.axis_label = "time since the session began / s"
         chart.xaxis.major_label_text_font_size = "12px"
         chart.ygrid.grid_line_color = None
-        line: dict[str, Any] = {"fill_color": "colour", "line_color": None}
-        strips = chart.hbar("lane", 0.6, right="right", left="left", source=self._stretches, **line)
-        line = {"fill_color": "colour", "line_color": "colour", "line_width": 2.5, "fill_alpha": 0.85}
-        marks = chart.scatter("t", "lane", source=self._events, marker="shape", size=12, **line)
+        strip: dict[str, Any] = {"left": "left", "right": "right", "line_color": None}
+        strips = chart.hbar("lane", 0.6, source=self._stretches, fill_color="colour", **strip)
+        mark: dict[str, Any] = {"marker": "shape", "size": 12, "line_width": 2.5, "fill_alpha": 0.85}
+        marks = chart.scatter("t", "lane", source=self._events, color="colour", **mark)
         _hover(chart, strips, [("trust", "@level"), ("from", "@left{0} s"), ("to", "@right{0} s")])
         _hover(chart, marks, [("at", "@t{0} s"), ("what", "@title"), ("why", "@text")])
         return chart
+
+
+def _step(
+    chart: Any, column: str, source: ColumnDataSource, colour: str, *, width: float, dash: Sequence[int] = ()
+) -> Any:
+    """A line that holds each value until the next."""
+    line = chart.step("t", column, source=source, mode="after", color=colour, line_width=width)
+    line.glyph.line_dash = list(dash)
+    return line
 
 
 def _legend(chart: Any, names: Mapping[str, Any]) -> None:

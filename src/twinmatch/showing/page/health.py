@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 OK, WARN, ERROR, STALE = range(4)
@@ -65,7 +66,9 @@ class NodeReports:
             return None
         self.reports[name] = NodeReport(level, message, now)
         if {"rate", "paused", "position"} <= values.keys():
-            self._take_player(_player(name, values), now, over=values.get("ended") == "True")
+            with suppress(ValueError):  # not a player of twinmatch
+                played = (values["paused"] == "True", float(values["rate"]), values["position"])
+                self._take_player(PlayerState(name, *played), now, over=values.get("ended") == "True")
         if level < ERROR:
             return None if self._errors.pop(name, None) is None else "recovered"
         kind = _DIGITS.sub("", message)
@@ -85,7 +88,9 @@ class NodeReports:
             del self.reports[name]
             self._errors.pop(name, None)
         if self.player is not None and self.silent(self.player.name, now):
-            self._take_player(self.player, now, over=_at_its_end(self.player))
+            place, _, whole = self.player.position.partition(" of ")
+            over = place == whole  # nothing was left to play, in case its last report was lost
+            self._take_player(self.player, now, over=over)
             self.player = None
 
     def begin(self, now: float) -> None:
@@ -110,7 +115,7 @@ class NodeReports:
             return STALE
         return min(self.reports[name].level, STALE)
 
-    def _take_player(self, player: PlayerState | None, now: float, *, over: bool) -> None:
+    def _take_player(self, player: PlayerState, now: float, *, over: bool) -> None:
         if not over:
             self.player, self.ended = player, None
         elif self.ended is None:
@@ -120,17 +125,3 @@ class NodeReports:
         """Whether a node has not reported for more than `PATIENCE` seconds."""
         found = self.reports.get(name)
         return found is None or now - found.at > PATIENCE
-
-
-def _at_its_end(player: PlayerState) -> bool:
-    """Whether nothing was left to play, in case the player's last report was lost."""
-    place, _, whole = player.position.partition(" of ")
-    return place == whole
-
-
-def _player(name: str, values: Mapping[str, str]) -> PlayerState | None:
-    try:
-        rate = float(values["rate"])
-    except ValueError:  # not a player of twinmatch
-        return None
-    return PlayerState(name, values["paused"] == "True", rate, values["position"])

@@ -40,11 +40,11 @@ class GapMatrix:
 
     def update(self, verdict: Verdict | None) -> None:
         """Draw the matrix of a verdict; None, or a verdict without candidates, leaves it empty."""
-        candidates = verdict.candidates if verdict is not None else ()
+        candidates, nominal = (verdict.candidates, verdict.nominal) if verdict else ((), None)
         # Long names do not fit above the columns: columns have numbers, rows have names and numbers.
         columns = [str(k) for k in range(1, len(candidates) + 1)]
         names = [f"{_short(c.name)}  {k}" for k, c in zip(columns, candidates, strict=True)]
-        gaps = np.array(verdict.nu_gap if verdict is not None else (), dtype=np.float64)
+        gaps = np.array(verdict.nu_gap if verdict else (), dtype=np.float64)
         if gaps.shape != (len(names), len(names)):
             gaps = np.zeros((len(names), len(names)))
         most = max(float(gaps.max()), 1e-12) if gaps.size else 1.0
@@ -62,7 +62,6 @@ class GapMatrix:
             "ink": [_ink(float(gaps[i, j]) / most) for i, j in places],
             "pair": [f"{candidates[i].name} and {candidates[j].name}" for i, j in places],
         }
-        nominal = verdict.nominal if verdict is not None else None
         self._sums.data = {
             "column": columns,
             "row": [SUM] * len(names),
@@ -75,34 +74,28 @@ class GapMatrix:
         }
 
     def _draw(self) -> Any:
-        chart = figure(
-            name="matrix",
-            height=_HEAD + _ROW,
-            sizing_mode="stretch_width",
-            x_range=FactorRange(),
-            y_range=FactorRange(),
-            x_axis_location="above",
-            tools="",
-            toolbar_location=None,
-            min_border_left=56,
-        )
-        chart.grid.grid_line_color = None
+        ranges = {"x_range": FactorRange(), "y_range": FactorRange(), "x_axis_location": "above"}
+        chart = _map("matrix", _HEAD + _ROW, min_border_left=56, **ranges)
         chart.axis.axis_line_color = None
         chart.axis.major_tick_line_color = None
         filling = {"fill_color": {"field": "gap", "transform": self._colours}, "line_color": None}
         cells = chart.rect("column", "row", width=0.96, height=0.96, source=self._cells, **filling)
-        font = {
-            "text_align": "center",
-            "text_baseline": "middle",
-            "text_font": value(FONT),
-            "text_color": "ink",
-        }
+        font = {"text_align": "center", "text_baseline": "middle", "text_font": value(FONT)}
+        font["text_color"] = "ink"
         chart.text("column", "row", "shown", source=self._cells, text_font_size="12px", **font)
-        font |= {"text_font_style": "style"}
+        font["text_font_style"] = "style"
         chart.text("column", "row", "shown", source=self._sums, text_font_size="13px", **font)
         rows = [("between", "@pair"), ("ν-gap", "@gap{0.0000}"), ("90 %", "@interval")]
         chart.add_tools(HoverTool(renderers=[cells], tooltips=rows, visible=False))
         return chart
+
+
+def _map(name: str, height: int, **options: Any) -> Any:
+    """A chart without grid and tools."""
+    bare: dict[str, Any] = {"tools": "", "toolbar_location": None, "sizing_mode": "stretch_width"}
+    chart = figure(name=name, height=height, **bare, **options)
+    chart.grid.grid_line_color = None
+    return chart
 
 
 def _short(name: str) -> str:
@@ -141,14 +134,8 @@ class ThermalImage:
         self._colours = LinearColorMapper(palette=Inferno256, low=20.0, high=30.0, nan_color="#8C8C8C")
         self.figure = self._draw()
         heading = panel("thermal_heading", "<h2>Thermal image / °C</h2>")
-        self.root = Column(
-            heading,
-            self.figure,
-            name="thermal_card",
-            css_classes=["card"],
-            visible=False,
-            sizing_mode="stretch_width",
-        )
+        place: dict[str, Any] = {"css_classes": ["card"], "visible": False, "sizing_mode": "stretch_width"}
+        self.root = Column(heading, self.figure, name="thermal_card", **place)
         """The whole card; hidden for a plant without a camera."""
 
     def update(self, image: NDArray[np.float32]) -> None:
@@ -161,21 +148,10 @@ class ThermalImage:
         self._source.data = {"image": [image[::-1]], "x": [0], "y": [0], "dw": [columns], "dh": [rows]}
 
     def _draw(self) -> Any:
-        chart = figure(
-            name="thermal",
-            height=260,
-            sizing_mode="stretch_width",
-            match_aspect=True,
-            tools="",
-            toolbar_location=None,
-            x_axis_type=None,
-            y_axis_type=None,
-            min_border_left=4,
-            min_border_right=56,  # room for labels such as 22.5
-        )
-        chart.grid.grid_line_color = None
+        axes = {"match_aspect": True, "x_axis_type": None, "y_axis_type": None}
+        borders = {"min_border_left": 4, "min_border_right": 56}  # room for labels such as 22.5
+        chart = _map("thermal", 260, **axes, **borders)
         chart.x_range.range_padding = chart.y_range.range_padding = 0
         chart.image("image", "x", "y", "dw", "dh", source=self._source, color_mapper=self._colours)
-        bar = ColorBar(color_mapper=self._colours, width=10, padding=6)
-        chart.add_layout(bar, "right")
+        chart.add_layout(ColorBar(color_mapper=self._colours, width=10, padding=6), "right")
         return chart

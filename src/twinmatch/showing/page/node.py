@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from queue import Empty, SimpleQueue
 
@@ -81,13 +82,13 @@ class Dashboard(TwinmatchNode):
         def drive(applied: float, current: float, fault: str) -> None:
             state.push_drive(DriveReport(applied, current, fault))
 
-        def twin_row(message: TwinState) -> TwinRow:
-            return TwinRow(**{name: one_of(message, name) for name in TwinRow._fields})
+        def take_twin(message: TwinState) -> None:
+            state.push_twin(message.index, TwinRow(*(one_of(message, name) for name in TwinRow._fields)))
 
         for kind, topic, take, qos in (
             (PlantDescription, "plant/description", self._on_description, LATCHED),
             (LoopSample, "plant/sample", lambda sample: state.push_sample(sample, time.monotonic()), ALL),
-            (TwinState, "twin/state", lambda m: state.push_twin(m.index, twin_row(m)), ALL),
+            (TwinState, "twin/state", take_twin, ALL),
             (Forecast, "twin/forecast", state.push_forecast, ALL),
             (ModelScore, "twin/model_score", state.push_verdict, ALL),
             (PwmApplied, "plant/pwm_applied", lambda m: drive(m.pwm, m.current, m.fault), ALL),
@@ -149,8 +150,6 @@ class Dashboard(TwinmatchNode):
             update_sentence(self.state, self._settings.gains)
 
     def _run_requests(self) -> None:
-        while True:
-            try:
+        with suppress(Empty):
+            while True:
                 self._queued.get_nowait()()
-            except Empty:
-                return

@@ -93,11 +93,9 @@ def _answer(question: str, answer: str, more: str) -> str:
 
 
 def _leader(state: DashboardState) -> str:
-    verdict = state.verdict
-    nominal = "none yet" if verdict is None or not verdict.nominal else verdict.nominal
-    name = state.leader or ("" if verdict is None else verdict.nominal or "")
+    nominal = (state.verdict and state.verdict.nominal) or "none yet"
     more = f"nominal, the centre of the family: <b>{escape(nominal)}</b>"
-    return _answer("leader, the twin to ask what comes next", name or "none yet", more)
+    return _answer("leader, the twin to ask what comes next", state.leader or nominal, more)
 
 
 def _forecast(state: DashboardState) -> str:
@@ -290,15 +288,10 @@ def notice(state: DashboardState) -> str:
 
 def _more(verdict: Verdict) -> list[str]:
     """Further statements of a verdict: fault, certainty, structure."""
-    lines = []
-    if verdict.fault:
-        since = "" if verdict.fault_since is None else f" since sample {verdict.fault_since}"
-        lines.append(f"the plant shows {verdict.fault}{since}")
-    if verdict.certainty:
-        lines.append(verdict.certainty)
-    if verdict.structure:
-        lines.append(f"structure that the samples justify: {verdict.structure}")
-    return lines
+    since = "" if verdict.fault_since is None else f" since sample {verdict.fault_since}"
+    fault = verdict.fault and f"the plant shows {verdict.fault}{since}"
+    structure = verdict.structure and f"structure that the samples justify: {verdict.structure}"
+    return [line for line in (fault, verdict.certainty, structure) if line]
 
 
 def _tiles(entries: Sequence[tuple[str, str]], kind: str = "tiles") -> str:
@@ -320,8 +313,7 @@ def _table(head: Sequence[tuple[str, str]], lines: Sequence[str], kind: str = ""
         f"<th{' class=left' if k == 1 else ''}>{escape(name)}<small>{escape(unit)}</small></th>"
         for k, (name, unit) in enumerate(head)
     )
-    body = "".join(lines)
     return (
         f'<div class="scroll" tabindex="0"><table class="{kind}"><thead><tr>{names}</tr></thead>'
-        f"<tbody>{body}</tbody></table></div>"
+        f"<tbody>{''.join(lines)}</tbody></table></div>"
     )

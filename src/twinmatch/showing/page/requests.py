@@ -23,6 +23,7 @@ from twinmatch_msgs.srv import WhatIf
 
 SOURCE = ("reference_source", "profile.lowest", "profile.highest")
 """Parameters of the controller that show whether it follows a set-point from outside."""
+DRIVER = "the node that drives the plant"
 
 
 class Requests:
@@ -52,10 +53,8 @@ class Requests:
             self._stop = node.create_client(Trigger, "plant/stop")
             self._limits = node.create_client(GetParameters, "controller/get_parameters")
             # Not latched: a restarted controller must not receive an old request.
-            quiet = PublisherEventCallbacks(use_default_callbacks=False)
-            self._reference = node.create_publisher(
-                Float64, "plant/reference", RELIABLE, event_callbacks=quiet
-            )
+            quiet = {"event_callbacks": PublisherEventCallbacks(use_default_callbacks=False)}
+            self._reference = node.create_publisher(Float64, "plant/reference", RELIABLE, **quiet)
 
     def pause(self, paused: bool) -> None:
         """Pause the player of a session, or continue."""
@@ -77,12 +76,12 @@ class Requests:
             request = WhatIf.Request(times=[0.0, hold], levels=[level, now])
 
         def show(answer: WhatIf.Response) -> None:
-            if not answer.success:
+            if answer.success:
+                forecast = forecast_from(answer.forecast)
+                lines = (*forecast_words(forecast, self._settings()), *forecast.notes)
+                self._state.answer(WhatIfAnswer(question, lines, forecast))
+            else:
                 show_text(answer.message)
-                return
-            forecast = forecast_from(answer.forecast)
-            lines = (*forecast_words(forecast, self._settings()), *forecast.notes)
-            self._state.answer(WhatIfAnswer(question, lines, forecast))
 
         def show_text(why: str) -> None:
             self._state.answer(WhatIfAnswer(question, (why,)))
@@ -93,25 +92,21 @@ class Requests:
     def clear_fault(self) -> None:
         """Allow the output to be driven again after a fault."""
         if self.control:
-            self._call(self._clear, Trigger.Request(), "the node that drives the plant", self._show_result)
+            self._call(self._clear, Trigger.Request(), DRIVER, self._show_result)
 
     def stop(self) -> None:
         """Hold the output at zero."""
         if self.control:
-            self._call(self._stop, Trigger.Request(), "the node that drives the plant", self._show_result)
+            self._call(self._stop, Trigger.Request(), DRIVER, self._show_result)
 
     def set_point(self, level: float) -> None:
         """Send the controller a set-point, once its parameters show that it follows one."""
-        if not self.control:
-            return
+        if self.control:
+            request, send = GetParameters.Request(names=list(SOURCE)), partial(self._send_set_point, level)
+            self._call(self._limits, request, "the controller", send)
 
-        def send(answer: Any) -> None:
-            self._send_set_point(level, answer.values)
-
-        self._call(self._limits, GetParameters.Request(names=list(SOURCE)), "the controller", send)
-
-    def _send_set_point(self, level: float, values: list[Any]) -> None:
-        found = {name: value for name, value in zip(SOURCE, values, strict=False) if value.type}
+    def _send_set_point(self, level: float, answer: Any) -> None:
+        found = {name: value for name, value in zip(SOURCE, answer.values, strict=False) if value.type}
         if len(found) < len(SOURCE):
             self._state.notify(False, "the controller does not report which set-points it follows")
             return
@@ -140,8 +135,8 @@ class Requests:
             if not client.service_is_ready():
                 fail = otherwise or partial(self._state.notify, False)
                 fail(f"{server} is not running (no service {client.srv_name})")
-                return
-            client.call_async(request).add_done_callback(done)
+            else:
+                client.call_async(request).add_done_callback(done)
 
         def done(future: Any) -> None:
             answer = future.result()

@@ -124,12 +124,9 @@ class RollingTable:
         return dict(zip(self.columns, row.tolist(), strict=True))
 
     def since(self, row: int, stride: int = 1) -> tuple[dict[str, FloatArray], int]:
-        """The rows after the first `row` rows, and the row number to pass next time.
+        """The rows after the first `row` rows, and the row number to pass next time with the same stride.
 
-        Args:
-            row: a number this method returned, or 0.
-            stride: rows that are drawn as one, see `envelope`; only full groups are returned, and a row
-                number is valid only for the stride it was returned for.
+        Only full groups of `stride` rows, which are drawn as one, are returned: see `envelope`.
         """
         oldest = -(-max(0, self.count - self.capacity) // stride) * stride
         first = max(row, oldest)
@@ -146,11 +143,8 @@ class RollingTable:
 def envelope(rows: FloatArray, stride: int) -> FloatArray:
     """Every `stride` rows as two: minimum and maximum of each column, in the order in which they occurred.
 
-    A spike of one sample so keeps its height, however many samples share a pixel.
-
-    Args:
-        rows: shape (N, columns); N is a multiple of `stride`. A NaN makes both rows of its group NaN.
-        stride: 1 returns the rows as they are.
+    A spike of one sample so keeps its height, however many samples share a pixel. The rows, shape
+    (N, columns), are whole groups; a NaN makes both rows of its group NaN.
     """
     if stride == 1 or not rows.size:
         return rows
@@ -207,7 +201,6 @@ class DashboardState:
         self.notice: Notice | None = None
         self._intervals: deque[float] = deque(maxlen=INTERVALS)
         self._previous: Sample | None = None
-        self._fault = ""
 
     @property
     def sample(self) -> int | None:
@@ -217,7 +210,7 @@ class DashboardState:
     @property
     def fault(self) -> str:
         """The fault that holds the output at zero; empty: no fault."""
-        return self._fault
+        return self.drive.fault if self.drive else ""
 
     @property
     def current_forecast(self) -> Forecast | None:
@@ -261,7 +254,7 @@ class DashboardState:
         with self.lock:
             for event in events_since(self.verdict, verdict):
                 self._log(event)
-            fault = "" if self.verdict is None else self.verdict.fault
+            fault = self.verdict.fault if self.verdict else ""
             extend_stretches(self.trust, verdict, fault, max(0, min(verdict.first, verdict.sample)))
             self.verdict = verdict
             self.verdicts += 1
@@ -281,10 +274,9 @@ class DashboardState:
     def push_drive(self, drive: DriveReport) -> None:
         """Take a report of the node that drives the plant."""
         with self.lock:
-            self.drive = drive
-            if drive.fault == self._fault:
+            before, self.drive = self.fault, drive
+            if drive.fault == before:
                 return
-            self._fault = drive.fault
             if drive.fault:
                 kind, _, why = drive.fault.partition(": ")
                 title = f"output held at zero: {kind.replace('_', ' ')}"
@@ -326,9 +318,8 @@ class DashboardState:
         self.forecast, self.what_if, self.forecast_changes = None, None, self.forecast_changes + 1
         self.trust.clear()
         self._intervals.clear()
-        self._note(
-            EventKind.NODE, Mark.NOTE, "a new session began", f"the previous one lasted {duration:g} s"
-        )
+        why = f"the previous one lasted {duration:g} s"
+        self._note(EventKind.NODE, Mark.NOTE, "a new session began", why)
 
     def _note_interval(self, sample: Sample, previous: Sample) -> None:
         interval = (sample.stamp - previous.stamp) / 1e9 / (sample.index - previous.index)
@@ -353,18 +344,13 @@ def update_sentence(state: DashboardState, gains: Law | None) -> None:
     with state.lock:
         verdict, period = state.verdict, state.period
         columns, _ = state.plant.since(0)
+    rows = zip(*(columns[n].tolist() for n in ("index", "reference", "output", "input")), strict=True)
+    samples = [Sample(int(k), 0, r, y, u) for k, r, y, u in rows if not math.isnan(r)]  # NaN: a gap
     summed_up = ""
-    samples = _samples(columns)
     if samples and verdict is not None and (verdict.leader or verdict.nominal):
+        gains = gains and replace(gains, period=period)
         with suppress(TwinmatchError):  # so few samples that there is no window
-            summed_up = sentence(
-                summarise(samples, [verdict], gains and replace(gains, period=period), period=period)
-            )
+            summed_up = sentence(summarise(samples, [verdict], gains, period=period))
     with state.lock:
         if state.verdict is verdict:
             state.sentence = summed_up
-
-
-def _samples(columns: dict[str, FloatArray]) -> list[Sample]:
-    rows = zip(*(columns[n].tolist() for n in ("index", "reference", "output", "input")), strict=True)
-    return [Sample(int(k), 0, r, y, u) for k, r, y, u in rows if not math.isnan(r)]  # NaN: a gap

@@ -184,18 +184,9 @@ class Tab:
 
     def build(self, document: Document) -> None:
         """Make the document, and keep it up to date for as long as its tab is open."""
-        roots = [
-            *self._charts.figures,
-            self._matrix.figure,
-            self._thermal.root,
-            *self._texts.values(),
-            self._every,
-            self._span.root,
-            self._player.root,
-            self._question.root,
-        ]
-        if self._rig is not None:
-            roots.append(self._rig.root)
+        roots = [*self._charts.figures, self._matrix.figure, self._thermal.root, *self._texts.values()]
+        roots += [self._every, self._span.root, self._player.root, self._question.root]
+        roots += [self._rig.root] if self._rig is not None else []
         with document.models.freeze():  # otherwise every root scans the whole document again
             for root in roots:
                 document.add_root(root)
@@ -204,14 +195,9 @@ class Tab:
         self._texts["status"].js_on_change("tags", CustomJS(code="location.reload()"))
         document.theme = THEME
         document.template = _TEMPLATE.read_text(encoding="utf-8")
-        document.template_variables.update(
-            control=self._rig is not None,
-            plant_title=title,
-            font=FONT,
-            ink=TEXT,
-            good=LEVELS[TrustLevel.TRUSTED],
-            fault=LEVELS[TrustLevel.FAULT],
-        )
+        colours = {"ink": TEXT, "good": LEVELS[TrustLevel.TRUSTED], "fault": LEVELS[TrustLevel.FAULT]}
+        shown = {"control": self._rig is not None, "plant_title": title, "font": FONT, **colours}
+        document.template_variables.update(shown)
         document.config.reconnect_session = False  # a restarted server does not know the old session
         document.js_on_event("document_ready", self._charts.fit_to_narrow)
         document.js_on_event("connection_lost", CustomJS(code=_COME_BACK))
@@ -325,14 +311,8 @@ class PageServer:
         """Stop the server; returns whether its thread has ended."""
         server = self._server
         if server is not None and self._thread.is_alive():
-            loop = server.io_loop
-
-            def end() -> None:
-                server.unlisten()
-                server.stop()
-                loop.stop()
-
-            loop.add_callback(end)
+            for end in (server.unlisten, server.stop, server.io_loop.stop):
+                server.io_loop.add_callback(end)
         self._thread.join(3.0)
         return not self._thread.is_alive()
 

@@ -18,7 +18,7 @@ from twinmatch.offline.backtest import Backtest
 from twinmatch.offline.judging import Judgement
 from twinmatch.offline.processes import Beside
 from twinmatch.offline.summary import shown_twin
-from twinmatch.showing.family import Member
+from twinmatch.showing.family import Member, chosen_score
 from twinmatch.showing.figures.drawing import save, svg
 from twinmatch.showing.figures.family import (
     draw_criteria,
@@ -34,14 +34,10 @@ from twinmatch.showing.quantities import signal_names
 from twinmatch.showing.series import Fan, fan
 from twinmatch.showing.verdicts import admitted, last_verdict, level_stretches
 
-__all__ = ["FORMATS", "Picture", "fans_of", "pictures", "write_pictures"]
-
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-FORMATS = ("png", "pdf")
-"""File formats of `write_pictures`."""
 _QUEUE: Final = {"leader_forecasts": -2, "forecasts": -1, "responses": 1}
 """Pictures that take longest, and so are begun first by one of two processes: those at either end."""
 _SHOWN = 6
@@ -67,21 +63,13 @@ class Picture:
 
 
 def pictures(
-    judgement: Judgement, members: Sequence[Member], tested: Callable[[], Backtest], work: Beside
+    judgement: Judgement, members: Sequence[Member], tested: Backtest, work: Beside
 ) -> dict[str, Picture]:
-    """All figures of a session, by name and in the order of the report.
+    """All figures of a session and its family, by name and in the order of the report.
 
-    Args:
-        judgement: the judged session.
-        members: the family of its last verdict.
-        tested: gives the backtest, which may not be complete yet.
-        work: draws some of them, if it has a second process.
+    `work` draws some of them, if it has a second process.
     """
-    planned = [
-        *_of_session(judgement),
-        *_of_forecasts(judgement, tested()),
-        *_of_family(judgement, members),
-    ]
+    planned = [*_of_session(judgement), *_of_forecasts(judgement, tested), *_of_family(judgement, members)]
     queue = sorted(planned, key=lambda picture: _QUEUE.get(picture.name, 0))
     given = [(picture.name, work.give(_svg, picture.draw)) for picture in queue]
     drawn = {name: result() for name, result in reversed(given)}  # this process begins with the last
@@ -108,8 +96,7 @@ def _of_forecasts(j: Judgement, tested: Backtest) -> Iterator[Picture]:
         "Errors and coverage of every forecaster by horizon, and the leader's forecasts with their "
         f"bands, compared with the measurements. {' '.join(backtest_words(tested))}"
     )
-    title = "Forecasts compared with measurements"
-    yield Picture("forecasts", title, alt, partial(draw_backtest, tested))
+    yield Picture("forecasts", "Forecasts compared with measurements", alt, partial(draw_backtest, tested))
     if fans := fans_of(tested, j):
         made = ", ".join(f"{one.forecast.sample} by {one.forecast.candidate}" for one in fans)
         alt = (
@@ -135,8 +122,7 @@ def _of_family(j: Judgement, members: Sequence[Member]) -> Iterator[Picture]:
             f"One panel for each candidate ({names}): set-point, measured {output} and control, the response "
             "of the twin and that of its Box–Jenkins model."
         )
-        title = "The family on the measured data"
-        yield Picture("responses", title, alt, partial(draw_responses, members))
+        yield Picture("responses", "The family on the measured data", alt, partial(draw_responses, members))
         alt = (
             f"The twins of all candidates ({names}) on the window of the nominal one, and the differences "
             f"from the nominal twin in {output} and control."
@@ -144,11 +130,8 @@ def _of_family(j: Judgement, members: Sequence[Member]) -> Iterator[Picture]:
         yield Picture("uncertainty", "Uncertainty of the twin", alt, partial(draw_uncertainty, members))
     last = last_verdict(j.verdicts)
     if last is not None:
-        gains = ", ".join(
-            f"{c.name}: order {c.chosen_order}, gain "
-            f"{next(o.total.gain for o in c.orders if o.order == c.chosen_order)} characters"
-            for c in last.modelled
-        )
+        chosen = ((c.name, score) for c in last.modelled if (score := chosen_score(c)))
+        gains = ", ".join(f"{n}: order {o.order}, gain {o.total.gain} characters" for n, o in chosen)
         alt = f"Bars for every candidate and order. {gains}."
         yield Picture("criteria", "Criteria of the orders", alt, partial(draw_criteria, last))
         sums = ", ".join(f"{c.name} {c.nu_gap_sum:.2f}" for c in last.candidates)
@@ -181,12 +164,10 @@ def write_pictures(found: dict[str, Picture], folder: Path, ending: str) -> list
     except OSError as error:
         msg = f"{folder}: the folder for the figures cannot be created: {error.strerror}"
         raise TwinmatchError(msg) from error
-    paths = []
-    for name, picture in found.items():
-        path = folder / f"{name}.{ending}"
+    paths = {folder / f"{name}.{ending}": picture for name, picture in found.items()}
+    for path, picture in paths.items():
         save(picture.draw(), path)
-        paths.append(path)
-    return paths
+    return list(paths)
 
 
 def _session_alt(j: Judgement) -> str:
@@ -208,13 +189,7 @@ def _session_alt(j: Judgement) -> str:
 
 
 def _health_alt(j: Judgement) -> str:
-    period = j.settings.period
-    levels = ", ".join(
-        f"{s.level.value} from {s.first * period:.0f} to {s.last * period:.0f} s"
-        for s in level_stretches(j.verdicts, j.samples[0].index)
-    )
-    joined = len(admitted(j.verdicts))
-    return (
-        f"Trust over time: {levels or 'no verdict'}. {joined} matches admitted, "
-        f"{sum(v.match == REFUSED for v in j.verdicts)} refused."
-    )
+    stretches = level_stretches(j.verdicts, j.samples[0].index)
+    levels = ", ".join(f"{s.level.value} from {s.times(j.settings.period)}" for s in stretches)
+    joined, refused = len(admitted(j.verdicts)), sum(v.match == REFUSED for v in j.verdicts)
+    return f"Trust over time: {levels or 'no verdict'}. {joined} matches admitted, {refused} refused."

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from functools import cached_property
 from importlib import import_module
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import version
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -35,8 +35,6 @@ from twinmatch.showing.summary import sentence
 from twinmatch.showing.verdicts import last_verdict, level_words
 from twinmatch.twin import TwinSettings
 
-__all__ = ["JudgedSession", "SessionReport", "build_report", "judge_for_report", "make_report"]
-
 PEERS: Final = ("persistence", "arx")
 """Methods that forecasts are compared with unless told otherwise: those that take no time."""
 _LIBRARIES = ("numpy", "scipy", "numba", "control", "mcap", "matplotlib", "Jinja2")
@@ -44,23 +42,21 @@ _CHUNK = 1 << 20
 
 
 class FileHash(NamedTuple):
-    """One file of the session."""
+    """One file of the session, and its size in bytes."""
 
     name: str
     size: int
-    """Bytes."""
     sha256: str
 
 
 class RecordedSetting(NamedTuple):
-    """One parameter."""
+    """One parameter, and whether it differs from the default."""
 
     name: str
     value: str
     unit: str
     meaning: str
     changed: bool
-    """Whether it differs from the default."""
 
 
 @dataclass(frozen=True)
@@ -77,14 +73,7 @@ class Provenance:
 
 
 def provenance(path: Path, settings: TwinSettings, command: str, made: datetime) -> Provenance:
-    """Collect the provenance.
-
-    Args:
-        path: the session: a file, or a folder with all its files.
-        settings: the settings the session was judged with.
-        command: the command line.
-        made: date and time of the report, with time zone.
-    """
+    """Collect the provenance of a session, a file or a folder, judged with these settings."""
     files = sorted(file for file in path.rglob("*") if file.is_file()) if path.is_dir() else [path]
     return Provenance(
         made=made.isoformat(sep=" ", timespec="seconds"),
@@ -114,13 +103,9 @@ def _text(value: object) -> str:
 
 
 def _versions() -> tuple[tuple[str, str], ...]:
-    found = [("twinmatch", twinmatch.__version__), ("Python", platform.python_version())]
-    for name in _LIBRARIES:
-        try:
-            found.append((name, version(name)))
-        except PackageNotFoundError:
-            found.append((name, "installed without metadata"))
-    return (*found, ("system", f"{platform.system()} {platform.machine()}"))
+    libraries = ((name, version(name)) for name in _LIBRARIES)
+    own = (("twinmatch", twinmatch.__version__), ("Python", platform.python_version()))
+    return (*own, *libraries, ("system", f"{platform.system()} {platform.machine()}"))
 
 
 def _hash(file: Path, path: Path) -> FileHash:
@@ -167,10 +152,10 @@ def judge_for_report(path: Path) -> JudgedSession:
         TwinmatchError: the file cannot be used.
     """
     session = open_any(path)
-    return _judged(session, *_terms(session, None, None))
+    return _judged(session, *_terms(session))
 
 
-def _terms(session: Session, config: Path | None, candidates: Path | None) -> tuple[Terms, str]:
+def _terms(session: Session, config: Path | None = None, candidates: Path | None = None) -> tuple[Terms, str]:
     """The terms, and why the verdicts cannot be compared with the recorded ones; empty if they can."""
     try:
         return recorded_terms(session, config, candidates), ""
@@ -187,8 +172,7 @@ def _judged(
     watch: Watch | None = None,
     work: Beside | None = None,
 ) -> JudgedSession:
-    choices = Choices(peers=tuple(peers))
-    listener = Listener(session.name, session.samples, terms.settings, choices, work)
+    listener = Listener(session.name, session.samples, terms.settings, Choices(peers=tuple(peers)), work)
     judgement = judge(session, terms, watch=part_of(watch, 0, 2), beside=listener)
     recorded, identical = _compared(session, judgement, unlike)
     rest = part_of(watch, 1, 2)
@@ -199,23 +183,19 @@ def _compared(session: Session, judgement: Judgement, unlike: str) -> tuple[str,
     count = holds_verdicts(session)
     if not count:
         return "The session has no recorded verdicts; all of them were computed for this report.", None
+    again = "They were computed again for this report and"
     try:
         found = None if unlike else compare(session, judgement)
     except TwinmatchError as error:
         found, unlike = None, str(error)
     if found is None:
-        return (
-            f"The session has {count} recorded verdicts. They were computed again for this report and could "
-            f"not be compared with the recorded ones: {unlike}."
-        ), None
+        held = f"The session has {count} recorded verdicts."
+        return f"{held} {again} could not be compared with the recorded ones: {unlike}.", None
     matches = f"{found.matches} match{'' if found.matches == 1 else 'es'}"
     held = f"The session has {found.verdicts} recorded verdicts and {matches}."
     if found.identical:
-        return f"{held} They were computed again for this report and are the same, bit for bit.", True
-    return (
-        f"{held} They were computed again for this report and differ from the recorded ones. "
-        f"First difference: {found.difference}."
-    ), False
+        return f"{held} {again} are the same, bit for bit.", True
+    return f"{held} {again} differ from the recorded ones. First difference: {found.difference}.", False
 
 
 @dataclass(frozen=True, eq=False)
@@ -266,38 +246,32 @@ class SessionReport:
             raise TwinmatchError(f"{path}: the report cannot be written: {error.strerror}") from error
 
     def _content(self) -> dict[str, object]:
-        judged, judgement = self.judged, self.judged.judgement
-        last, nominal = last_verdict(judgement.verdicts), self.nominal
-        period, level = judgement.settings.period, judgement.summary.level
-        closed = judgement.settings.gains is not None
-        plant, matched = judgement.settings.plant, judgement.settings.start.model.structure_name
+        judged, judgement, settings = self.judged, self.judged.judgement, self.judged.judgement.settings
+        last, nominal, tested = last_verdict(judgement.verdicts), self.nominal, judged.tested
+        period, level, closed = settings.period, judgement.summary.level, settings.gains is not None
+        plant, matched = settings.plant, settings.start.model.structure_name
         return {
             "name": self.name,
             "sentence": self.sentence,
             "level": level.value,
             "level_colour": LEVELS[level],
             "level_words": level_words(judgement.verdicts[-1] if judgement.verdicts else None),
-            "words": [*plain_words(judgement), *backtest_words(judged.tested)[-1:]],
-            "forecasts": tables.forecast_tables(judged.tested),
-            "forecast_sentences": backtest_words(judged.tested),
+            "words": [*plain_words(judgement), *backtest_words(tested)[-1:]],
+            "forecasts": tables.forecast_tables(tested),
+            "forecast_sentences": backtest_words(tested),
             "peers": _peer_words(judged.listener.peers, closed=closed),
-            "fans": tables.leader_forecast_table(fans_of(judged.tested, judgement), plant),
-            "horizons": ", ".join(f"{h:g}" for h in judged.tested.horizons),
-            "confidence": f"{100 * judged.tested.confidence:.0f}",
-            "forecast_notes": [
-                *judged.tested.notes,
-                *(f"{a.name}: {a.reason}" for a in judged.tested.absent),
-            ],
+            "fans": tables.leader_forecast_table(fans_of(tested, judgement), plant),
+            "horizons": ", ".join(f"{h:g}" for h in tested.horizons),
+            "confidence": f"{100 * tested.confidence:.0f}",
+            "forecast_notes": [*tested.notes, *(f"{a.name}: {a.reason}" for a in tested.absent)],
             "facts": session_facts(judgement),
             "notes": judgement.summary.notes,
             "pictures": self.pictures,
             "events": tables.event_table(judgement.verdicts, period),
             "match": nominal.match if nominal else None,
             "nominal_parameters": tables.nominal_table(nominal.score, nominal.match) if nominal else None,
-            "family": tables.family_table(self.members) if self.members else None,
-            "matches": tables.match_table(judgement.matches, judgement.verdicts, period, closed=closed)
-            if judgement.matches
-            else None,
+            "family": tables.family_table(self.members),
+            "matches": tables.match_table(judgement.matches, judgement.verdicts, period, closed=closed),
             "verdict": last,
             "criteria": tables.criterion_tables(last) if last else [],
             "weights": tables.order_table(last) if last else None,
@@ -306,9 +280,9 @@ class SessionReport:
             "identified": tables.identified_table(last) if last else None,
             "coefficients": tables.coefficient_table(nominal) if nominal else None,
             "other_coefficients": [tables.coefficient_table(m) for m in self.members if not m.nominal],
-            "limits": judgement.settings.limits,
-            "schedule": judgement.settings.schedule,
-            "judged": self.judged,
+            "limits": settings.limits,
+            "schedule": settings.schedule,
+            "judged": judged,
             "plant": plant,
             "called": signal_names(plant),
             "closed": closed,
@@ -339,16 +313,11 @@ def build_report(
     """Build the report of a judged session; `path` is where the session was read from, `work` draws some of
     the figures."""
     judgement = judged.judgement
-    members = family(
-        judgement.samples, judgement.matches, last_verdict(judgement.verdicts), judgement.settings
-    )
+    last, settings = last_verdict(judgement.verdicts), judgement.settings
+    members = family(judgement.samples, judgement.matches, last, settings)
+    drawn = pictures(judgement, members, judged.tested, work or Beside())
     made = made or datetime.now().astimezone()
-    return SessionReport(
-        judged=judged,
-        members=members,
-        pictures=pictures(judgement, members, lambda: judged.tested, work or Beside()),
-        provenance=provenance(path, judgement.settings, command, made),
-    )
+    return SessionReport(judged, members, drawn, provenance(path, settings, command, made))
 
 
 def make_report(

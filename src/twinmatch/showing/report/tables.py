@@ -105,15 +105,15 @@ def nominal_table(score: CandidateScore, match: Match | None) -> ReportTable:
     for name in in_order(plant, (*score.parameters, *free)):
         q = parameter_format(plant, name)
         if match is not None and name in free:
-            ends = _ends(match, q) or "–"
-            error = q.error_text(interval(match, name).error)
-            value, *rest = Cell(q.text(value_of(match, name)), best=True), Cell(error), Cell(ends)
+            value = Cell(q.text(value_of(match, name)), best=True)
+            error, ends = q.error_text(interval(match, name).error), _ends(match, q) or "–"
             well = "well" if name in match.believed else "poorly"
             origin = f"fitted, {well} determined" if match.believed else "fitted"
         else:
-            value, *rest = Cell(q.text(score.parameters[name])), Cell("–"), Cell("–")
+            value, error, ends = Cell(q.text(score.parameters[name])), "–", "–"
             origin = "candidate file" if match is None else "not fitted"
-        rows.append((_head(q.symbol), _words(q.words), value, _words(q.unit), *rest, _words(origin)))
+        named = (_head(q.symbol), _words(q.words), value, _words(q.unit))
+        rows.append((*named, Cell(error), Cell(ends), _words(origin)))
     names = ("symbol", "meaning", "value", "unit", "standard error", "95 % interval", "from")
     return ReportTable(f"Parameters of the nominal twin, {score.name}", names, tuple(rows))
 
@@ -142,8 +142,10 @@ def structure_table(verdict: Verdict) -> ReportTable | None:
     )
 
 
-def family_table(members: Sequence[Member]) -> ReportTable:
-    """Parameters of every candidate with their 95 % intervals."""
+def family_table(members: Sequence[Member]) -> ReportTable | None:
+    """Parameters of every candidate with their 95 % intervals; None without one."""
+    if not members:
+        return None
     closed = any(m.settings.gains is not None for m in members)
 
     def parameter(m: Member, q: ParameterFormat) -> Cell:
@@ -167,22 +169,20 @@ def _formats(members: Sequence[Member]) -> list[ParameterFormat]:
     """The free parameters of all matches; without matches those of the structures."""
     free = [m.match.free for m in members if m.match is not None]
     free = free or [m.score.parameters.model.structure.free for m in members]
-    if not members:
-        return []
     plant = members[0].score.parameters.model.plant
     return [parameter_format(plant, name) for name in in_order(plant, {n for names in free for n in names})]
 
 
 def match_table(
     matches: Sequence[MatchReport], verdicts: Sequence[Verdict], period: float, *, closed: bool = True
-) -> ReportTable:
-    """Every match, admitted or refused, and why; `closed`: whether the loop is known."""
+) -> ReportTable | None:
+    """Every match, admitted or refused, and why, None without one; `closed`: whether the loop is known."""
+    if not matches:
+        return None
     reasons = {v.sample: refusal(v) for v in verdicts if v.match == REFUSED}
-    shown = []
-    if matches:
-        plant = matches[0].match.parameters.model.plant
-        names = in_order(plant, {name for m in matches for name in m.match.free})
-        shown = [parameter_format(plant, name) for name in names]
+    plant = matches[0].match.parameters.model.plant
+    names = in_order(plant, {name for m in matches for name in m.match.free})
+    shown = [parameter_format(plant, name) for name in names]
 
     def parameter(report: MatchReport, q: ParameterFormat) -> Cell:
         fitted = math.isfinite(report.match.chi2) and q.name in report.match.free
@@ -211,19 +211,15 @@ def criterion_tables(verdict: Verdict) -> list[ReportTable]:
     tables = []
     for candidate in verdict.modelled:
         titles, count = dict(outputs_of(candidate.orders)), len(candidate.orders)
-        found = criterion_rows(candidate, shown)
-        rows = tuple(
-            (
-                *((_head(titles[row.output], count),) if k % count == 0 else ()),
-                Cell(row.order, best=row.chosen, number=False),
-                *(Cell(c.text, best=c.best) for c in row.cells),
-            )
-            for k, row in enumerate(found)
-        )
+        found, rows = criterion_rows(candidate, shown), []
+        for k, row in enumerate(found):
+            first = () if k % count else (_head(titles[row.output], count),)
+            order = Cell(row.order, best=row.chosen, number=False)
+            rows.append((*first, order, *(Cell(c.text, best=c.best) for c in row.cells)))
         mark = ", nominal" if candidate.name == verdict.nominal else ""
         caption = f"Candidate {candidate.name}{mark}: order {candidate.chosen_order} chosen"
         chosen = frozenset(k for k, row in enumerate(found) if row.chosen)
-        tables.append(ReportTable(caption, names, rows, chosen))
+        tables.append(ReportTable(caption, names, tuple(rows), chosen))
     return tables
 
 
@@ -258,16 +254,15 @@ def gap_table(verdict: Verdict) -> ReportTable:
     """The ν-gaps, their sums, and the further distances and probabilities that a candidate has."""
     extra = [e for e in _GAP_FIGURES if any(e[1](c) != number(None) for c in verdict.candidates)]
     sums = [c.nu_gap_sum for c in verdict.candidates]
-    title, found = "ν-gap between the plants", verdict.candidates
-    return _distances(title, verdict, found, verdict.nu_gap, sums=sums, extra=extra)
+    title = "ν-gap between the plants"
+    return _distances(title, verdict, verdict.candidates, verdict.nu_gap, sums=sums, extra=extra)
 
 
 def identified_table(verdict: Verdict) -> ReportTable:
     """The ν-gaps between the models identified on the twins, as in the paper."""
     sums = [c.identified_gap_sum for c in verdict.modelled]
     extra: list[_Extra] = [("to the newest window's model", lambda c: number(c.identified_gap_to_plant, 3))]
-    title = f"ν-gap between the models of order {verdict.order}"
-    gaps = verdict.identified_gap
+    title, gaps = f"ν-gap between the models of order {verdict.order}", verdict.identified_gap
     return _distances(title, verdict, verdict.modelled, gaps, sums=sums, extra=extra)
 
 
@@ -337,12 +332,12 @@ def leader_forecast_table(fans: Sequence[Fan], plant: type[Plant]) -> ReportTabl
     moves = ("set-points", signals.output_unit) if closed else ("inputs", signals.input_unit)
 
     def ends(one: Fan) -> Cell:
-        low, high = (float(edge[-1]) for edge in (one.forecast.output.low, one.forecast.output.high))
-        return Cell(f"{number(low, decimals)} to {number(high, decimals)}")
+        band = one.forecast.output
+        return Cell(span_text(float(band.low[-1]), float(band.high[-1]), decimals))
 
     def share(one: Fan, signal: int) -> Cell:
         inside = one.in_band[signal]
-        return Cell(f"{100 * float(inside.mean()):.0f} %" if inside.size else "–")
+        return Cell(f"{percent(float(inside.mean()), 0)} %" if inside.size else "–")
 
     shown: list[tuple[str, Callable[[Fan], Cell]]] = [
         ("made at / s", lambda one: _head(number(one.forecast.sample * one.past.period, 0))),

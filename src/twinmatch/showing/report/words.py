@@ -10,7 +10,7 @@ from twinmatch.offline.summary import ShownTwin, nominal_score, shown_twin
 from twinmatch.showing.quantities import SignalNames, number, percent, signal_names
 from twinmatch.showing.series import compare, root_mean_square
 from twinmatch.showing.summary import UNEXPLAINED
-from twinmatch.showing.verdicts import LevelStretch, admitted, last_verdict, level_stretches
+from twinmatch.showing.verdicts import admitted, last_verdict, level_stretches
 from twinmatch.signals import Sample
 from twinmatch.twin import TwinSettings
 
@@ -59,25 +59,19 @@ def _duration(judgement: Judgement) -> str:
 
 def plain_words(judgement: Judgement) -> list[str]:
     """The session in a few sentences, one topic each."""
-    lines = [_what(judgement)]
     last = judgement.verdicts[-1] if judgement.verdicts else None
     nominal, shown = nominal_score(last_verdict(judgement.verdicts)), shown_twin(last)
-    lines.append(_matching(judgement))
+    lines = [_what(judgement), _matching(judgement)]
     if last is None or shown is None:
-        lines.append(_nothing(judgement))
-        if judgement.summary.level is TrustLevel.FAULT:
-            lines.append(_health(judgement))
-        return lines
+        faulty = judgement.summary.level is TrustLevel.FAULT
+        return [*lines, _nothing(judgement), *([_health(judgement)] if faulty else [])]
     if last.leader is not None:
         lines.append(_leader(last, shown))
     if nominal is not None:
         lines.append(_choice(last, nominal))
     if last.certainty:
         lines.append(as_sentence(last.certainty))
-    lines.append(_fit(judgement, shown))
-    lines.append(_trust(judgement))
-    lines.append(_health(judgement))
-    return lines
+    return [*lines, _fit(judgement, shown), _trust(judgement), _health(judgement)]
 
 
 def _what(judgement: Judgement) -> str:
@@ -111,11 +105,11 @@ def _matching(judgement: Judgement) -> str:
             "candidate."
         )
     joined = len(admitted(judgement.verdicts))
-    refused = count - joined
+    refused = f" and {count - joined} refused (see section 2)" if count > joined else ""
     return (
         f"After {kind} steps a digital twin, a simulation {twin}, is fitted to the measurements: of {count} "
         f"match{'' if count == 1 else 'es'}, {joined} {'was' if joined == 1 else 'were'} admitted to the "
-        "family" + (f" and {refused} refused (see section 2)." if refused else ".")
+        f"family{refused}."
     )
 
 
@@ -136,12 +130,11 @@ def _nothing(judgement: Judgement) -> str:
 def _leader(last: Verdict, shown: ShownTwin) -> str:
     count = len(last.forecasts)
     what = f"structure “{shown.name}”" if shown.is_structure else f"match at {shown.name}"
-    if count <= 1:
-        return f"The twin to ask what comes next, the leader, is the {what}, the only one with forecasts."
-    return (
-        f"The twin to ask what comes next, the leader, is the {what}: among {count} twins its forecasts have "
-        "saved the most characters compared with assuming that nothing changes."
-    )
+    why = ", the only one with forecasts"
+    if count > 1:
+        why = f": among {count} twins its forecasts have saved the most characters compared with assuming "
+        why += "that nothing changes"
+    return f"The twin to ask what comes next, the leader, is the {what}{why}."
 
 
 def _choice(last: Verdict, nominal: CandidateScore) -> str:
@@ -151,11 +144,8 @@ def _choice(last: Verdict, nominal: CandidateScore) -> str:
             f"The family has one candidate, matched at {nominal.name}; it is nominal because there is no "
             "other candidate."
         )
-    described = (
-        f" Its behaviour is described best by a Box–Jenkins model of order {nominal.chosen_order}."
-        if nominal.chosen_order
-        else ""
-    )
+    order = nominal.chosen_order
+    described = f" Its behaviour is described best by a Box–Jenkins model of order {order}." if order else ""
     return (
         f"The family has {count} candidates, matches and structures. Its centre, the nominal candidate, is "
         f"{nominal.name}: it has the smallest sum of ν-gaps to the others, {nominal.nu_gap_sum:.3f} (0: the "
@@ -176,16 +166,15 @@ def _residuals(judgement: Judgement, shown: ShownTwin) -> tuple[float, float, fl
 def _fit(judgement: Judgement, shown: ShownTwin) -> str:
     s, signals = judgement.summary, _signals(judgement)
     y, u, driven = _residuals(judgement, shown)
-    closed = judgement.settings.gains is not None
-    by = "only by the set-points" if closed else "by the recorded control"
-    off = signals.y(y if closed else driven, finer=1)
-    control = (
-        f" and the {signals.input} to {percent(s.fit_u)} % ({signals.u(u, finer=1)} RMS)" if closed else ""
-    )
+    by, off, control = "by the recorded control", driven, ""
+    if judgement.settings.gains is not None:
+        by, off = "only by the set-points", y
+        control = f" and the {signals.input} to {percent(s.fit_u)} % ({signals.u(u, finer=1)} RMS)"
     faulty = any(v.level is TrustLevel.FAULT for v in judgement.verdicts)
     return (
         f"Driven {by}, {shown.name} follows the measured {signals.output} over the whole session to "
-        f"{percent(s.fit_y)} % (100 % is perfect, 0 % no better than a constant; {off} RMS){control}"
+        f"{percent(s.fit_y)} % (100 % is perfect, 0 % no better than a constant; "
+        f"{signals.y(off, finer=1)} RMS){control}"
         f"{'; this includes the time in which the plant was faulty' if faulty else ''}."
     )
 
@@ -194,37 +183,33 @@ def _trust(judgement: Judgement) -> str:
     s = judgement.summary
     if s.range is None:
         return f"There is no range of the {_signals(judgement).output} in which its forecasts have held."
-    held = f"Its forecasts have held between {s.range}"
+    held, but = f"Its forecasts have held between {s.range}", f", but {s.beaten}" if s.beaten else ""
     if s.level is TrustLevel.TRUSTED:
-        but = f", but {s.beaten}" if s.beaten else ""
         return f"{held}, and at the end of the session the twin can be trusted there{but}."
-    if s.level is TrustLevel.DOUBTFUL and s.beaten:
-        return f"{held}, but {s.beaten}."
     if s.level is TrustLevel.DOUBTFUL:
-        return f"{held}, but at the end of the session the twin and the plant have drifted apart."
+        apart = ", but at the end of the session the twin and the plant have drifted apart"
+        return f"{held}{but or apart}."
     return f"{held}, but at the end of the session the twin is not to be trusted."
 
 
 def _health(judgement: Judgement) -> str:
     stretches = level_stretches(judgement.verdicts, judgement.samples[0].index)
     faults, doubts = (
-        [s for s in stretches if s.level is level] for level in (TrustLevel.FAULT, TrustLevel.DOUBTFUL)
+        ", ".join(
+            f"t = {stretch.times(judgement.settings.period)}"
+            for stretch in stretches
+            if stretch.level is level
+        )
+        for level in (TrustLevel.FAULT, TrustLevel.DOUBTFUL)
     )
     if faults:
         named = sorted({v.fault for v in judgement.verdicts} - {"", UNEXPLAINED})
         what = f" ({', '.join(named)})" if named else ""
-        return (
-            f"The plant had a fault{what}: {_times(faults, judgement)}. Look at the plant (drive, sensor, "
-            "cables) before anything else."
-        )
+        todo = "Look at the plant (drive, sensor, cables) before anything else."
+        return f"The plant had a fault{what}: {faults}. {todo}"
     if doubts:
-        return f"No fault was found; the twin was doubtful: {_times(doubts, judgement)}."
+        return f"No fault was found; the twin was doubtful: {doubts}."
     return "No fault was found: plant and twin never differed by more than is normal for a healthy plant."
-
-
-def _times(stretches: Sequence[LevelStretch], judgement: Judgement) -> str:
-    period = judgement.settings.period
-    return ", ".join(f"t = {s.first * period:.0f} to {s.last * period:.0f} s" for s in stretches)
 
 
 def _fit_facts(judgement: Judgement, shown: ShownTwin) -> list[tuple[str, str]]:
@@ -249,14 +234,13 @@ def _matches(judgement: Judgement) -> str:
 
 
 def _steps(samples: Sequence[Sample], settings: TwinSettings) -> str:
-    least = settings.least_movement
-    moving = [s.input if settings.gains is None else s.reference for s in samples]
+    least, driven = settings.least_movement, settings.gains is None
+    moving = [s.input if driven else s.reference for s in samples]
     count, anchor = 0, moving[0]
     for value in moving:
         if abs(value - anchor) >= least:
             count, anchor = count + 1, value
-    unit = settings.plant.drive.unit if settings.gains is None else settings.plant.output.unit
-    return f"{count} of {least:g} {unit} or more"
+    return f"{count} of {least:g} {(settings.plant.drive if driven else settings.plant.output).unit} or more"
 
 
 def _signals(judgement: Judgement) -> SignalNames:
