@@ -15,6 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.support.plants import Lag, Motor, Tank
+from twinmatch.compiled import compiled
 from twinmatch.dynamics import (
     LoopForecast,
     Parameters,
@@ -29,7 +30,8 @@ from twinmatch.dynamics import (
     simulate_closed_loop,
     simulate_driven,
 )
-from twinmatch.dynamics.laws import commands_of
+from twinmatch.dynamics.kernels import OUTPUTS, call, tick, work_for
+from twinmatch.dynamics.laws import NO_LAW, law_step
 from twinmatch.plants import Peltier
 
 Array = Any
@@ -39,34 +41,42 @@ MOTOR = Motor.model("with friction")
 RUNS = 1500
 
 
-def drawn_at_random(case: Case, inputs: Array | None) -> tuple[Array, Array]:
-    """Readings and commands of many runs of the nonlinear loop, shape (runs, N) each.
+@compiled
+def noisy_run(  # type: ignore[no-untyped-def]  # noqa: PLR0917
+    code, vector, at, first, usual, law, memory, references, noise, strays, period, steps
+):
+    """Readings and commands of a loop whose states stray at every sample."""
+    work, u = work_for(code, vector), np.empty(1)
+    z, after, y, both = memory.copy(), memory.copy(), np.empty(1), np.empty((2, len(references)))
+    tick(code, at, first, usual, work, period, steps)
+    for k in range(len(references)):
+        at += strays[k]
+        call(code[OUTPUTS], at, at, usual, work.p, work.b, y)
+        y += noise[k]
+        law_step(law, z, references, k, y, u, after)
+        z[:] = after
+        both[0, k], both[1, k] = y[0], u[0]
+        tick(code, at, u, usual, work, period, steps)
+    return both
 
-    The kernels are called directly: `advance` and `read` would check their arguments a million times.
-    """
+
+def drawn_at_random(case: Case, inputs: Array | None) -> Array:
+    """Readings and commands of many runs of the nonlinear loop, shape (2, runs, N)."""
     base, unsure, joint, drift, first, gains, reference = case
-    rng, kernels, none = np.random.default_rng(11), base.model.kernels, base.model.disturbances
-    n, size, rest, law = len(base.model.states), reference.size, np.zeros(1), gains.law
-    spread = np.asarray(drift) * math.sqrt(gains.period)
-    readings, commands = np.empty((RUNS, size)), np.empty((RUNS, size))
+    rng, n, size = np.random.default_rng(11), len(base.model.states), reference.size
+    law, memory = (gains.law, np.array(first["controller"])) if inputs is None else (NO_LAW, np.zeros(0))
+    references = (reference if inputs is None else inputs)[:, None]
+    spread, found = np.asarray(drift) * math.sqrt(gains.period), np.empty((2, RUNS, size))
     for run, moved in enumerate(rng.multivariate_normal(np.zeros(joint.shape[0]), joint, RUNS)):
         plant = base.replace(**{name: base[name] + moved[n + j] for j, name in enumerate(unsure)})
-        ahead = none, gains.period, plant.steps(gains.period)
-        states = kernels.advance(
-            plant.vector, first["states"] + moved[:n], np.array([first["input"]]), *ahead
-        )
-        memory = np.array(first["controller"])
         strays = spread * rng.standard_normal((size, n))
         noise = base.model.plant.output.noise * rng.standard_normal(size)
-        for k in range(size):
-            states = states + strays[k]
-            y = kernels.outputs_at(plant.vector, states, rest, none)[0] + noise[k]
-            if inputs is None:
-                command, memory = commands_of(law, memory, reference[k : k + 1, None], y[None])
-            u = inputs[k : k + 1] if inputs is not None else command[0]
-            readings[run, k], commands[run, k] = y[0], u[0]
-            states = kernels.advance(plant.vector, states, u, *ahead)
-    return readings, commands
+        found[:, run] = base.model.kernels.call(
+            noisy_run, plant.vector, first["states"] + moved[:n], np.array([first["input"]]),
+            base.model.disturbances, law, memory, references, noise, strays, gains.period,
+            plant.steps(gains.period),
+        )  # fmt: skip
+    return found
 
 
 def scattered(unsure: Sequence[str], base: Parameters, states: Array, share: float) -> Array:

@@ -143,9 +143,10 @@ _KEPT = 150
 
 
 def _copied(monitor: Monitor) -> Monitor:
-    """It shares the model with the other one: code, which does not change."""
-    reference = monitor.settings.reference
-    shared = (monitor.settings, reference, reference.model, reference.model.kernels)
+    """It shares with the other one what does not change: settings, the model, parameters of past samples."""
+    assert monitor._late is not None
+    model, past = monitor.settings.reference.model, list(monitor._late._past)
+    shared = (monitor.settings, model, model.kernels, *past, *(one.parameters for one in past))
     return deepcopy(monitor, {id(one): one for one in shared})
 
 

@@ -103,26 +103,27 @@ class TrackedSample(NamedTuple):
 
 @compiled
 def _outputs_under(  # noqa: PLR0917 (what a run needs)
-    code: Code, vector: FloatArray, x: FloatArray, inputs: FloatArray, d: FloatArray, shown: int,
-    rest: FloatArray, usual: FloatArray, period: float, steps: int,
+    code: Code, vector: FloatArray, x: FloatArray, inputs: FloatArray, levels: FloatArray, d: FloatArray,
+    later: int, rest: FloatArray, usual: FloatArray, period: float, steps: int,
 ) -> FloatArray:  # fmt: skip
-    """The output at the beginning, after `shown` samples and after all, under each of some inputs, shape
-    (r, n, m), and disturbances, shape (n, nd); shape (r, 3). It is read as `dynamics.read` does."""
-    work, found = work_for(code, vector), np.empty((inputs.shape[0], 3))
-    u, row = np.empty(inputs.shape[2]), np.empty(d.shape[1])
-    for k in range(inputs.shape[0]):
+    """The output at the beginning, after all n samples and after `later` more, under some inputs, shape (n,),
+    and, instead, at each of some levels; shape (1 + levels, 3). The last input is held on, as are the last
+    disturbances of those, shape (n, nd). The output is read as `dynamics.read` does."""
+    work, found, n = work_for(code, vector), np.empty((1 + levels.size, 3)), inputs.size
+    u, row = np.empty(1), np.empty(d.shape[1])
+    for k in range(1 + levels.size):
         at = x.copy()
-        for i in range(inputs.shape[1] + 1):
-            for place, wanted in enumerate((0, shown, inputs.shape[1])):
+        for i in range(n + later + 1):
+            for place, wanted in enumerate((0, n, n + later)):
                 if i == wanted:
                     call(code[SWITCHES], at, rest, usual, work.p, work.b, work.b)
                     call(code[OUTPUTS], at, rest, usual, work.p, work.b, work.seen)
                     found[k, place] = work.seen[0]
-            if i < inputs.shape[1]:
-                for m in range(u.size):
-                    u[m] = inputs[k, i, m]
+            if i < n + later:
+                now = min(i, n - 1)
+                u[0] = inputs[now] if k == 0 else levels[k - 1]
                 for m in range(row.size):
-                    row[m] = d[i, m]
+                    row[m] = d[now, m]
                 tick(code, at, u, row, work, period, steps)
     return found
 
@@ -130,20 +131,16 @@ def _outputs_under(  # noqa: PLR0917 (what a run needs)
 class SimulatedSpan:
     """Simulations from the first of some samples to the end of the last; all results in the output's unit."""
 
-    def __init__(self, samples: Sequence[TrackedSample], before: float, period: float, later: int) -> None:
-        """`samples`, oldest first; `before`: input at which the drive stood; `period` in s; `later`: for how
-        many samples the last one is held on."""
-        self.first = samples[0]
-        self._period, self._length = period, len(samples)
-        inputs = np.array([sample.input for sample in samples])
-        rows = np.array([sample.disturbances for sample in samples])
-        self._inputs = np.append(inputs, np.full(later, inputs[-1]))
-        rows = np.concatenate([rows, np.repeat(rows[-1:], later, axis=0)])
-        model = self.first.parameters.model
-        self._rows = model.disturbance_rows(rows if rows.size else None, self._inputs.size)
-        rest = model.plant.drive.rest
-        idle = (np.full(self._inputs.size, rest), np.full(self._inputs.size, before))
-        (begun, self.works, held), (_, resting, _), (_, _, stood) = self._outputs(self._inputs, *idle)
+    def __init__(
+        self, first: TrackedSample, inputs: FloatArray, rows: FloatArray, before: float, period: float,
+        later: int,
+    ) -> None:  # fmt: skip
+        """`inputs` and `rows` of disturbances from the `first` sample on; `before`: input at which the drive
+        stood; `period` in s; `later`: for how many samples the last one is held on."""
+        self.first = first
+        self._given, self._then = (inputs, rows), (later, period)
+        levels = first.parameters.model.rest[0], before
+        (begun, self.works, held), (_, resting, _), (_, _, stood) = self._outputs(first.parameters, *levels)
         self.moved = self.works - begun
         """How far the output moves until the last sample ends, where `works` is the output."""
         self.effect = self.works - resting
@@ -152,7 +149,7 @@ class SimulatedSpan:
         """What the drive's changes since it stood at `before` will have contributed when it was held on."""
 
     def __len__(self) -> int:
-        return self._length
+        return len(self._given[0])
 
     def colder(self, change: float) -> float:
         """How far the output would have moved in a colder room; `change` in the scale of that parameter."""
@@ -161,15 +158,14 @@ class SimulatedSpan:
             if parameter.role == "room":
                 lowest = 0.5 * twin[name] if parameter.positive else parameter.least
                 room = twin.replace(**{name: max(twin[name] - change * parameter.scale, lowest)})
-                moved = max(moved, abs(self._outputs(self._inputs, twin=room)[0][1] - self.works))
+                moved = max(moved, abs(self._outputs(room)[0][1] - self.works))
         return moved
 
-    def _outputs(self, *inputs: FloatArray, twin: Parameters | None = None) -> list[list[float]]:
-        twin = twin or self.first.parameters
-        model, steps = twin.model, twin.steps(self._period)
+    def _outputs(self, twin: Parameters, *levels: float) -> list[list[float]]:
+        model, (inputs, rows), (later, period) = twin.model, self._given, self._then
         found = model.kernels.call(
-            _outputs_under, twin.vector, self.first.states, np.stack(inputs)[:, :, None], self._rows,
-            self._length, model.rest, model.disturbance_row(None), self._period, steps,
+            _outputs_under, twin.vector, self.first.states, inputs, np.array(levels), rows, later, model.rest,
+            model.disturbances, period, twin.steps(period),
         )  # fmt: skip
         return cast("list[list[float]]", found.tolist())
 
@@ -262,17 +258,16 @@ class LaggedEffect(DriveEffect):
 
         While a reading is repeated, the plant is assumed to have moved on from its states before that.
         """
-        row = np.array(sample.disturbances, dtype=np.float64)
         try:
-            movement = self._movement(sample, row)
+            movement = self._movement(sample)
         except PlantError:  # the equations have no solution at the observer's states
             self.restart()
             return Movement(0.0, 0.0, 0.0)
         self._estimate(sample.output)
         return movement
 
-    def _movement(self, sample: Sample, row: FloatArray) -> Movement:
-        given = row if row.size else None
+    def _movement(self, sample: Sample) -> Movement:
+        row = self._parameters.model.disturbance_row(sample.disturbances or None)
         if self._observer is None:
             scales = np.array([s.scale for s in self._states])
             self._observer = Observer(
@@ -282,18 +277,17 @@ class LaggedEffect(DriveEffect):
                 drift=_DRIFT * scales / math.sqrt(self._scale),
                 start=scales,
                 input=sample.input,
-                disturbances=given,
+                disturbances=row,
                 random_walks=self._random_walks,
             )
         observer, moved = self._observer, 0.0
         if self._past and self._standing is not None:
             last = self._past[-1]
-            before = last.disturbances if last.disturbances.size else None
-            on = advance(last.parameters, self._standing, last.input, self._period, before)
+            on = advance(last.parameters, self._standing, last.input, self._period, last.disturbances)
             moved = read(last.parameters, on) - read(last.parameters, self._standing)
             self._standing = on
         change = sample.output - self._reading if self._past else 0.0
-        observer.correct(sample.output, given)
+        observer.correct(sample.output, row)
         states = observer.states
         if self._standing is None or change != 0.0:
             self._standing = states
@@ -310,17 +304,19 @@ class LaggedEffect(DriveEffect):
     def _estimate(self, output: float) -> None:
         """Estimate the drive's effect over every stretch that ends now."""
         self.share = math.nan
-        past = list(self._past)
-        learned = list(self._errors)
+        past, learned = list(self._past), list(self._errors)
+        inputs, rows = (np.array(of) for of in zip(*((m.input, m.disturbances) for m in past), strict=True))
         for k, length in enumerate(self._spans):
             first = len(past) - 1 - length
             if first < 0:
                 break
             if not past[first].settled:
                 continue
-            before = [m.input for m in past[max(0, first - self._spans[-1]) : first + 1]]
+            before = inputs[max(0, first - self._spans[-1]) : first + 1].tolist()
             stood = math.fsum(before) / len(before)
-            stretch = SimulatedSpan(past[first:-1], stood, self._period, self._spans[0])
+            stretch = SimulatedSpan(
+                past[first], inputs[first:-1], rows[first:-1], stood, self._period, self._spans[0]
+            )
             error = output - stretch.works
             self._weigh(stretch, error, stretch.first.errors[k])
             if not self._frozen:
