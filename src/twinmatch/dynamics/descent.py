@@ -11,7 +11,7 @@ sets the next one. So the same search runs in Python, on any function (`descend`
 compiled code.
 """
 
-# ruff: noqa: PLR0912, PLR0917 (a kernel is long and takes arrays in a row)
+# ruff: noqa: PLR0917 (a kernel is long and takes arrays in a row)
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from collections.abc import Callable
 from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twinmatch.compiled import compiled
 from twinmatch.signals import FloatArray
@@ -179,7 +180,7 @@ def update_search(search: Search, cost: float, gradient: FloatArray, hessian: Fl
     return moved
 
 
-@compiled
+@compiled(inside=True)
 def _in_valley(search: Search, cost: float) -> bool:
     """Whether the quadratic model around a minimum found before explains the sum at these values."""
     least = search.figures[_KNOWN]
@@ -221,7 +222,7 @@ def box_step(
     return step, promised
 
 
-@compiled
+@compiled(inside=True)
 def _step_of_free(
     hessian: FloatArray,
     gradient: FloatArray,
@@ -234,64 +235,72 @@ def _step_of_free(
     others; and whether this has settled."""
     n = values.size
     step = np.zeros(n)
-    settled = False
     fixed = np.zeros(n, dtype=np.bool_)
     for i in range(n):
         outward = gradient[i] > 0.0 if values[i] <= lower[i] else values[i] >= upper[i] and gradient[i] < 0.0
         fixed[i] = outward or lower[i] == upper[i] or not hessian[i, i] > 0.0
     for _ in range(4 * n):
-        # Cholesky on the free parameters, in units in which the diagonal is one.
-        free = np.flatnonzero(~fixed)
-        m = free.size
-        factor, right = np.zeros((m, m)), np.zeros(m)
-        for i in range(m):
-            p = free[i]
-            size = np.sqrt(hessian[p, p])
-            right[i] = -gradient[p]
-            for q in range(n):
-                if fixed[q]:
-                    right[i] -= hessian[p, q] * step[q]
-            right[i] /= size
-            for j in range(i + 1):
-                q = free[j]
-                value = hessian[p, q] / size / np.sqrt(hessian[q, q])
-                if i == j:
-                    value = 1.0 + damping
-                for k in range(j):
-                    value -= factor[i, k] * factor[j, k]
-                factor[i, j] = np.sqrt(max(value, 1e-15)) if i == j else value / factor[j, j]
-        for i in range(m):
-            for k in range(i):
-                right[i] -= factor[i, k] * right[k]
-            right[i] /= factor[i, i]
-        for i in range(m - 1, -1, -1):
-            for k in range(i + 1, m):
-                right[i] -= factor[k, i] * right[k]
-            right[i] /= factor[i, i]
+        _solve_free(hessian, gradient, step, np.flatnonzero(~fixed), damping)
         first, reach = -1, 1.0
-        for i in range(m):
-            p = free[i]
-            step[p] = right[i] / np.sqrt(hessian[p, p])
+        for p in range(n):
+            if fixed[p]:
+                continue
             room = upper[p] - values[p] if step[p] > 0.0 else lower[p] - values[p]
             if abs(step[p]) > abs(room) and abs(room) / abs(step[p]) < reach:
                 first, reach = p, abs(room) / abs(step[p])
-        if first < 0:
-            # Parameters whose gradient points inwards are released, one at a time.
-            pull = 0.0
-            for i in range(n):
-                if fixed[i] and lower[i] < upper[i] and hessian[i, i] > 0.0:
-                    slope = gradient[i] + damping * hessian[i, i] * step[i]
-                    for j in range(n):
-                        slope += hessian[i, j] * step[j]
-                    inward = -slope if values[i] + step[i] <= lower[i] else slope
-                    inward /= np.sqrt(hessian[i, i])
-                    if inward > max(pull, 1e-9 * abs(gradient[i]) / np.sqrt(hessian[i, i])):
-                        first, pull = i, inward
-            if first < 0:
-                settled = True
-                break
-            fixed[first] = False
+        if first >= 0:
+            step[first] = upper[first] - values[first] if step[first] > 0.0 else lower[first] - values[first]
+            fixed[first] = True
             continue
-        step[first] = upper[first] - values[first] if step[first] > 0.0 else lower[first] - values[first]
-        fixed[first] = True
-    return step, settled
+        # Parameters whose gradient points inwards are released, one at a time.
+        pull = 0.0
+        for i in range(n):
+            if fixed[i] and lower[i] < upper[i] and hessian[i, i] > 0.0:
+                slope = gradient[i] + damping * hessian[i, i] * step[i]
+                for j in range(n):
+                    slope += hessian[i, j] * step[j]
+                inward = -slope if values[i] + step[i] <= lower[i] else slope
+                inward /= np.sqrt(hessian[i, i])
+                if inward > max(pull, 1e-9 * abs(gradient[i]) / np.sqrt(hessian[i, i])):
+                    first, pull = i, inward
+        if first < 0:
+            return step, True
+        fixed[first] = False
+    return step, False
+
+
+@compiled(inside=True)
+def _solve_free(
+    hessian: FloatArray, gradient: FloatArray, step: FloatArray, free: NDArray[np.int64], damping: float
+) -> None:
+    """Write the steps of the free parameters, given those of the others.
+
+    By Cholesky's factors, in units in which the diagonal is one.
+    """
+    m = free.size
+    factor, right = np.zeros((m, m)), np.zeros(m)
+    fixed = np.ones(step.size, dtype=np.bool_)
+    fixed[free] = False
+    for i in range(m):
+        p = free[i]
+        size = np.sqrt(hessian[p, p])
+        right[i] = -gradient[p]
+        for q in range(step.size):
+            if fixed[q]:
+                right[i] -= hessian[p, q] * step[q]
+        right[i] /= size
+        for j in range(i + 1):
+            q = free[j]
+            value = 1.0 + damping if i == j else hessian[p, q] / size / np.sqrt(hessian[q, q])
+            for k in range(j):
+                value -= factor[i, k] * factor[j, k]
+            factor[i, j] = np.sqrt(max(value, 1e-15)) if i == j else value / factor[j, j]
+    for i in range(m):
+        for k in range(i):
+            right[i] -= factor[i, k] * right[k]
+        right[i] /= factor[i, i]
+    for i in range(m - 1, -1, -1):
+        for k in range(i + 1, m):
+            right[i] -= factor[k, i] * right[k]
+        right[i] /= factor[i, i]
+        step[free[i]] = right[i] / np.sqrt(hessian[free[i], free[i]])

@@ -4,7 +4,7 @@
 of the parameters it estimates; `track` belongs to a `Tracker`.
 """
 
-# ruff: noqa: PLR0912, PLR0915, PLR0917 (kernels are long and take arrays in a row)
+# ruff: noqa: PLR0912, PLR0917 (kernels are long and take arrays in a row)
 
 from __future__ import annotations
 
@@ -69,6 +69,44 @@ class TrackerConstants(NamedTuple):
     """Runge–Kutta steps per sample."""
 
 
+@compiled(inside=True)
+def _expected(covariance: FloatArray, slope: FloatArray, reach: FloatArray, noise: float) -> float:
+    """The variance expected of a reading with this variance of its own; `reach` gets its covariances."""
+    variance = noise
+    for i in range(slope.size):
+        reach[i] = 0.0
+        for j in range(slope.size):
+            reach[i] += covariance[i, j] * slope[j]
+        variance += slope[i] * reach[i]
+    return variance
+
+
+@compiled(inside=True)
+def _carry(
+    moved: FloatArray, wide: FloatArray, covariance: FloatArray, keeps: FloatArray, noise: FloatArray
+) -> None:
+    """Predict a covariance, in place: `moved` are the rows of the states, shape (n, size), the other numbers
+    fade by `keeps`, and `noise` adds to the diagonal; `wide` is room of the shape of `moved`."""
+    n, size = moved.shape
+    for i in range(n):
+        for j in range(size):
+            wide[i, j] = 0.0
+            for q in range(size):
+                wide[i, j] += moved[i, q] * covariance[q, j]
+    for i in range(n, size):
+        for j in range(n, size):
+            covariance[i, j] *= keeps[i] * keeps[j]
+        covariance[i, i] += noise[i]
+    for i in range(n):
+        for j in range(n, size):
+            covariance[i, j] = covariance[j, i] = wide[i, j] * keeps[j]
+        for j in range(i + 1):
+            total = noise[i] if i == j else 0.0
+            for q in range(size):
+                total += wide[i, q] * moved[j, q]
+            covariance[i, j] = covariance[j, i] = total
+
+
 @compiled
 def correct(
     code: Code, vector: FloatArray, x: FloatArray, covariance: FloatArray, y: FloatArray, d: FloatArray,
@@ -92,12 +130,7 @@ def correct(
         for i in range(size):
             slope[i] = work.shown[o * n + i] if i < n else work.shown[outputs * n + o * q + which[0, i - n]]
             innovation -= slope[i] * moved[i]
-            reach[i] = 0.0
-        variance = noise[o] * noise[o]
-        for i in range(size):
-            for j in range(size):
-                reach[i] += covariance[i, j] * slope[j]
-            variance += slope[i] * reach[i]
+        variance = _expected(covariance, slope, reach, noise[o] * noise[o])
         most = limit * np.sqrt(variance)
         # With a reduced gain the reading is less informative; Joseph's form is correct for any gain.
         weight = most / abs(innovation) if abs(innovation) > most else 1.0
@@ -143,7 +176,7 @@ def predict(
     """
     n, m, inputs = x.size, which.shape[1], u.size
     size = n + m
-    du, way = np.zeros((inputs, size + inputs)), np.zeros((size, size))
+    du, moved, wide = np.zeros((inputs, size + inputs)), np.empty((n, size)), np.empty((n, size))
     columns[:] = 0.0
     for i in range(n):
         columns[i, m + i] = 1.0
@@ -151,22 +184,10 @@ def predict(
         du[i, size + i] = 1.0
     work = work_for(code, vector)
     tick_with_tangents(code, x, u, d, work, period, steps, which[0], columns, du)
-    for j in range(size):
-        for i in range(n):
-            for q in range(size):
-                way[i, j] += columns[i, m + q if q < n else q - n] * covariance[q, j]
-        for i in range(n, size):
-            way[i, j] = covariance[i, j]
-    for i in range(size):
-        for j in range(i + 1):
-            total = process_noise[i] if i == j else 0.0
-            if j < n:
-                for q in range(size):
-                    total += way[i, q] * columns[j, m + q if q < n else q - n]
-            else:
-                total += way[i, j]
-            covariance[i, j] = total
-            covariance[j, i] = total
+    for i in range(n):
+        for j in range(size):
+            moved[i, j] = columns[i, m + j if j < n else j - n]
+    _carry(moved, wide, covariance, np.ones(size), process_noise)
 
 
 @compiled
@@ -259,49 +280,26 @@ def track(
     """
     m, size = fixed.places.size, at.size
     n = size - m - 6
-    share, offset, passing, fading, lasting_push = n + m, n + m + 1, n + m + 2, n + m + 3, n + m + 4
-    period = fixed.period
-    vector = fixed.vector.copy()
-    columns, du, inputs = np.zeros((n, m + n + 1)), np.zeros((1, m + n + 1)), np.empty(1)
+    offset, passing, rate = n + m + 1, n + m + 2, size - 1
+    vector, inputs, cost = fixed.vector.copy(), np.empty(1), 0.0
     work = work_for(code, vector)
-    hx, hp = work.shown[:n], work.shown[n:]
-    slope, gain, reach = np.zeros(size), np.zeros(size), np.zeros(size)
-    moved, wide = np.zeros((n, size)), np.zeros((n, size))
-    there = np.zeros(n)
-    cost = 0.0
+    slope, gain, reach, noises = np.zeros(size), np.zeros(size), np.zeros(size), np.zeros(size)
+    moved, wide, there = np.zeros((n, size)), np.zeros((n, size)), np.zeros(n)
+    slope[offset] = slope[passing] = 1.0
     for k in range(u.size):
         given = disturbances[k]
         _use(code, fixed, at, vector, work)
         call(code[OUTPUTS], at, inputs, given, work.p, work.b, work.seen)
         call(code[OUTPUT_SLOPES], at, inputs, given, work.p, work.b, work.shown)
-        slope[:n] = hx
+        for i in range(n):
+            slope[i] = work.shown[i]
         for j in range(m):
-            by = hp[fixed.which[j]]
+            by = work.shown[n + fixed.which[j]]
             slope[n + j] = by * vector[fixed.places[j]] if fixed.logged[j] else by
-        slope[offset] = slope[passing] = 1.0
-
-        # Correct.
         innovation = y[k + 2] - work.seen[0] - at[offset] - at[passing]
-        lost = math.isinf(noise[k])
-        reading = STALE if lost else noise[k] ** 2
-        seen = 0.0
-        for i in range(size):
-            reach[i] = 0.0
-            for j in range(size):
-                reach[i] += covariance[i, j] * slope[j]
-            seen += slope[i] * reach[i]
-        variance = seen + reading
-        stale = lost
-        if not lost and innovation**2 > SUSPECT**2 * variance:
-            if y[k + 2] == y[k + 1]:
-                stale = True
-                variance = STALE
-            elif y[k + 1] == y[k]:  # it was frozen, and jumps as it moves again
-                covariance[passing, passing] += innovation**2
-                reach[passing] += innovation**2
-                variance += innovation**2
-        if not stale:
-            variance = max(variance, (innovation / CLIPPED) ** 2)
+        expected = _expected(covariance, slope, reach, 0.0)
+        variance, used = _weighed(y, k, innovation, expected, noise[k], passing, covariance, reach)
+        if used:
             cost += 0.5 * math.log(variance) + 0.5 * innovation**2 / variance
         for i in range(size):
             gain[i] = reach[i] / variance
@@ -309,85 +307,100 @@ def track(
         for i in range(size):
             for j in range(size):
                 covariance[i, j] -= gain[i] * reach[j]
-        for kind in range(effects.shape[1]):
-            for start in range(effects.shape[2]):
-                shown = 0.0
-                for i in range(size):
-                    shown += slope[i] * effects[i, kind, start]
-                hits[kind, start] += shown * innovation / variance
-                weights[kind, start] += shown * shown / variance
-                for i in range(size):
-                    effects[i, kind, start] -= gain[i] * shown
+        _correct_effects(slope, gain, innovation, variance, effects, hits, weights)
         for j in range(m):
             at[n + j] = min(max(at[n + j], fixed.least[j]), fixed.most[j])
-        at[share] = min(max(at[share], -1.0), 1.0)
-
-        # Predict.
+        at[n + m] = min(max(at[n + m], -1.0), 1.0)
         _use(code, fixed, at, vector, work)
-        columns[:] = 0.0
-        for i in range(n):
-            columns[i, m + i] = 1.0
-            there[i] = at[i]
-        du[0, m + n] = u[k] - fixed.rest
-        inputs[0] = fixed.rest + (u[k] - fixed.rest) * (1.0 + at[share])
-        call(code[OUTPUTS], at, inputs, given, work.p, work.b, work.seen)
-        before = work.seen[0]
-        tick_with_tangents(code, there, inputs, given, work, period, fixed.steps, fixed.which, columns, du)
-        call(code[OUTPUTS], there, inputs, given, work.p, work.b, work.seen)
-        moving = work.seen[0] - before
-        shows = 0.0
-        for i in range(n):
-            shows += hx[i] * hx[i]
-        for i in range(n):
-            for j in range(n):
-                moved[i, j] = columns[i, m + j]
-            for j in range(m):
-                by = columns[i, j]
-                moved[i, n + j] = by * vector[fixed.places[j]] if fixed.logged[j] else by
-            moved[i, share] = columns[i, m + n]
-            push = hx[i] / shows * period
-            moved[i, fading] = moved[i, lasting_push] = push
-            at[i] = there[i] + push * (at[fading] + at[lasting_push])
-        for i in range(n, size):
-            at[i] *= fixed.keeps[i]
-        _carry(moved, wide, covariance, fixed.keeps)
+        way = _move(code, fixed, at, vector, work, u[k], given, moved, there)
         for i in range(size):
-            covariance[i, i] += drift[i] ** 2 * period
+            noises[i] = drift[i] ** 2 * fixed.period
             if k < lasting:
-                covariance[i, i] += opened[i] ** 2 * period
-        for i in range(n):
-            covariance[i, i] += (swift * moving * hx[i] / shows) ** 2
+                noises[i] += opened[i] ** 2 * fixed.period
+            if i < n:
+                noises[i] += (swift * way * moved[i, n + m + 3] / fixed.period) ** 2
+        _carry(moved, wide, covariance, fixed.keeps, noises)
         if rising >= 0:
-            rate = size - 1
-            at[rising] += at[rate] * period
+            at[rising] += at[rate] * fixed.period
             for i in range(size):
-                covariance[rising, i] += covariance[rate, i] * period
+                covariance[rising, i] += covariance[rate, i] * fixed.period
             for i in range(size):
-                covariance[i, rising] += covariance[i, rate] * period
+                covariance[i, rising] += covariance[i, rate] * fixed.period
         _carry_effects(moved, there, effects, fixed.keeps)
     return cost
 
 
 @compiled(inside=True)
-def _carry(moved: FloatArray, wide: FloatArray, covariance: FloatArray, keeps: FloatArray) -> None:
-    """Predict the covariance: `moved` are the rows of the states; the other rows fade by `keeps`."""
-    n, size = moved.shape
+def _weighed(
+    y: FloatArray, k: int, innovation: float, expected: float, noise: float, passing: int,
+    covariance: FloatArray, reach: FloatArray,
+) -> tuple[float, bool]:  # fmt: skip
+    """The variance with which a reading counts, and whether it is used: not if it was lost, or is repeated by
+    its sensor. One that has just stopped to repeat opens the passing offset."""
+    if math.isinf(noise):
+        return expected + STALE, False
+    variance = expected + noise**2
+    if innovation**2 > SUSPECT**2 * variance:
+        if y[k + 2] == y[k + 1]:
+            return STALE, False
+        if y[k + 1] == y[k]:
+            covariance[passing, passing] += innovation**2
+            reach[passing] += innovation**2
+            variance += innovation**2
+    return max(variance, (innovation / CLIPPED) ** 2), True
+
+
+@compiled(inside=True)
+def _move(
+    code: Code, fixed: TrackerConstants, at: FloatArray, vector: FloatArray, work: Work, u: float,
+    d: FloatArray, moved: FloatArray, there: FloatArray,
+) -> float:  # fmt: skip
+    """Move a belief one period on; returns how far the equations move the output. `moved` gets the
+    derivatives of the states by all of its numbers. A push moves them as far as the output shows them."""
+    n, m = there.size, fixed.places.size
+    share, fading, inputs = n + m, n + m + 3, np.empty(1)
+    columns, du = np.zeros((n, m + n + 1)), np.zeros((1, m + n + 1))
+    shows = 0.0
     for i in range(n):
-        for j in range(size):
-            wide[i, j] = 0.0
-            for q in range(size):
-                wide[i, j] += moved[i, q] * covariance[q, j]
-    for i in range(n, size):
-        for j in range(n, size):
-            covariance[i, j] *= keeps[i] * keeps[j]
+        columns[i, m + i] = 1.0
+        there[i] = at[i]
+        shows += work.shown[i] * work.shown[i]
+    du[0, m + n] = u - fixed.rest
+    inputs[0] = fixed.rest + (u - fixed.rest) * (1.0 + at[share])
+    call(code[OUTPUTS], at, inputs, d, work.p, work.b, work.seen)
+    before = work.seen[0]
+    tick_with_tangents(code, there, inputs, d, work, fixed.period, fixed.steps, fixed.which, columns, du)
+    call(code[OUTPUTS], there, inputs, d, work.p, work.b, work.seen)
     for i in range(n):
-        for j in range(n, size):
-            covariance[i, j] = covariance[j, i] = wide[i, j] * keeps[j]
-        for j in range(i + 1):
-            value = 0.0
-            for q in range(size):
-                value += wide[i, q] * moved[j, q]
-            covariance[i, j] = covariance[j, i] = value
+        for j in range(n):
+            moved[i, j] = columns[i, m + j]
+        for j in range(m):
+            by = columns[i, j]
+            moved[i, n + j] = by * vector[fixed.places[j]] if fixed.logged[j] else by
+        moved[i, share] = columns[i, m + n]
+        push = work.shown[i] / shows * fixed.period
+        moved[i, fading] = moved[i, fading + 1] = push
+        at[i] = there[i] + push * (at[fading] + at[fading + 1])
+    for i in range(n, at.size):
+        at[i] *= fixed.keeps[i]
+    return float(work.seen[0] - before)
+
+
+@compiled(inside=True)
+def _correct_effects(
+    slope: FloatArray, gain: FloatArray, innovation: float, variance: float, effects: FloatArray,
+    hits: FloatArray, weights: FloatArray,
+) -> None:  # fmt: skip
+    """Correct the effects of jumps as the belief is, and add what they leave in this innovation."""
+    for kind in range(effects.shape[1]):
+        for start in range(effects.shape[2]):
+            shown = 0.0
+            for i in range(slope.size):
+                shown += slope[i] * effects[i, kind, start]
+            hits[kind, start] += shown * innovation / variance
+            weights[kind, start] += shown * shown / variance
+            for i in range(slope.size):
+                effects[i, kind, start] -= gain[i] * shown
 
 
 @compiled(inside=True)

@@ -190,19 +190,7 @@ def noise_effects(
             squares += out_y * out_y + _power_form(power, b)
             for i in range(compared if k > 0 else 0):
                 squares += (w[outputs + i] * around[k, i, m - nx + of]) ** 2
-            moved = np.zeros((m, n))
-            for p in range(n):
-                for j in range(m):
-                    total = 0.0
-                    for i in range(compared):
-                        total += w[outputs + i] * weighed[outputs + i, k, p] * of_u[i, j]
-                    if j < nx:
-                        for o in range(outputs):
-                            total += w[o] * weighed[o, k, p] * seen[k, o, j]
-                    for i in range(m):
-                        total += a[i, j] * ahead[i, p]
-                    moved[j, p] = total
-            ahead = moved
+            ahead = _earlier(ahead, a, of_u, seen, weighed, w, k, compared)
             power = _congruent(power, a)
             for i in range(m):
                 for j in range(m):
@@ -212,6 +200,29 @@ def noise_effects(
                         for o in range(outputs):
                             power[i, j] += w[o] ** 2 * seen[k, o, i] * seen[k, o, j]
     return scores, squares / ((outputs + compared) * size)
+
+
+@compiled(inside=True)
+def _earlier(
+    ahead: FloatArray, a: FloatArray, of_u: FloatArray, seen: FloatArray, weighed: FloatArray, w: FloatArray,
+    k: int, compared: int,
+) -> FloatArray:  # fmt: skip
+    """The gradients of the sums by the state at sample k, from those one sample later."""
+    m, n = ahead.shape
+    outputs, nx = seen.shape[1:]
+    found = np.zeros((m, n))
+    for p in range(n):
+        for j in range(m):
+            total = 0.0
+            for i in range(compared):
+                total += w[outputs + i] * weighed[outputs + i, k, p] * of_u[i, j]
+            if j < nx:
+                for o in range(outputs):
+                    total += w[o] * weighed[o, k, p] * seen[k, o, j]
+            for i in range(m):
+                total += a[i, j] * ahead[i, p]
+            found[j, p] = total
+    return found
 
 
 @compiled(innermost=True)

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, NamedTuple, cast
 
@@ -132,7 +131,7 @@ class SimulatedSpan:
     """Simulations from the first of some samples to the end of the last; all results in the output's unit."""
 
     def __init__(
-        self, first: TrackedSample, inputs: FloatArray, rows: FloatArray, before: float, period: float,
+        self, first: TrackedSample, inputs: FloatArray, rows: FloatArray, before: float, *, period: float,
         later: int,
     ) -> None:  # fmt: skip
         """`inputs` and `rows` of disturbances from the `first` sample on; `before`: input at which the drive
@@ -315,8 +314,9 @@ class LaggedEffect(DriveEffect):
             before = inputs[max(0, first - self._spans[-1]) : first + 1].tolist()
             stood = math.fsum(before) / len(before)
             stretch = SimulatedSpan(
-                past[first], inputs[first:-1], rows[first:-1], stood, self._period, self._spans[0]
-            )
+                past[first], inputs[first:-1], rows[first:-1], stood, period=self._period,
+                later=self._spans[0],
+            )  # fmt: skip
             error = output - stretch.works
             self._weigh(stretch, error, stretch.first.errors[k])
             if not self._frozen:
