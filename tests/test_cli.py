@@ -30,7 +30,7 @@ from twinmatch.offline.judging import judge, terms_from_files
 from twinmatch.offline.processes import held_interrupts
 from twinmatch.sessions import open_any, read_session, samples_of, write_session
 from twinmatch.signals import Sample, Window
-from twinmatch.twin import Outcome
+from twinmatch.twin import Outcome, Twin
 
 TERMINAL_VARIABLES = ("NO_COLOR", "FORCE_COLOR", "COLUMNS", "LINES", "TTY_COMPATIBLE", "TTY_INTERACTIVE")
 """Variables of the user who runs the tests; they would change what a terminal is shown."""
@@ -271,13 +271,13 @@ def test_ctrl_c_while_judging_takes_effect_between_two_samples(small_session: Pa
     session = open_any(small_session)
     seen: list[int] = []
 
-    def told(done: int, _: Outcome) -> None:
+    def told(_twin: Twin, sample: Sample, _outcome: Outcome) -> None:
         signal.raise_signal(signal.SIGINT)
-        seen.append(done)
+        seen.append(sample.index)
 
     with pytest.raises(KeyboardInterrupt):
-        judge(session, terms_from_files(session), on_outcome=told)
-    assert seen == [1]
+        judge(session, terms_from_files(session), beside=told)
+    assert seen == [0]
 
 
 def test_a_held_interrupt_is_raised_when_asked_for_and_at_the_latest_at_the_end() -> None:

@@ -29,7 +29,8 @@ from twinmatch.sessions import Session
 from twinmatch.showing.lines import Lines, redraws
 from twinmatch.showing.quantities import number, parameter_format, percent
 from twinmatch.showing.summary import closing_lines, document
-from twinmatch.twin import Outcome
+from twinmatch.signals import Sample
+from twinmatch.twin import Outcome, Twin
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -73,7 +74,7 @@ def _replay_one(path: Path, options: argparse.Namespace) -> None:
     session = open_shown(path, options.plant)
     terms = terms_from_files(session, options.config, options.candidates)
     with _Display(session) as shown:
-        judgement = judge(session, terms, on_outcome=shown.advance)
+        judgement = judge(session, terms, beside=shown.advance)
     verdicts = judgement.verdicts
     for line in closing_lines(judgement.summary, verdicts[-1] if verdicts else None):
         shown.say(line)
@@ -88,7 +89,7 @@ class _Display:
     """A screen on a terminal; elsewhere lines, with a progress bar on standard error."""
 
     def __init__(self, session: Session) -> None:
-        self._total = len(session.samples)
+        self._done, self._total = 0, len(session.samples)
         self._screen = redraws(sys.stdout)
         self._view: Screen | Lines = Lines(session.period)
         if self._screen:
@@ -112,14 +113,15 @@ class _Display:
     def say(self, line: str) -> None:
         self._view.say(line)
 
-    def advance(self, done: int, outcome: Outcome) -> None:
+    def advance(self, _twin: Twin, _sample: Sample, outcome: Outcome) -> None:
+        self._done += 1
         if outcome.match is not None:
             self._view.take_match(outcome.match)
         for verdict in outcome.verdicts:
             self._view.take_verdict(verdict)
-        self._view.advance(done)
-        if done % 50 == 0:
-            self._bar.advance(done, self._total)
+        self._view.advance(self._done)
+        if self._done % 50 == 0:
+            self._bar.advance(self._done, self._total)
 
 
 def _replay_many(options: argparse.Namespace) -> int:

@@ -118,7 +118,6 @@ def judge(
     terms: Terms,
     *,
     watch: Watch | None = None,
-    on_outcome: Callable[[int, Outcome], None] | None = None,
     beside: Callable[[Twin, Sample, Outcome], None] | None = None,
 ) -> Judgement:
     """Judge a session with these terms; see `judge_samples`."""
@@ -130,7 +129,6 @@ def judge(
         matching=terms.matching,
         notes=session.notes,
         watch=watch,
-        on_outcome=on_outcome,
         beside=beside,
     )
 
@@ -144,13 +142,12 @@ def judge_samples(
     matching: TwinSettings | None = None,
     notes: Sequence[str] = (),
     watch: Watch | None = None,
-    on_outcome: Callable[[int, Outcome], None] | None = None,
     beside: Callable[[Twin, Sample, Outcome], None] | None = None,
 ) -> Judgement:
     """Push samples through a twin, one by one, as the live nodes do; Ctrl-C takes effect between two of them.
 
-    `matching` are separate settings for matches, if any. `on_outcome` is called after every sample with its
-    number, from 1, and its outcome; `beside` with the twin in its current state, the sample and the outcome.
+    `matching` are separate settings for matches, if any; `beside` is called after every sample with the twin
+    in its current state, the sample and the outcome.
     """
     twin = Twin(settings, given, matching=matching)
     matches: list[MatchReport] = []
@@ -161,8 +158,6 @@ def judge_samples(
             if outcome.match is not None:
                 matches.append(outcome.match)
             verdicts += outcome.verdicts
-            if on_outcome is not None:
-                on_outcome(done + 1, outcome)
             if beside is not None:
                 beside(twin, sample, outcome)
             if watch is not None and done % EVERY == 0:

@@ -109,19 +109,14 @@ def _prospect(forecaster: Forecaster, sample: int, candidate: str | None) -> Pro
     if name not in forecaster.names:
         names = "; ".join(forecaster.names)
         raise ForecastError(f"sample {sample}: there is no candidate {name!r}; there are: {names}")
-    return Prospect(_outlook(forecaster, name), leader, forecaster.confidence)
-
-
-def _outlook(forecaster: Forecaster, candidate: str) -> Outlook:
-    """The outlook, with a note if none of the candidate's forecasts has been evaluated yet."""
-    outlook = forecaster.outlook(candidate)
-    if forecaster.forecasts_of(candidate):
-        return outlook
-    note = (
-        "no forecast of this candidate has been compared with measurements yet, so the band is only its own "
-        "estimate"
-    )
-    return replace(outlook, notes=(*outlook.notes, note))
+    outlook = forecaster.outlook(name)
+    if not forecaster.forecasts_of(name):
+        note = (
+            "no forecast of this candidate has been compared with measurements yet, so the band is only its "
+            "own estimate"
+        )
+        outlook = replace(outlook, notes=(*outlook.notes, note))
+    return Prospect(outlook, leader, forecaster.confidence)
 
 
 def _no_candidate(session: str, twin: Twin, rest: Sequence[Sample]) -> ForecastError:
@@ -206,7 +201,7 @@ def ahead_of(
             profile = SetPoints.planned(rows, standing, signal=signal)
         except ForecastError as error:
             raise ForecastError(f"{reference}: {error}") from error
-        words = f"{kind}s of {Path(reference or '').name}"
+        words = f"{kind}s of {Path(reference).name}"
     elif hold is not None:
         try:
             profile = SetPoints.constant(hold, signal)

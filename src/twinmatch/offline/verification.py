@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ from twinmatch.errors import TwinmatchError
 from twinmatch.fmu import is_fmu, unmarked
 from twinmatch.offline.judging import Judgement, Watch, judge, prefix_of, recorded_terms
 from twinmatch.record import Tree, comparable, differences, tree_of, tree_of_message
-from twinmatch.sessions import Session, Topic, open_any
+from twinmatch.sessions import Session, open_any
 from twinmatch.sessions.files import ProgressCallback
 from twinmatch.signals import Sample
 from twinmatch.twin import MatchReport
@@ -114,12 +114,8 @@ def verify_session(
 
 def _structures(session: Session) -> list[str]:
     """Names of the plant's structures at the time of recording; empty if they were not recorded."""
-    name = prefix_of(session) + DESCRIPTION
-    topic = next((t for t in session.topics if t.name == name), None)
-    if topic is None:
-        return []
-    decode = _decoder(topic, session.name)
-    return [str(s) for message in session.messages([name]) for s in decode(message.data).structures]
+    described = _messages(session, prefix_of(session) + DESCRIPTION)
+    return [str(s) for message in described for s in message.structures]
 
 
 def holds_verdicts(session: Session) -> int:
@@ -149,11 +145,7 @@ def compare(session: Session, judgement: Judgement) -> Verification:
 
 
 def _recorded(session: Session, name: str) -> list[Tree]:
-    topic = next((t for t in session.topics if t.name == name), None)
-    if topic is None:
-        return []
-    decode = _decoder(topic, session.name)
-    return [comparable(tree_of_message(decode(message.data))) for message in session.messages([name])]
+    return [comparable(tree_of_message(message)) for message in _messages(session, name)]
 
 
 def _computed(record: Verdict | MatchReport, stamp: int) -> Tree:
@@ -166,16 +158,17 @@ def _once(matches: list[Tree]) -> list[Tree]:
     return [match for match, before in pairs if any(True for _ in differences(match, before))]
 
 
-def _decoder(topic: Topic, name: str) -> Callable[[bytes], Any]:
+def _messages(session: Session, name: str) -> Iterator[Any]:
+    """The messages of a topic, if the session has it."""
     from mcap.records import Schema  # noqa: PLC0415 - the command line starts without it
     from mcap_ros2.decoder import DecoderFactory  # noqa: PLC0415
 
-    schema = Schema(id=1, data=topic.schema.encode(), encoding="ros2msg", name=topic.type)
-    decode = DecoderFactory().decoder_for("cdr", schema)
-    if decode is None:
-        raise VerifyError(f"session {name}: {topic.name} cannot be decoded")
-    result: Callable[[bytes], Any] = decode
-    return result
+    for topic in [topic for topic in session.topics if topic.name == name][:1]:
+        schema = Schema(id=1, data=topic.schema.encode(), encoding="ros2msg", name=topic.type)
+        decode = DecoderFactory().decoder_for("cdr", schema)
+        if decode is None:
+            raise VerifyError(f"session {session.name}: {name} cannot be decoded")
+        yield from (decode(message.data) for message in session.messages([name]))
 
 
 class _Comparison:
@@ -203,14 +196,12 @@ class _Comparison:
     def notes(self) -> list[str]:
         """Notes on what was not compared."""
         notes = []
-        if self._apart:
-            fields = ", ".join(sorted(self._apart))
-            notes.append(
-                f"recorded in another form; fields that only one form has were not compared: {fields}"
-            )
-        if self._worded:
-            fields = ", ".join(sorted(self._worded))
-            notes.append(f"this version words some texts differently; they were not compared: {fields}")
+        for fields, why in (
+            (self._apart, "recorded in another form; fields that only one form has"),
+            (self._worded, "this version words some texts differently; they"),
+        ):
+            if fields:
+                notes.append(f"{why} were not compared: {', '.join(sorted(fields))}")
         return notes
 
     def _differences(self, one: Tree, other: Tree) -> Iterator[tuple[str, Any, Any]]:

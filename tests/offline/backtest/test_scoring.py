@@ -15,7 +15,7 @@ from twinmatch.dynamics import begin, simulate_closed_loop
 from twinmatch.forecasting import HORIZONS
 from twinmatch.offline.backtest.peer import BacktestError
 from twinmatch.offline.backtest.peers import Persistence
-from twinmatch.offline.backtest.run import Origin, ask, mark, origins, regular, stretches, with_constant_band
+from twinmatch.offline.backtest.run import Origin, ask, mark, origins, regular, with_constant_band
 from twinmatch.offline.backtest.scoring import (
     HINDSIGHT,
     Marked,
@@ -29,7 +29,7 @@ from twinmatch.offline.backtest.scoring import (
     samples_within,
 )
 from twinmatch.plants import Peltier
-from twinmatch.signals import Sample, Window
+from twinmatch.signals import Sample, Window, unbroken
 
 
 def window(samples: int, first: int = 0, period: float = 1.0) -> Window:
@@ -55,7 +55,7 @@ def test_nothing_is_forecast_that_cannot_be_judged() -> None:
 def test_stretches_are_forecast_by_themselves() -> None:
     """After a gap the past starts over, and no forecast reaches over one."""
     samples = [Sample(k, k, 50.0, float(k), 0.0) for k in (*range(100), *range(150, 400))]
-    held = stretches(samples, 1.0)
+    held = [Window.from_samples(stretch, 1.0) for stretch in unbroken(samples)]
     found = at(held, [], 60.0, (10.0, 60.0))
     assert [m.sample for m in found] == [59, 209, 269, 329, 389]
     assert (found[0].count, found[1].count) == (40, 60)

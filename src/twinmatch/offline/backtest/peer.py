@@ -30,6 +30,11 @@ class Peer(ABC):
     def __init__(self, plant: type[Plant], confidence: float = CONFIDENCE) -> None:
         self._plant, self._confidence = plant, confidence
 
+    @staticmethod
+    def missing() -> str:
+        """Why it is not available, and what to do; empty if it is."""
+        return ""
+
     @abstractmethod
     def forecast(self, past: Window, ahead: FloatArray, disturbances: FloatArray | None = None) -> Forecast:
         """Forecast the samples after a window.
@@ -45,9 +50,6 @@ class Peer(ABC):
         """
 
     def _require(self, past: Window, least: int) -> None:
-        """Raises:
-        ForecastError: the past has fewer samples than this.
-        """
         if len(past) < least:
             few = f"{len(past)} samples are too few for a forecast; give at least {least}"
             raise ForecastError(f"{self.name}: {few}")
@@ -60,8 +62,8 @@ class Peer(ABC):
         values = np.array(ahead, dtype=np.float64)
         given = Band(values, values, values)
         if entry is not None:
-            limits = self._plant.drive.limits
-            given = Band(*(np.clip(a, *limits) for a in (entry.mean, entry.low, entry.high)))
+            ends = (entry.mean, entry.low, entry.high)
+            given = Band(*(np.clip(end, *self._plant.drive.limits) for end in ends))
         return Forecast(
             sample=past.last,
             candidate=self.name,

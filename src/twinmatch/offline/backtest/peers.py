@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, Final, NamedTuple
 
@@ -91,7 +91,7 @@ class VectorAutoregression(Peer):
 
     @staticmethod
     def missing() -> str:
-        """Why it is not available, and what to do; empty if it is."""
+        """Whether `statsmodels` is installed."""
         if importlib.util.find_spec("statsmodels") is not None:
             return ""
         return "statsmodels is not installed; run pip install 'twinmatch[backtest]'"
@@ -165,13 +165,12 @@ def order_of_least_bic(signals: FloatArray, exogenous: FloatArray) -> int | None
     return int(np.argmin(costs + np.log(count) / count * 4 * np.arange(_HIGHEST + 1)))
 
 
-PEERS: Final[Mapping[str, Callable[[type[Plant]], Peer]]] = MappingProxyType(
+PEERS: Final[Mapping[str, type[Peer]]] = MappingProxyType(
     {"persistence": Persistence, "arx": LoopArx, "statsmodels": VectorAutoregression}
 )
-"""Constructors of the peers for a plant, by name."""
+"""The peers by name."""
 
-
-_DRIVEN: Final[Mapping[str, Callable[[type[Plant]], Peer]]] = MappingProxyType(
+_DRIVEN: Final[Mapping[str, type[Peer]]] = MappingProxyType(
     {"persistence": OutputPersistence, "arx": InputArx}
 )
 """The same for a plant whose loop is not known."""
@@ -199,14 +198,11 @@ def peers(
     for name in names:
         if name not in PEERS:
             raise BacktestError(f"backtest: no peer {name!r}; choose from {', '.join(PEERS)}")
+        missing = PEERS[name].missing()
         if driven and name not in _DRIVEN:
-            both = "it forecasts output and input of a loop; here the inputs are given"
-            absent.append(Absent(PEERS[name](plant).name, both))
-            continue
-        peer = (_DRIVEN if driven else PEERS)[name](plant)
-        missing = peer.missing() if isinstance(peer, VectorAutoregression) else ""
+            missing = "it forecasts output and input of a loop; here the inputs are given"
         if missing:
-            absent.append(Absent(peer.name, missing))
+            absent.append(Absent(PEERS[name].name, missing))
         else:
-            found.append(peer)
+            found.append((_DRIVEN if driven else PEERS)[name](plant))
     return found, absent

@@ -72,11 +72,6 @@ class Origin:
         return held if held.size else None
 
 
-def stretches(samples: Sequence[Sample], period: float) -> tuple[Window, ...]:
-    """The stretches of a session without gaps, as windows."""
-    return tuple(Window.from_samples(stretch, period) for stretch in unbroken(samples))
-
-
 def regular(held: Sequence[Window], every: float) -> list[int]:
     """The samples at regular intervals, in seconds, within each stretch."""
     found: list[int] = []
@@ -194,18 +189,14 @@ def with_constant_band(
     output = _around(forecast.output.mean, past.output[SKIPPED:] - twin.output, forecast.confidence)
     if gains is None:
         return replace(forecast, outputs=(output,))
-    low, high = parameters.model.plant.drive.limits
     entry = _around(forecast.input.mean, past.input[SKIPPED:] - twin.input, forecast.confidence)
-    return replace(
-        forecast,
-        outputs=(output,),
-        inputs=(Band(entry.mean, np.clip(entry.low, low, high), np.clip(entry.high, low, high)),),
-    )
+    ends = (np.clip(end, *parameters.model.plant.drive.limits) for end in (entry.low, entry.high))
+    return replace(forecast, outputs=(output,), inputs=(Band(entry.mean, *ends),))
 
 
 def _around(mean: FloatArray, residuals: FloatArray, confidence: float) -> Band:
-    low, high = np.quantile(residuals, ((1.0 - confidence) / 2.0, (1.0 + confidence) / 2.0))
-    return Band(mean, mean + low, mean + high)
+    tails = ((1.0 - confidence) / 2.0, (1.0 + confidence) / 2.0)
+    return Band(mean, *(mean + end for end in np.quantile(residuals, tails)))
 
 
 class _Outlooks(NamedTuple):
@@ -245,10 +236,11 @@ class Listener:
         choices: Choices,
         work: Beside | None = None,
     ) -> None:
-        self.session, self.peers, self.work = session, choices.peers, work or Beside()
         scored, period = settings.forecasts, settings.period
         self.horizons = choices.ahead(scored.horizons, period)
-        self.held = stretches(samples, period)
+        self.common, self.work = _Common(session, settings, self.horizons, choices.peers), work or Beside()
+        self.held = tuple(Window.from_samples(stretch, period) for stretch in unbroken(samples))
+        """The stretches without gaps."""
         every = _SPARSER * scored.every if choices.every is None else choices.every
         self.wanted = frozenset(regular(self.held, every))
         """Samples at which outlooks are recorded, besides those of the verdicts."""
@@ -263,9 +255,8 @@ class Listener:
             return
         for origin in origins(self.held, [sample.index], self.horizons, driven=twin.settings.gains is None):
             asked = _outlooks(twin)
-            known = LEADER in asked.who
-            terms = _Common(self.session, twin.settings, self.horizons, self.peers)
-            self.graded[sample.index] = self.work.give(_grade, terms, origin, asked) if known else None
+            task = self.work.give(_grade, self.common, origin, asked) if LEADER in asked.who else None
+            self.graded[sample.index] = task
 
     def spoilt(self, first: int, last: int) -> bool:
         """Whether the monitor found a fault of the plant between two samples."""
@@ -402,7 +393,7 @@ def graded(judgement: Judgement, listener: Listener, *, watch: Watch | None = No
         marked=tuple(marked),
         came=listener.held,
         shown=_one_after_another(result.shown for result, _ in found if result.shown.sample in judged),
-        absent=tuple(peers(plant, listener.peers, driven=driven)[1]),
+        absent=tuple(peers(plant, listener.common.peers, driven=driven)[1]),
         notes=tuple(_notes(total, judged, everything, spoilt, unasked)),
     )
 

@@ -259,7 +259,7 @@ class SessionReport:
             "words": [*plain_words(judgement), *backtest_words(tested)[-1:]],
             "forecasts": tables.forecast_tables(tested),
             "forecast_sentences": backtest_words(tested),
-            "peers": _peer_words(judged.listener.peers, closed=closed),
+            "peers": _peer_words(judged.listener.common.peers, closed=closed),
             "fans": tables.leader_forecast_table(fans_of(tested, judgement), plant),
             "horizons": ", ".join(f"{h:g}" for h in tested.horizons),
             "confidence": f"{100 * tested.confidence:.0f}",
