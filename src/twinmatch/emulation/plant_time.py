@@ -138,11 +138,9 @@ class VirtualPlantTime(ABC):
             self._stack = stack.pop_all()
 
     def __enter__(self: _Own) -> _Own:
-        """Nothing to do: it exists since construction."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        """End it."""
         self.close()
 
     @abstractmethod

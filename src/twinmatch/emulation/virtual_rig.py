@@ -163,30 +163,26 @@ class VirtualRig(VirtualPlantTime):
         self._camera = VirtualCamera(ambient=self.plant.plate, seed=1000 * self.settings.seed)
         stack.callback(self._camera.close)
         self._noise = SerialNoise(self._board.port, self.settings.seed)
-        self._drive = self._board.drive()
-        return {"camera": "{}:{}".format(*self._camera.address), "serial": self._board.port}
-
-    @property
-    def drive(self) -> PinDrive:
+        self.drive = self._board.drive()
         """State of the driver's pins."""
-        return self._drive
+        return {"camera": "{}:{}".format(*self._camera.address), "serial": self._board.port}
 
     def advance(self) -> None:
         """Advance by one slice of plant time."""
         seconds = self.slice / 1000
         self._advance_board()
-        self.plant.advance(self._drive, seconds)
+        self.plant.advance(self.drive, seconds)
         before, self.ms = self.ms, self.ms + self.slice
         if self.ms // _FEEDBACK_EVERY != before // _FEEDBACK_EVERY:
-            self._board.set_current(self.plant.feedback(self._drive))
+            self._board.set_current(self.plant.feedback(self.drive))
         self._camera.see(self.elapsed, self.plant.seen, self.stamp)
 
     def _advance_board(self) -> None:
         if "garbage-serial" not in self.schedule.active:
-            self._drive = self._board.advance(self.slice / 1000)
+            self.drive = self._board.advance(self.slice / 1000)
             return
         for _ in range(self.slice):  # the other program may interfere at every millisecond
-            self._drive = self._board.advance(0.001)
+            self.drive = self._board.advance(0.001)
             self._noise.burst()
 
     def settled(self, clock: ClockServer) -> bool:
@@ -202,9 +198,9 @@ class VirtualRig(VirtualPlantTime):
             "time": self.elapsed,
             "plate": self.plant.plate,
             "sink": self.plant.sink,
-            "pwm": self._drive.pwm,
-            "enabled": self._drive.enabled,
-            "current": self.plant.feedback(self._drive),
+            "pwm": self.drive.pwm,
+            "enabled": self.drive.enabled,
+            "current": self.plant.feedback(self.drive),
             "speed": self.pace.achieved(),
             "faults": list(self.schedule.active),
         }

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -137,15 +138,15 @@ class Bag:
         done, total = 0, sum(self._reader.topics[name].msgcount for name in {c.topic for c, _ in found})
         for topic in dict.fromkeys(channel.topic for channel, _ in found):
             wanted = [k for k, (channel, _) in enumerate(found) if channel.topic == topic]
-            for count, (logged, message) in enumerate(self._messages(topic)):
-                if most is not None and count == most:
-                    break
+            messages = self._reader.messages(self._reader.topics[topic].connections)
+            for connection, logged, raw in islice(messages, most):
+                message = self._reader.deserialize(raw, connection.msgtype)
                 done += 1
                 if progress is not None and done % _EVERY == 0:
                     progress(done, total)
                 stamped = _stamp(message)
                 for k in wanted:
-                    rows[k].append((logged, stamped, follow(message, found[k][0].path)))
+                    rows[k].append((logged / 1e9, stamped, follow(message, found[k][0].path)))
         series = []
         for (channel, kind), held in zip(found, rows, strict=True):
             columns = np.array(held, dtype=np.float64).reshape(-1, 3).T
@@ -173,11 +174,6 @@ class Bag:
             raise RecordingError(
                 f"{self.path}: {name}: the bag does not contain the definition of {kind}; map another topic"
             ) from None
-
-    def _messages(self, topic: str) -> Iterator[tuple[float, Any]]:
-        connections = self._reader.topics[topic].connections
-        for connection, logged, raw in self._reader.messages(connections):
-            yield logged / 1e9, self._reader.deserialize(raw, connection.msgtype)
 
     def _topic(self, name: str) -> BagTopic:
         info = self._reader.topics[name]
@@ -254,13 +250,8 @@ def map_bag(
 ) -> Mapped:
     """The samples of a plant from a bag.
 
-    Args:
-        path: folder of the bag.
-        given: topics and fields by signal.
-        plant: the plant that the signals belong to.
-        longest: longest step between readings that is interpolated, s; three usual ones if not given.
-        gaps: treatment of longer steps.
-        progress: called with the number of messages read and their total.
+    The arguments are those of `map_samples`, with the folder of the bag in place of a table, and topics and
+    fields in place of columns; `progress` is called with the number of messages read and their total.
 
     Raises:
         RecordingError: as `open_bag`, `Bag.series` and `map_samples`; a signal that is not mapped.

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from twinmatch.comparing.models import Candidate
-from twinmatch.dynamics import Output, Plant
+from twinmatch.dynamics import Plant
 from twinmatch.errors import TwinmatchError
 from twinmatch.plants import Peltier, find_plant, plant_named
 from twinmatch.plants.records import parameters_from
@@ -48,13 +48,10 @@ def read_candidates(path: Path) -> list[Candidate]:
 def parse_candidates(
     text: str, path: str, find: Callable[[str], type[Plant]] = plant_named
 ) -> list[Candidate]:
-    """Parse initial candidates from the text of a file.
+    """Parse initial candidates from the text of a file; error messages start with `path`.
 
-    Args:
-        text: the text.
-        path: its file, for error messages.
-        find: returns the plant of a name. A recorded text may not name plant files, since these are
-            executed; a text that the user wrote may.
+    `find` returns the plant of a name. A recorded text may not name plant files, since these are executed; a
+    text that the user wrote may.
 
     Raises:
         CandidateFileError: the text is not YAML, or an entry is incomplete or wrong.
@@ -91,7 +88,14 @@ def _candidate(entry: Any, place: str, find: Callable[[str], type[Plant]]) -> Ca
         parameters = parameters_from(find(plant).name, structure, numbers)
     except TwinmatchError as error:
         raise CandidateFileError(f"{place}: {error}") from error
-    _check_operating_point(operating_point, parameters.model.plant.output, place)
+    output = parameters.model.plant.output
+    low, high = output.span
+    if not low <= operating_point <= high:
+        unit = f" {output.unit}".rstrip()
+        raise CandidateFileError(
+            f"{place}: operating_point is {operating_point:g}{unit}; give a value within {low:g} and "
+            f"{high:g}{unit}"
+        )
     return Candidate(name, operating_point, parameters, None)
 
 
@@ -105,11 +109,3 @@ def _number(key: str, value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise CandidateFileError(f"{key} is {shown(value)}; give a number")
     return float(value)
-
-
-def _check_operating_point(value: float, output: Output, place: str) -> None:
-    low, high = output.span
-    if not low <= value <= high:
-        unit = f" {output.unit}".rstrip()
-        msg = f"{place}: operating_point is {value:g}{unit}; give a value within {low:g} and {high:g}{unit}"
-        raise CandidateFileError(msg)

@@ -20,6 +20,7 @@ NUMBERS: Final = frozenset(
     | {f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)}
 )
 TEXTS: Final = frozenset({"string", "wstring"})
+_TIMES: Final = ("Header", "Time", "Duration")
 _STEP: Final = re.compile(r"\.?(?P<name>[A-Za-z]\w*)|\[(?P<index>\d+)\]")
 _DEEP: Final = 4
 """Depth of nested messages to which fields are listed."""
@@ -96,11 +97,6 @@ def steps(path: str) -> tuple[str | int, ...]:
 def check_path(kind: str, path: str, fields_of: FieldsOf) -> str:
     """The checked path to a number in messages of a type; an empty path stands for their only number.
 
-    Args:
-        kind: name of the type.
-        path: the path as written.
-        fields_of: returns the fields of a type.
-
     Raises:
         SamplingError: there is no such field, it is not a number, or the path is empty and there are several
             numbers. The error lists the numbers.
@@ -141,7 +137,7 @@ def fields_below(kind: str, fields_of: FieldsOf, deep: int = _DEEP) -> Iterator[
         mark = "[0]" if field.array else ""
         if field.kind in NUMBERS:
             yield f"{name}{mark}"
-        elif field.kind not in TEXTS and deep > 1 and not _is_time(field.kind):
+        elif field.kind not in TEXTS and deep > 1 and field.kind.rsplit("/", 1)[-1] not in _TIMES:
             for below in fields_below(field.kind, fields_of, deep - 1):
                 yield f"{name}{mark}.{below}"
 
@@ -182,10 +178,6 @@ def _listed(kind: str, fields_of: FieldsOf) -> str:
     found = [] if kind in NUMBERS | TEXTS else list(fields_below(kind, fields_of))
     more = f" and {len(found) - _MOST_LISTED} more" if len(found) > _MOST_LISTED else ""
     return ", ".join(found[:_MOST_LISTED]) + more if found else "none"
-
-
-def _is_time(kind: str) -> bool:
-    return kind.rsplit("/", 1)[-1] in ("Header", "Time", "Duration")
 
 
 _UNITS: Final = {

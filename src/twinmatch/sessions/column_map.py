@@ -101,11 +101,7 @@ def parse_map(entries: Sequence[str]) -> ColumnMap:
 
 
 def parse_source(place: str, text: str) -> Source:
-    """Parse what follows the `=` of an entry, such as `T; unit=K`.
-
-    Args:
-        place: start of the error message.
-        text: the column, and its conversion.
+    """Parse what follows the `=` of an entry, such as `T; unit=K`; error messages start with `place`.
 
     Raises:
         RecordingError: the column is missing, or a setting is unknown.
@@ -241,13 +237,9 @@ def _column(table: Table, title: str) -> Column:
 
 
 def described(title: str, unit: str, values: FloatArray, *, ordered: bool) -> Column:
-    """The summary of a column of numbers.
+    """The summary of a column of numbers, shape (N,), nan in rows without a value.
 
-    Args:
-        title: its title.
-        unit: unit in the title.
-        values: shape (N,); nan for rows without a value.
-        ordered: whether it may be a time, and whether it holds its value is of interest.
+    `ordered`: whether it may be a time, and whether it holds its value is of interest.
     """
     found = values[np.isfinite(values)]
     if not found.size:

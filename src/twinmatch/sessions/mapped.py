@@ -95,7 +95,7 @@ def map_samples(
     Args:
         table: the table.
         given: its columns by signal.
-        plant: the plant that the signals belong to.
+        plant: what they are signals of.
         longest: longest step between rows that is interpolated, s; three usual ones if not given.
         gaps: treatment of longer steps; where they split the table, the samples' indices skip.
 
@@ -266,12 +266,7 @@ def check_range(
     """Refuse values outside the plant's range; keep a few odd readings as those of a failed sensor, which the
     health monitor detects.
 
-    Args:
-        table: where the values are from.
-        signal: name of the signal.
-        known: its unit and range.
-        values: in that unit, shape (N,).
-        kept: the rows that are used; all if not given.
+    The values are in the plant's unit, shape (N,); `kept` are the rows that are used, all if not given.
 
     Returns:
         A note on odd readings.

@@ -63,10 +63,7 @@ class _Variable(NamedTuple):
 def read_matrices(path: Path, name: str = "", width: int = 0) -> dict[str, FloatArray]:
     """Read the longest vectors and matrices of real numbers, by name, each of two dimensions.
 
-    Args:
-        path: the file.
-        name: the only matrix wanted.
-        width: the number of its columns.
+    With a `name`, that matrix is the only one wanted, and `width` the number of its columns.
 
     Raises:
         RecordingError: the file is not of version 5, or has no such matrix of this shape and size.

@@ -186,13 +186,7 @@ def _continues(piece: Path, first: str) -> bool:
 
 
 def _joined(found: Sequence[Session], path: Path, notes: Sequence[str]) -> Session:
-    """Sessions of one run as one: the last that begins at its beginning, and later messages of others.
-
-    Args:
-        found: the sessions, at least one, in their order.
-        path: the folder of the run.
-        notes: remarks on pieces that were left out.
-    """
+    """Sessions of one run as one: the last that begins at its beginning, and later messages of others."""
     begin = min(session.samples[0].index for session in found)
     base = max(k for k, session in enumerate(found) if session.samples[0].index == begin)
     whole, later = found[base], found[base + 1 :]
@@ -345,11 +339,7 @@ SIGNALS = ("references", "outputs", "inputs")
 
 
 def check_samples(samples: Sequence[Sample], place: str) -> None:
-    """Refuse samples that cannot be judged.
-
-    Args:
-        samples: the samples in the order they were taken.
-        place: start of the error message, such as `session night_run`.
+    """Refuse samples that cannot be judged; the error message starts with `place`.
 
     Raises:
         SessionError: there are no samples, or a value is not finite.

@@ -189,11 +189,7 @@ def period_of_ticks(
 ) -> float:
     """Sampling period, s, of rows that are the ticks of a loop, so that they need no resampling.
 
-    Args:
-        time: time of each row, s, from any origin; shape (N,).
-        columns: by name, each of shape (N,).
-        place: start of the error message.
-        row: returns the place of the i-th row (from 0).
+    The arguments are those of `resample`.
 
     Raises:
         RecordingError: fewer than two rows, values that are not finite, or irregular or decreasing time.
@@ -225,11 +221,9 @@ def rounded_period(mean: float) -> float:
 
 
 def bridged_up_to(stamps: FloatArray, longest: float | None = None) -> float:
-    """The longest step between rows that is interpolated, s.
+    """The longest step between rows that is interpolated, s: the user's limit, or of usual steps.
 
-    Args:
-        stamps: times of the rows, s; increasing, shape (N,), N at least two.
-        longest: the user's limit, s.
+    `stamps` are the increasing times of at least two rows, s.
     """
     return _BRIDGED * _usual_step(np.diff(stamps)) if longest is None else longest
 

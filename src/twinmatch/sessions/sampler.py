@@ -64,8 +64,10 @@ class Grid:
         if self._number is None:
             self._number, self._newest, self._due = 0, now, now
             return 0
-        if now < self._newest - self._period:  # the clock was set back
-            return self._restart(self._number + 2, now)
+        if now < self._newest - self._period:  # the clock was set back: nothing reaches across that
+            self.missed, self.jitter = self.missed + 1, 0
+            self._number, self._newest, self._due = self._number + 2, now, now
+            return self._number
         late = now - self._due - self._period
         if late <= -self._period // 2 or now <= self._newest:
             return None
@@ -77,13 +79,6 @@ class Grid:
         # During a gap the loop may have been restarted, at any time.
         self._due = now if late < 0 or skipped else now - late + round(_LEAK * late)
         return self._number
-
-    def _restart(self, number: int, now: int) -> int:
-        """Restart the grid and leave out one number: nothing reaches across a clock that was set back."""
-        self.missed += 1
-        self.jitter = 0
-        self._number, self._newest, self._due = number, now, now
-        return number
 
 
 _FEWEST: Final = 5

@@ -54,11 +54,9 @@ _DRIVE: Final = PlantSignal("held", Peltier.drive.unit, *Peltier.drive.limits)
 
 
 def read_recording(path: Path | str, progress: ProgressCallback | None = None) -> Window:
-    """Read a recording of the rig as one window; its samples are counted from 0.
+    """Read a recording of the rig, as this module describes them, as one window counted from 0.
 
-    Args:
-        path: a `.mat` or `.csv` file as this module describes them.
-        progress: called with the bytes read and the total.
+    `progress` is called with the bytes read and the total.
 
     Raises:
         RecordingError: the file does not exist, is not a recording, lacks columns, or has values or times
@@ -138,12 +136,10 @@ def open_any(
 
 def _open(path: Path, topic: str | None, progress: ProgressCallback | None) -> Session:
     beginning = _beginning(path)
-    if beginning is None:
+    if beginning is None or beginning.startswith(MAGIC) or path.suffix.lower() == ".mcap":
         return read_session(path, topic, progress)
-    if beginning.startswith(MAGIC) or path.suffix.lower() == ".mcap":
-        return read_session(path, topic, progress)
-    if path.suffix.lower() in _SUFFIXES:
-        return _recording(path, progress)
+    if path.suffix.lower() in _SUFFIXES:  # with the messages that its import would have
+        return session_of(path, samples_of(read_recording(path, progress)), plant=Peltier.name)
     hint = "; a MATLAB file needs the suffix .mat" if beginning.startswith(MAT_BEGINNING) else ""
     raise SessionError(f"{path}: is neither a session (folder or .mcap) nor a recording (.mat, .csv){hint}")
 
@@ -161,19 +157,10 @@ def _beginning(path: Path) -> bytes | None:
         raise SessionError(f"{path}: cannot be read ({error.strerror})") from error
 
 
-def _recording(path: Path, progress: ProgressCallback | None) -> Session:
-    """A recording as a session, with the messages that its import would have."""
-    return session_of(path, samples_of(read_recording(path, progress)), plant=Peltier.name)
-
-
 def session_of(path: Path, samples: list[Sample], *, plant: str, has_reference: bool = True) -> Session:
-    """Samples as a session, equal to their import.
+    """The samples (at least one) of a file as a session, equal to their import.
 
-    Args:
-        path: file of the samples.
-        samples: at least one.
-        plant: name of the plant.
-        has_reference: whether the set-points are meaningful.
+    `has_reference`: whether their set-points are meaningful.
     """
     topics = topics_of(samples)
     counts = Counter(message.topic.name for message in plant_messages(samples, topics))

@@ -139,10 +139,8 @@ def read_table(
 ) -> Table:
     """Read the columns of a file.
 
-    Args:
-        path: the file.
-        progress: called with the bytes of a .csv read so far and the total.
-        matrix: name and number of columns of the only matrix wanted from a .mat.
+    `progress` is called with the bytes of a .csv read so far and the total. `matrix` is the name and the
+    number of columns of the only matrix wanted from a .mat.
 
     Raises:
         RecordingError: the file does not exist, is not a table, or is damaged.

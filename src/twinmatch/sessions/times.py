@@ -56,7 +56,7 @@ def read_times(table: Table, title: str, unit: str = "", scale: float = 1.0) -> 
 
     Args:
         table: the table.
-        title: title of the column.
+        title: that of the column.
         unit: unit of the numbers; empty: that in the title, or judged by their size.
         scale: factor applied to the numbers first.
 

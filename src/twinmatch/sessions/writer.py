@@ -38,18 +38,16 @@ class _Block(NamedTuple):
 class _ChunkIndexes:
     """Replaces the list in which a writer collects its chunk indexes.
 
-    The file has no name: it vanishes with the process, however it ends.
+    Its file in the folder has no name: it vanishes with the process, however it ends.
     """
 
     def __init__(self, folder: Path) -> None:
-        """Start empty; the file is in this folder, on the disk of the session."""
         from mcap.data_stream import RecordBuilder  # noqa: PLC0415 - as for the writer
 
         self._file = tempfile.TemporaryFile(dir=folder, prefix=".chunks-")  # noqa: SIM115 - closed with the object
         self._record = RecordBuilder()
 
     def append(self, index: ChunkIndex) -> None:
-        """Append the index of a chunk; raises `OSError` if writing fails."""
         index.write(self._record)
         self._file.write(self._record.end())  # type: ignore[no-untyped-call]
 
@@ -59,7 +57,6 @@ class _ChunkIndexes:
             yield _Block(data)
 
     def close(self) -> None:
-        """Close the file, which deletes it."""
         self._file.close()
 
 
@@ -67,7 +64,6 @@ class _SessionFile:
     """Writes topics, messages and records into one file; failures of the disk are an `OSError`."""
 
     def __init__(self, path: Path) -> None:
-        """Create the file."""
         from mcap.writer import CompressionType, Writer  # noqa: PLC0415 - takes 70 ms, not needed to read
 
         self.path = path
@@ -149,19 +145,18 @@ class SessionWriter:
     file ends there, and `read_session` reads it up to that point.
     """
 
-    def __init__(self, folder: Path | str, *, name: str | None = None, ros_distro: str = "unknown") -> None:
+    def __init__(self, folder: Path | str, *, ros_distro: str = "unknown") -> None:
         """Create the folder and its first file.
 
         Args:
             folder: folder of the session; it must not exist, its parents are created.
-            name: the session's name, if it differs from the folder's.
             ros_distro: ROS 2 distribution of the recorder.
 
         Raises:
             SessionError: the folder exists, has no name, or cannot be created.
         """
         self.folder = Path(folder)
-        self.name = name or self.folder.absolute().name
+        self.name = self.folder.absolute().name
         if not self.name:
             raise SessionError(f"session {self.folder}: a session needs a folder with a name")
         self.counts: dict[Topic, int] = {}
