@@ -26,16 +26,8 @@ from twinmatch.links.thermal_client import LinkState
 
 Start = Callable[..., Any]
 SIMULATOR = shutil.which("avr-g++") is not None and Path("/usr/include/simavr/sim_avr.h").exists()
-BOARDS = [
-    "python",
-    pytest.param(
-        "simavr",
-        marks=pytest.mark.skipif(
-            not SIMULATOR,
-            reason="no simavr here: apt install gcc-avr avr-libc arduino-core-avr libsimavr-dev libelf-dev",
-        ),
-    ),
-]
+BOARD = "simavr" if SIMULATOR else "python"
+"""The board that is to be had here that is nearest to the real one; both keep what it promises."""
 
 
 def lives(process: int) -> bool:
@@ -45,15 +37,14 @@ def lives(process: int) -> bool:
         return False
 
 
-@pytest.mark.parametrize("board", BOARDS)
 def test_a_loop_closed_through_port_and_stream_reaches_its_set_point_and_a_pulled_cable_comes_back_latched(
-    rig: Start, controller: Start, board: str
+    rig: Start, controller: Start
 ) -> None:
-    running = rig("--speed", "20", "--board", board, "--seed", "5")
-    assert running.address("board").startswith(board)
+    running = rig("--speed", "20", "--board", BOARD, "--seed", "5")
+    assert running.address("board").startswith(BOARD)
     loop = controller(running)
-    last = [tick.temperature for tick in loop.hold(25.0, 80.0)][-20:]
-    # The rig's PID approaches with P/I = 26 s: 80 s leave 0.1 of 2 K. An image's noise is 0.08 K.
+    last = [tick.temperature for tick in loop.hold(25.0, 60.0)][-15:]
+    # The rig's PID approaches with P/I = 26 s: 60 s leave 0.2 of 2 K. An image's noise is 0.08 K.
     assert np.mean(last) == pytest.approx(25.0, abs=0.3)
     state = running.state()
     assert 0 < state["speed"] < 21
@@ -70,17 +61,15 @@ def test_a_loop_closed_through_port_and_stream_reaches_its_set_point_and_a_pulle
         loop.link.command(10)
     loop.link.clear()
     assert running.process.end(signal.SIGINT) == 0
-    print(f"\n{board} board: {running.said('ended:')}; {len(loop.errors)} errors of the link")
 
 
-@pytest.mark.parametrize("board", BOARDS)
 def test_noise_on_the_line_is_survived_and_a_hung_board_is_restarted_by_its_watchdog(
-    rig: Start, controller: Start, board: str
+    rig: Start, controller: Start
 ) -> None:
-    running = rig("--speed", "5", "--board", board)
+    running = rig("--speed", "5", "--board", BOARD)
     loop = controller(running)
-    running.tell("garbage-serial+20")
-    loop.hold(30.0, 25.0)
+    running.tell("garbage-serial+10")
+    loop.hold(30.0, 12.0)
     assert loop.errors
     wait_for(lambda: not running.state()["faults"], "the end of the fault")
     loop.link.reopen()

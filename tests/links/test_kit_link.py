@@ -46,13 +46,16 @@ def keeper(link: KitLink) -> int:
     return link._process.pid
 
 
-def test_it_sets_heaters_and_reads_sensors(kit: BenchKit, link: KitLink) -> None:
+def test_it_sets_heaters_and_reads_sensors_while_somebody_commands(kit: BenchKit, link: KitLink) -> None:
+    """Until its end of the pipe closes, as the kernel does for a process that is killed."""
     assert link.firmware.startswith("TCLab Firmware")
     kit.shown = {1: 41.25, 2: 30.5}
     assert link.drive(37.5, 12.0) == (41.25, 30.5, 37.5, 12.0)
     assert kit.heaters == [37.5, 12.0]
-    link.close()
-    assert kit.heaters == [0.0, 0.0]
+    assert link._process is not None
+    assert link._process.stdin is not None
+    link._process.stdin.close()
+    off(kit)
 
 
 def test_silence_switches_off_until_it_is_cleared(kit: BenchKit) -> None:
@@ -68,23 +71,13 @@ def test_silence_switches_off_until_it_is_cleared(kit: BenchKit) -> None:
     link.close()
 
 
-@pytest.mark.parametrize("value", [math.nan, math.inf, -1.0, 100.5])
-def test_an_invalid_command_never_reaches_it(kit: BenchKit, link: KitLink, value: float) -> None:
+def test_an_invalid_command_never_reaches_it(kit: BenchKit, link: KitLink) -> None:
     """The package itself makes 100 % of what is not a number."""
     link.drive(50.0, 0.0)
     with pytest.raises(KitError, match="it must be within 0 to 100 %"):
-        link.drive(value, 0.0)
+        link.drive(math.nan, 0.0)
     off(kit)
     assert kit.highest == 50.0
-
-
-def test_who_commands_is_killed(kit: BenchKit, link: KitLink) -> None:
-    """Its end of the pipe closes, as the kernel does for a process that is killed."""
-    link.drive(80.0, 0.0)
-    assert link._process is not None
-    assert link._process.stdin is not None
-    link._process.stdin.close()
-    off(kit)
 
 
 def test_who_holds_the_port_is_killed_and_the_next_one_begins_with_zero(kit: BenchKit, link: KitLink) -> None:
@@ -117,10 +110,16 @@ def test_the_cable_is_pulled(kit: BenchKit, link: KitLink) -> None:
     assert link.drive(10.0, 0.0)[2] == 10.0
 
 
-def test_a_port_that_is_gone_is_an_error_of_the_system(kit: BenchKit) -> None:
+def test_who_holds_the_port_checks_commands_and_a_port_that_is_gone_is_an_error_of_the_system(
+    kit: BenchKit,
+) -> None:
     """And not one of the terminal, which nobody expects: the heaters would be switched off only once."""
     board = open_kit(kit.port)
     board.drive(30.0, 0.0)
+    for value in (math.nan, math.inf, -1.0, 100.5):
+        with pytest.raises(KitError, match="it must be within 0 to 100 %"):
+            board.drive(value, 0.0)
+    assert kit.highest == 30.0
     kit.unplug()
     for _ in range(2):
         with pytest.raises(OSError):  # noqa: PT011 (the words are the system's)

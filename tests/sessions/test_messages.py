@@ -197,13 +197,9 @@ def test_verdicts_are_compared_in_what_both_forms_have() -> None:
         assert type(found.difference.recorded) is type(found.difference.computed)
 
 
-@pytest.mark.parametrize("command", ["replay", "report"])
-def test_the_commands_read_it(
-    command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert main([command, str(SESSION)]) == 0
-    assert "first_form.html" in (out := capsys.readouterr().out) or "Nominal: 40 °C set" in out
+def test_a_replay_reads_it(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["replay", str(SESSION)]) == 0
+    assert "Nominal: 40 °C set" in capsys.readouterr().out
 
 
 def test_a_repaired_copy_stays_in_its_form(tmp_path: Path) -> None:

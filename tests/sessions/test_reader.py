@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import struct
 from io import BytesIO
+from itertools import product
 from pathlib import Path
 
 import pytest
@@ -24,8 +25,8 @@ def run(count: int = 30, first: int = 0, step: int = 10**9) -> list[Sample]:
     return [Sample(first + k, (first + k) * step, 30.0, 25.0, float(first + k)) for k in range(count)]
 
 
-def record(folder: Path, *rigs: tuple[Topic, list[Sample]], name: str | None = None) -> Path:
-    with SessionWriter(folder, name=name) as writer:
+def record(folder: Path, *rigs: tuple[Topic, list[Sample]]) -> Path:
+    with SessionWriter(folder) as writer:
         for topic, samples in rigs:
             writer.add_topic(topic)
             for sample in samples:
@@ -71,11 +72,6 @@ def test_it_reports_its_progress(tmp_path):
     assert [done / size for done, _ in calls] == pytest.approx([5 / 18, 10 / 18, 15 / 18], abs=0.1)
 
 
-def test_any_namespace_is_found(tmp_path):
-    rig = SAMPLE._replace(name="/lab/rig7/plant/sample")
-    assert read_session(record(tmp_path / "run", (rig, run()))).topic == "/lab/rig7/plant/sample"
-
-
 def test_of_two_rigs_one_has_to_be_named(tmp_path):
     a, b = (SAMPLE._replace(name=f"/{rig}/plant/sample") for rig in "ab")
     folder = record(tmp_path / "run", (a, run(5)), (b, run(7)))
@@ -97,9 +93,11 @@ def test_samples_under_another_name_are_used_only_when_named(tmp_path):
     assert len(read_session(folder, topic="/loop").samples) == 5
 
 
-def test_other_comments_are_the_same_definition(tmp_path):
-    bare = SAMPLE._replace(schema=SAMPLE.schema.replace("# measured outputs y", ""))
-    assert read_session(record(tmp_path / "run", (bare, run()))).samples == run()
+def test_any_namespace_is_found_and_other_comments_are_the_same_definition(tmp_path):
+    bare = SAMPLE.schema.replace("# measured outputs y", "")
+    rig = SAMPLE._replace(name="/lab/rig7/plant/sample", schema=bare)
+    session = read_session(record(tmp_path / "run", (rig, run())))
+    assert (session.topic, session.samples) == (rig.name, run())
 
 
 @pytest.mark.parametrize(
@@ -118,11 +116,7 @@ def test_gaps_are_noted(tmp_path, samples, note):
     assert session.samples == samples
     assert session.period == 1.0
     assert session.notes[0] == f"the samples' indices {note}: samples are missing there"
-
-
-def test_a_window_has_no_gap(tmp_path):
-    session = read_session(record(tmp_path / "run", (SAMPLE, run(10) + run(5, first=12))))
-    with pytest.raises(SignalError, match="sample 12 follows sample 9"):
+    with pytest.raises(SignalError, match=r"sample \d+ follows sample \d+"):
         session.window()
 
 
@@ -195,8 +189,8 @@ def test_a_folder_without_usable_metadata_is_read_and_noted(tmp_path, text):
 
 def test_a_session_of_several_files_is_one(tmp_path):
     folder = record(tmp_path / "run", (SAMPLE, run(10)))
-    second = record(tmp_path / "more", (SAMPLE, run(10, first=10)), name="run")
-    (second / "run_0.mcap").rename(folder / "run_1.mcap")
+    second = record(tmp_path / "more", (SAMPLE, run(10, first=10)))
+    (second / "more_0.mcap").rename(folder / "run_1.mcap")
     metadata = yaml.safe_load((folder / "metadata.yaml").read_text())
     names = ["run_0.mcap", "run_1.mcap", "run_2.mcap"]
     metadata["rosbag2_bagfile_information"]["relative_file_paths"] = names
@@ -229,37 +223,23 @@ def test_a_clock_that_was_set_is_noted(tmp_path, jump, step):
     assert notes == ([] if step == 0.5 else [f"the stamps step by {step:g} s from sample 19 to 20"])
 
 
-def test_one_sample_has_the_usual_period(tmp_path):
+def test_one_sample_has_the_usual_period_and_a_file_that_has_gone_is_said_when_it_is_wanted(tmp_path):
     session = read_session(write_session(tmp_path / "run", run(1)))
     assert session.period == 1.0
     assert session.notes == []
-
-
-def test_a_file_that_has_gone_is_said_when_its_messages_are_wanted(tmp_path):
-    session = read_session(write_session(tmp_path / "run", run()))
     (tmp_path / "run" / "run_0.mcap").unlink()
     with pytest.raises(SessionError, match="cannot be read"):
         list(session.messages())
 
 
-@pytest.mark.parametrize("reliability", ["reliable", "best_effort"])
-@pytest.mark.parametrize("durability", ["volatile", "transient_local"])
-def test_qos_survives_its_text(reliability, durability):
-    qos = Qos(reliability, durability, 42)
-    assert parse_qos(qos_text(qos)) == qos
-
-
-def test_qos_of_older_and_of_discovered_profiles():
-    assert parse_qos("- {reliability: 2, durability: 1, depth: 0}") == Qos(
-        "best_effort", "transient_local", 10
-    )
-
-
-@pytest.mark.parametrize(
-    "text", ["", "[]", "7", "- 7", "- {depth: 1}", "[", "- {reliability: x, durability: y, depth: 1}"]
-)
-def test_invalid_qos_falls_back(text):
-    assert parse_qos(text) == Qos()
+def test_qos_survives_its_text_and_that_of_older_and_of_discovered_profiles_is_read():
+    for reliability, durability in product(["reliable", "best_effort"], ["volatile", "transient_local"]):
+        qos = Qos(reliability, durability, 42)
+        assert parse_qos(qos_text(qos)) == qos
+    older = "- {reliability: 2, durability: 1, depth: 0}"
+    assert parse_qos(older) == Qos("best_effort", "transient_local", 10)
+    for text in ("", "[]", "7", "- 7", "- {depth: 1}", "[", "- {reliability: x, durability: y, depth: 1}"):
+        assert parse_qos(text) == Qos()
 
 
 def test_listed_files_stay_in_their_folder(tmp_path):
@@ -324,17 +304,14 @@ def whole(tmp_path_factory) -> bytes:
 
 def test_every_cut_gives_the_messages_before_it(tmp_path, whole):
     ends = [whole.index(encode_sample(sample)) + len(encode_sample(sample)) for sample in SAMPLES]
+    for cut in range(1, len(MAGIC)):
+        with pytest.raises(SessionError, match="is not a session"):
+            scan(tmp_path / "x.mcap", whole[:cut])
     # A stride that meets every place within a record, for their length is not a multiple of it.
     for cut in range(len(MAGIC), len(whole), 11):
         count, fault = scan(tmp_path / "x.mcap", whole[:cut])
         assert count == sum(end <= cut for end in ends)
         assert fault.startswith("the file is truncated")
-
-
-def test_a_cut_within_the_first_bytes_is_not_a_session(tmp_path, whole):
-    for cut in range(1, len(MAGIC)):
-        with pytest.raises(SessionError, match="is not a session"):
-            scan(tmp_path / "x.mcap", whole[:cut])
 
 
 LOST = "the file is damaged: only 40 of 60 messages are left"
@@ -399,16 +376,12 @@ def test_zeros_where_a_record_should_begin_are_said(tmp_path, whole):
 
 @pytest.mark.parametrize("compression", list(CompressionType))
 def test_files_of_other_recorders_are_read(tmp_path, compression):
+    assert scan(tmp_path / "x.mcap", library_file(compression, use_chunking=False)) == (COUNT, "")
     content = library_file(compression)
     assert scan(tmp_path / "x.mcap", content) == (COUNT, "")
     count, fault = scan(tmp_path / "x.mcap", content[: len(content) // 2])
     assert 0 < count < COUNT
     assert fault == "the file is truncated"
-
-
-def test_files_without_chunks_are_read(tmp_path):
-    content = library_file(CompressionType.NONE, use_chunking=False)
-    assert scan(tmp_path / "x.mcap", content) == (COUNT, "")
 
 
 @pytest.mark.parametrize("compression", [CompressionType.ZSTD, CompressionType.LZ4])
@@ -443,8 +416,3 @@ def record_scan(opcode: int, body: bytes) -> bytes:
 )
 def test_invalid_records_are_reported(tmp_path, tail, fault):
     assert scan(tmp_path / "x.mcap", MAGIC + tail) == (0, fault)
-
-
-def test_a_file_that_cannot_be_opened_is_named(tmp_path):
-    with pytest.raises(SessionError, match="cannot be read"):
-        list(Scan(tmp_path / "missing.mcap"))

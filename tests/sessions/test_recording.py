@@ -168,15 +168,11 @@ def test_the_replaced_session_comes_back_when_the_new_one_cannot_move(tmp_path, 
     assert names(tmp_path) == ["run"]
 
 
-def test_a_session_needs_a_name():
-    with pytest.raises(SessionError, match="a folder with a name"):
-        write_session("/", hour(3))
-
-
-def test_a_place_that_cannot_be_written_is_named(tmp_path):
+def test_a_place_that_cannot_be_written_is_named_and_a_session_needs_a_name(tmp_path):
     (tmp_path / "file").write_text("x")
-    with pytest.raises(SessionError, match="cannot be written"):
-        write_session(tmp_path / "file" / "run", hour(3))
+    for place, message in ((tmp_path / "file" / "run", "cannot be written"), ("/", "a folder with a name")):
+        with pytest.raises(SessionError, match=message):
+            write_session(place, hour(3))
 
 
 @pytest.mark.parametrize(
@@ -204,20 +200,14 @@ def small_disk():
     resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
-@pytest.mark.usefixtures("small_disk")
-def test_a_full_disk_leaves_nothing(tmp_path):
-    with pytest.raises(
-        SessionError, match=r"session run: cannot be written \(File too large\) after \d+ messages"
-    ):
-        write_session(tmp_path / "run", hour())
-    assert names(tmp_path) == []
-
-
-def test_a_full_disk_keeps_the_session_that_was_there(tmp_path, request):
-    folder = write_session(tmp_path / "run", hour(10))
+def test_a_full_disk_leaves_nothing_but_the_session_that_was_there(tmp_path, request):
+    folder = write_session(tmp_path / "old", hour(10))
     request.getfixturevalue("small_disk")
-    with pytest.raises(SessionError, match="cannot be written"):
-        write_session(folder, hour(), overwrite=True)
+    for name in ("run", "old"):
+        message = rf"session {name}: cannot be written \(File too large\) after \d+ messages"
+        with pytest.raises(SessionError, match=message):
+            write_session(tmp_path / name, hour(), overwrite=True)
+    assert names(tmp_path) == ["old"]
     assert len(read_session(folder).samples) == 10
 
 

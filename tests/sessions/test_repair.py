@@ -68,18 +68,11 @@ def test_a_killed_recording_is_made_whole(tmp_path, split):
     assert files == ["run_0.mcap"] if not split else ["run_0.mcap", "run_1.mcap", "run_2.mcap"]
 
 
-def test_a_second_repair_changes_nothing(tmp_path):
-    folder = record(tmp_path / "run")
-    repair_session(folder)
-    before = content(folder)
-    again = repair_session(folder)
-    assert again.faults == ()
-    assert again.messages == 60
-    assert content(folder) == before
-
-
-def test_a_whole_session_is_left_alone(tmp_path):
-    folder = record(tmp_path / "run", finish=True)
+@pytest.mark.parametrize("finish", [True, False])
+def test_a_whole_session_is_left_alone_also_by_a_second_repair(tmp_path, finish):
+    folder = record(tmp_path / "run", finish=finish)
+    if not finish:
+        repair_session(folder)
     before = content(folder)
     found = repair_session(folder)
     assert (found.faults, found.messages, found.original) == ((), 60, None)
@@ -106,35 +99,37 @@ def test_whatever_can_be_read_of_a_torn_file_is_kept(tmp_path_factory, cut):
     check_whole(folder, len(readable))
 
 
-def test_only_the_metadata_are_missing(tmp_path):
+@pytest.mark.parametrize(
+    ("spoil", "faults"),
+    [
+        (lambda f: (f / "metadata.yaml").unlink(), ("metadata.yaml is missing or unreadable",)),
+        (
+            lambda f: (f / "run_0.mcap").rename(f / "other_0.mcap"),
+            ("metadata.yaml does not list the files that exist",),
+        ),
+        (
+            lambda f: (f / "run_1.mcap").touch(),
+            ("run_1.mcap is empty", "metadata.yaml does not list the files that exist"),
+        ),
+    ],
+)
+def test_whole_files_are_kept_whatever_is_beside_them(tmp_path, spoil, faults):
     folder = record(tmp_path / "run", finish=True)
-    (folder / "metadata.yaml").unlink()
-    found = repair_session(folder)
-    assert found.faults == ("metadata.yaml is missing or unreadable",)
+    spoil(folder)
+    assert repair_session(folder).faults == faults
     check_whole(folder, 60)
 
 
-def test_the_metadata_list_another_file(tmp_path):
-    folder = record(tmp_path / "run", finish=True)
-    (folder / "run_0.mcap").rename(folder / "other_0.mcap")
-    assert repair_session(folder).faults == ("metadata.yaml does not list the files that exist",)
-    check_whole(folder, 60)
-
-
-def test_an_empty_last_file_is_skipped(tmp_path):
-    folder = record(tmp_path / "run")
-    (folder / "run_1.mcap").touch()
-    assert "run_1.mcap is empty" in repair_session(folder).faults
-    check_whole(folder, 60)
-
-
-def test_of_a_damaged_session_the_original_is_kept(tmp_path):
+def test_of_a_damaged_session_the_original_is_kept(tmp_path, capsys):
     folder = record(tmp_path / "run", finish=True)
     file = folder / "run_0.mcap"
     data = bytearray(file.read_bytes())
     data[len(data) // 2] ^= 0xFF
     file.write_bytes(data)
     before = content(folder)
+    shutil.copytree(folder, tmp_path / "same")
+    assert main(["repair", str(tmp_path / "same")]) == 0
+    assert f"the original was kept: {tmp_path / 'same'}.broken" in capsys.readouterr().out
     found = repair_session(folder)
     assert found.original == tmp_path / "run.broken"
     assert content(found.original) == before
@@ -185,67 +180,54 @@ def test_what_is_not_a_session_is_said(tmp_path, prepare, message):
         repair_session(tmp_path / "run")
 
 
-def test_a_copy_that_differs_does_not_take_the_place(tmp_path, monkeypatch):
+def less(copy: Path) -> None:
+    shutil.rmtree(copy)
+    record(copy, 59, finish=True)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (less, "the repaired copy differs from the original; nothing was changed"),
+        (
+            lambda copy: (copy / "metadata.yaml").unlink(),
+            r"repaired copy has faults \(metadata.yaml is missing",
+        ),
+    ],
+)
+def test_a_copy_that_is_not_the_same_does_not_take_the_place(tmp_path, monkeypatch, spoil, message):
     folder = record(tmp_path / "run")
     before = content(folder)
     real = repairing._rewrite
-
-    def write_less(copy, files, distro):
-        real(copy, files, distro)
-        shutil.rmtree(copy)
-        record(copy, 59, finish=True)
-
-    monkeypatch.setattr(repairing, "_rewrite", write_less)
-    with pytest.raises(
-        SessionError, match="the repaired copy differs from the original; nothing was changed"
-    ):
-        repair_session(folder)
-    assert content(folder) == before
-
-
-def test_a_copy_that_is_not_whole_does_not_take_the_place(tmp_path, monkeypatch):
-    folder = record(tmp_path / "run")
-    before = content(folder)
-    real = repairing._rewrite
-
-    def write_no_metadata(copy, files, distro):
-        real(copy, files, distro)
-        (copy / "metadata.yaml").unlink()
-
-    monkeypatch.setattr(repairing, "_rewrite", write_no_metadata)
-    with pytest.raises(SessionError, match=r"the repaired copy has faults \(metadata.yaml is missing"):
+    monkeypatch.setattr(repairing, "_rewrite", lambda copy, *more: (real(copy, *more), spoil(copy)))
+    with pytest.raises(SessionError, match=message):
         repair_session(folder)
     assert content(folder) == before
     assert [p.name for p in tmp_path.iterdir()] == ["run"]
 
 
-def test_the_disk_may_refuse(tmp_path, monkeypatch):
-    folder = record(tmp_path / "run")
-    before = content(folder)
-
-    def refuse(*_, **__):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(repairing.tempfile, "mkdtemp", refuse)
-    with pytest.raises(SessionError, match=r"cannot be repaired \(No space left on device\)"):
-        repair_session(folder)
-    assert content(folder) == before
-
-
-def test_a_failed_rename_puts_the_original_back(tmp_path, monkeypatch):
+def test_what_the_disk_refuses_leaves_the_original(tmp_path, monkeypatch):
     folder = record(tmp_path / "run")
     before = content(folder)
     real = Path.rename
 
-    def refuse_the_copy(self, target):
+    def no_room(*_, **__):
+        raise OSError(28, "No space left on device")
+
+    def not_of_a_copy(self, target):
         if ".partial" in str(self):
             raise OSError(13, "Permission denied")
         return real(self, target)
 
-    monkeypatch.setattr(Path, "rename", refuse_the_copy)
-    with pytest.raises(SessionError, match="Permission denied"):
-        repair_session(folder)
-    assert content(folder) == before
+    for owner, name, refuse, why in (
+        (repairing.tempfile, "mkdtemp", no_room, "No space left on device"),
+        (Path, "rename", not_of_a_copy, "Permission denied"),
+    ):
+        with monkeypatch.context() as patch:
+            patch.setattr(owner, name, refuse)
+            with pytest.raises(SessionError, match=rf"cannot be repaired \({why}\)"):
+                repair_session(folder)
+        assert content(folder) == before
 
 
 def test_the_command_says_what_was_saved(tmp_path, capsys):
@@ -258,12 +240,3 @@ def test_the_command_says_what_was_saved(tmp_path, capsys):
     assert "complete, 60 messages over 59.0 s; nothing to repair" in capsys.readouterr().out
     assert main(["repair", str(tmp_path / "nothing")]) == 2
     assert "does not exist" in capsys.readouterr().err
-
-
-def test_the_command_says_where_a_damaged_original_is(tmp_path, capsys):
-    folder = record(tmp_path / "run", finish=True)
-    data = bytearray((folder / "run_0.mcap").read_bytes())
-    data[len(data) // 2] ^= 0xFF
-    (folder / "run_0.mcap").write_bytes(data)
-    assert main(["repair", str(folder)]) == 0
-    assert f"the original was kept: {folder}.broken" in capsys.readouterr().out

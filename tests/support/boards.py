@@ -6,22 +6,17 @@ skipped there. Its motor supply should be off.
 
 from __future__ import annotations
 
-import atexit
 import os
-import shutil
 import time
 import tty
 from collections.abc import Callable
 from functools import cache
-from pathlib import Path
-from tempfile import mkdtemp
 from typing import NoReturn, TypeVar
 
 import pytest
 
-from tests.support.places import PROJECT
 from twinmatch.emulation.arduino import ArduinoError, EmulatedBoard, PinDrive, StandInArduino
-from twinmatch.emulation.arduino_virtual import VirtualArduino, VirtualTools, build_virtual_board
+from twinmatch.emulation.arduino_virtual import VirtualArduino, VirtualTools, virtual_tools
 from twinmatch.links.pwm_protocol import BoardStatus, FrameReader, Reply, parse_reply, seal
 
 REAL = os.environ.get("TWINMATCH_SERIAL")
@@ -32,11 +27,9 @@ R = TypeVar("R", bound=Reply)
 
 @cache
 def tools() -> VirtualTools | str:
-    """The virtual board's parts, or why there are none."""
-    build = Path(mkdtemp(prefix="twinmatch-virtual-board-"))
-    atexit.register(shutil.rmtree, build, ignore_errors=True)
+    """The virtual board's parts, or why there are none; compiled where virtual rigs compile them."""
     try:
-        return build_virtual_board(PROJECT, build)
+        return virtual_tools()
     except ArduinoError as error:
         return str(error)
 
