@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import os
 import socket
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -17,9 +15,8 @@ from twinmatch_camera.errors import ListenError
 from twinmatch_camera.sources.base import EndOfRecording
 from twinmatch_camera.sources.followed import FollowedSource
 
-from tests.support.places import CAMERA_PATHS
 from twinmatch.emulation.lepton import PLATE
-from twinmatch.links.thermal_client import ThermalClient, region
+from twinmatch.links.thermal_client import region
 
 PATIENCE = 10.0
 SIZE = 10_000
@@ -266,24 +263,3 @@ def test_the_end_of_the_input_is_the_end_of_the_recording(pipe: tuple[int, Binar
     pipe[1].close()
     with pytest.raises(EndOfRecording, match="the program that led the camera has ended"):
         FollowedSource(pipe[0]).read(5.0)
-
-
-def test_the_end_of_the_leader_is_the_end_of_the_camera() -> None:
-    process = subprocess.Popen(
-        [sys.executable, "-m", "twinmatch_camera", "emulated", "--feed", "-", "--listen", "127.0.0.1:0"],
-        env={**os.environ, "PYTHONPATH": CAMERA_PATHS},
-        stdin=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        bufsize=0,
-    )
-    assert process.stdin is not None
-    assert process.stderr is not None
-    with process, process.stdin, process.stderr:
-        port = int(process.stderr.readline().rsplit(b":", 1)[1])
-        with ThermalClient("127.0.0.1", port) as client:
-            assert b"connected" in process.stderr.readline()
-            for tick in range(12):
-                process.stdin.write(b"%.9f 30 %d\n" % (tick / 9, tick))
-                assert client.wait(after=tick, timeout=360.0) is not None
-            process.stdin.close()
-            assert process.wait(60) == 0

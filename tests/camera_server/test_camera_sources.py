@@ -24,8 +24,9 @@ from twinmatch_camera.sources.emulated import EmulatedSource
 from twinmatch_camera.sources.recorded import RecordedSource
 from twinmatch_camera.sources.v4l2 import V4l2Source
 
+from tests.support.camera import decoded
 from twinmatch.emulation.lepton import LeptonSettings, PlateFeed
-from twinmatch.links.thermal_frame import Exposure, FlatField, FrameFlags, decode_frame, encode_frame
+from twinmatch.links.thermal_frame import Exposure, FlatField, FrameFlags, encode_frame
 
 PATIENCE = 10.0
 BOOT = b"R" * 16
@@ -181,7 +182,7 @@ def test_exposures_are_numbered_and_published() -> None:
     thread = CameraThread(source, sink)
     thread.start()
     thread.join(PATIENCE)
-    frames = [decode_frame(message) for message in sink.messages]
+    frames = [decoded(message) for message in sink.messages]
     assert [(f.sequence, f.frame_counter) for f in frames] == [(0, 1), (1, 2)]
     assert {f.boot_id for f in frames} == {thread.boot_id}
     assert thread.failure is None

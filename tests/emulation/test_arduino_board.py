@@ -13,8 +13,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.support import boards, pwm_mutations
+from tests.support import boards
 from tests.support.boards import Board, Wire
+from tests.support.damage import damaged_lines
 from tests.support.places import PROJECT
 from twinmatch.emulation import arduino_virtual
 from twinmatch.emulation.arduino import ArduinoError, StandInArduino
@@ -115,7 +116,7 @@ def test_the_deadline_passes_by_the_boards_own_word(board: Board, wire: Wire, re
 
 def test_new_set_points_keep_it_alive(board: Board, wire: Wire) -> None:
     wire.ready()
-    for sequence in range(2, 8):
+    for sequence in range(2, 5):
         assert wire.status(f"P {sequence} 77").applied == 77
         board.advance(0.9 * DEADLINE)
     assert wire.status("Q 9").applied == 77
@@ -318,7 +319,7 @@ def allowed(payload: str, now: int) -> set[int]:
 
 
 def test_no_damaged_frame_is_acted_on_with_a_changed_meaning(board: Board, wire: Wire) -> None:
-    for n, (payload, line) in enumerate(pwm_mutations.damaged_lines(FUZZ, seed=11)):
+    for n, (payload, line) in enumerate(damaged_lines(FUZZ, seed=11)):
         if n % 50 == 0:
             wire.ready()
             now = wire.status("P 2 -77").applied
@@ -336,13 +337,6 @@ def test_no_damaged_frame_is_acted_on_with_a_changed_meaning(board: Board, wire:
 # Emulated boards that cannot be made, or are asked for what they cannot do.
 
 
-@pytest.fixture(params=["stand-in", "simavr"])
-def board_arduino_errors(request: pytest.FixtureRequest) -> Iterator[Board]:
-    made = boards.make(request.param)
-    yield made
-    made.close()
-
-
 def program(path: Path, script: str) -> VirtualTools:
     """A simulator that is a shell script."""
     path.write_text(f"#!/bin/sh\n{script}\n")
@@ -350,42 +344,40 @@ def program(path: Path, script: str) -> VirtualTools:
     return VirtualTools(path, path)
 
 
-def test_a_board_that_runs_by_itself_takes_no_steps(board_arduino_errors: Board) -> None:
-    board_arduino_errors.run(0.1)
+def test_a_board_that_runs_by_itself_takes_no_steps(board: Board) -> None:
+    board.run(0.1)
     with pytest.raises(ArduinoError, match="it is running"):
-        board_arduino_errors.advance(0.01)
-    board_arduino_errors.pause()
-    before = board_arduino_errors.drive().time
-    assert board_arduino_errors.advance(0.25).time == pytest.approx(before + 0.25, abs=0.002)
+        board.advance(0.01)
+    board.pause()
+    before = board.drive().time
+    assert board.advance(0.25).time == pytest.approx(before + 0.25, abs=0.002)
 
 
 @pytest.mark.parametrize("speed", [0.0, -1.0, float("nan")])
-def test_time_passes_forwards(board_arduino_errors: Board, speed: float) -> None:
+def test_time_passes_forwards(board: Board, speed: float) -> None:
     with pytest.raises(ArduinoError, match="it must be positive"):
-        board_arduino_errors.run(speed)
+        board.run(speed)
 
 
-def test_time_passes_by_itself_while_it_runs_and_not_while_it_pauses(board_arduino_errors: Board) -> None:
-    start = board_arduino_errors.drive().time
-    board_arduino_errors.run(5.0)
-    while board_arduino_errors.drive().time < start + 0.5:
+def test_time_passes_by_itself_while_it_runs_and_not_while_it_pauses(board: Board) -> None:
+    start = board.drive().time
+    board.run(5.0)
+    while board.drive().time < start + 0.5:
         time.sleep(0.01)
-    board_arduino_errors.pause()
-    stopped = board_arduino_errors.drive().time
-    assert board_arduino_errors.drive().time == stopped
+    board.pause()
+    stopped = board.drive().time
+    assert board.drive().time == stopped
 
 
-def test_the_port_disappears_with_the_board(tmp_path: Path) -> None:
+def test_a_stand_in_admits_to_being_one_and_its_port_disappears_with_it(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     port = tmp_path / "ttyACM7"
-    with StandInArduino(port) as stand_in:
+    with caplog.at_level(logging.INFO), StandInArduino(port) as stand_in:
+        assert "stand-in for the Arduino" in caplog.text
         assert stand_in.port == str(port)
         assert port.exists()
     assert not port.is_symlink()
-
-
-def test_a_stand_in_admits_to_being_one(caplog: pytest.LogCaptureFixture) -> None:
-    with caplog.at_level(logging.INFO), StandInArduino():
-        assert "stand-in for the Arduino" in caplog.text
 
 
 def test_a_stand_in_takes_nobody_elses_place(tmp_path: Path) -> None:
@@ -396,16 +388,15 @@ def test_a_stand_in_takes_nobody_elses_place(tmp_path: Path) -> None:
     assert place.read_text() == "mine"
 
 
-def test_a_missing_tool_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(shutil, "which", lambda tool: None if tool == "avr-g++" else f"/usr/bin/{tool}")
-    with pytest.raises(ArduinoError, match="install gcc-avr"):
-        build_virtual_board(PROJECT, tmp_path)
-
-
-def test_a_missing_library_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(shutil, "which", lambda tool: f"/usr/bin/{tool}")
+@pytest.mark.parametrize(
+    ("missing", "words"), [("avr-g++", "install gcc-avr"), ("", "install libsimavr-dev")]
+)
+def test_what_is_missing_is_named(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, missing: str, words: str
+) -> None:
+    monkeypatch.setattr(shutil, "which", lambda tool: None if tool == missing else f"/usr/bin/{tool}")
     monkeypatch.setattr(arduino_virtual, "SIMAVR_HEADER", tmp_path / "nowhere.h")
-    with pytest.raises(ArduinoError, match="install libsimavr-dev"):
+    with pytest.raises(ArduinoError, match=words):
         build_virtual_board(PROJECT, tmp_path)
 
 
@@ -420,12 +411,9 @@ def test_sources_that_do_not_compile(monkeypatch: pytest.MonkeyPatch, tmp_path: 
         build_virtual_board(tmp_path, tmp_path / "build")
 
 
-def test_a_simulator_that_is_not_there(tmp_path: Path) -> None:
+def test_a_simulator_that_is_not_there_and_one_that_ends_at_once(tmp_path: Path) -> None:
     with pytest.raises(ArduinoError, match="does not start"):
         VirtualArduino(VirtualTools(tmp_path / "nothing", tmp_path / "image.elf"))
-
-
-def test_a_simulator_that_ends_at_once_is_quoted(tmp_path: Path) -> None:
     with pytest.raises(ArduinoError, match="its process has ended: no image"):
         VirtualArduino(program(tmp_path / "simulator", "echo no image >&2"))
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support import pwm_mutations
+from tests.support.damage import damaged_lines
 from twinmatch.links.pwm_protocol import Damage, FrameReader, parse_request, seal
 
 PROJECT = Path(__file__).parents[2]
@@ -109,7 +109,7 @@ def what_we_make_of(stream: bytes) -> list[str]:
 
 
 def test_both_make_the_same_of_a_hundred_thousand_damaged_frames(probe: Path) -> None:
-    stream = b"".join(line + b"\n" + seal("Q 9") for _, line in pwm_mutations.damaged_lines(100_000, seed=7))
+    stream = b"".join(line + b"\n" + seal("Q 9") for _, line in damaged_lines(100_000, seed=7))
     # Sealed nonsense reaches the parser behind a right check sum.
     nonsense = [
         "P 1 -0",

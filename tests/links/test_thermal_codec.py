@@ -15,6 +15,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from tests.support.camera import decoded
+from tests.support.damage import damaged
 from twinmatch.links.thermal_frame import (
     LEPTON_SHAPE,
     MAX_FRAME_BYTES,
@@ -27,8 +29,8 @@ from twinmatch.links.thermal_frame import (
     FrameSyntaxError,
     FrameTooLongError,
     FrameVersionError,
+    ThermalEndError,
     ThermalFrame,
-    decode_frame,
     encode_frame,
     read_frame,
 )
@@ -111,13 +113,13 @@ def test_unknown_values_travel_as_null() -> None:
     frame = make_frame((2, 3), flat_field=None, flat_field_age=None, sensor_temperature=None)
     value = cbor2.loads(encode_frame(frame))
     assert (value["ffc"], value["ffc_age_ms"], value["fpa_ck"]) == (None, None, None)
-    assert same(decode_frame(encode_frame(frame)), frame)
+    assert same(decoded(encode_frame(frame)), frame)
 
 
 def test_the_array_of_rfc_8746_figure_1_in_little_endian() -> None:
     # 40([[2, 3], 65(h'000200040008000400100100')]), with tag 69 and its bytes swapped in pairs.
     array = bytes.fromhex("d82882820203d8454c020004000800040010000001")
-    frame = decode_frame(sealed(wire_map(img=cbor2.loads(array))))
+    frame = decoded(sealed(wire_map(img=cbor2.loads(array))))
     assert frame.image.tolist() == [[2, 4, 8], [4, 16, 256]]
 
 
@@ -142,7 +144,7 @@ frames = st.builds(
 
 @given(frames)
 def test_every_frame_comes_back(frame: ThermalFrame) -> None:
-    assert same(decode_frame(encode_frame(frame)), frame)
+    assert same(decoded(encode_frame(frame)), frame)
 
 
 @given(st.lists(frames, max_size=4))
@@ -166,65 +168,17 @@ def test_numbering_changes_the_numbers_only(frame: ThermalFrame, sequence: int, 
     assert same(numbered, dataclasses.replace(frame, sequence=sequence, boot_id=boot_id))
 
 
-def flip(data: bytearray, rng: random.Random) -> None:
-    for _ in range(rng.choice((1, 1, 1, 2, 3, 8))):
-        data[rng.randrange(len(data))] ^= 1 << rng.randrange(8)
-
-
-def burst(data: bytearray, rng: random.Random) -> None:
-    start = rng.randrange(len(data))
-    for i in range(start, min(len(data), start + rng.randrange(1, 40))):
-        data[i] = rng.randrange(256)
-
-
-def insert(data: bytearray, rng: random.Random) -> None:
-    at = rng.randrange(len(data) + 1)
-    data[at:at] = rng.randbytes(rng.randrange(1, 6))
-
-
-def delete(data: bytearray, rng: random.Random) -> None:
-    at = rng.randrange(len(data))
-    del data[at : at + rng.randrange(1, 6)]
-
-
-def repeat(data: bytearray, rng: random.Random) -> None:
-    at = rng.randrange(len(data))
-    data[at:at] = data[at : at + rng.randrange(1, 40)]
-
-
-def swap(data: bytearray, rng: random.Random) -> None:
-    i, j = rng.randrange(len(data)), rng.randrange(len(data))
-    data[i], data[j] = data[j], data[i]
-
-
-def truncate(data: bytearray, rng: random.Random) -> None:
-    del data[rng.randrange(len(data)) :]
-
-
-def header(data: bytearray, rng: random.Random) -> None:
-    data[rng.randrange(min(70, len(data)))] = rng.randrange(256)
-
-
-MUTATIONS = (flip, burst, insert, delete, repeat, swap, truncate, header)
-
-
 @pytest.mark.parametrize(("shape", "rounds"), [((6, 8), 90_000), (LEPTON_SHAPE, 10_000)])
 def test_no_changed_frame_is_accepted(shape: tuple[int, int], rounds: int) -> None:
     good = encode_frame(make_frame(shape))
     rng = random.Random(20)
-    unchanged = refused = 0
-    for _ in range(rounds):
-        data = bytearray(good)
-        rng.choice(MUTATIONS)(data, rng)
-        if data == good:
-            unchanged += 1
-            continue
+    for number in range(rounds):
+        data = damaged(good, rng, number)
         try:
-            decode_frame(bytes(data))
-        except FrameError:
-            refused += 1
-    assert refused == rounds - unchanged
-    assert unchanged < rounds / 50
+            decoded(data)
+        except (FrameError, ThermalEndError):
+            continue
+        pytest.fail(f"accepted: {data!r}")
 
 
 def test_every_single_bit_counts() -> None:
@@ -232,21 +186,14 @@ def test_every_single_bit_counts() -> None:
     for bit in range(8 * len(good)):
         data = bytearray(good)
         data[bit // 8] ^= 1 << bit % 8
-        with pytest.raises(FrameError):
-            decode_frame(bytes(data))
+        with pytest.raises((FrameError, ThermalEndError)):
+            decoded(bytes(data))
 
 
 @given(st.binary(max_size=300))
 def test_noise_is_refused(data: bytes) -> None:
-    with pytest.raises(FrameError):
-        decode_frame(data)
-
-
-def test_changed_pixel_is_reported_as_checksum() -> None:
-    data = bytearray(encode_frame(make_frame()))
-    data[5000] ^= 1
-    with pytest.raises(FrameChecksumError, match="the bytes were corrupted"):
-        decode_frame(bytes(data))
+    with pytest.raises((FrameError, ThermalEndError)):
+        decoded(data)
 
 
 @pytest.mark.parametrize("start", ["5a7fffffff", "5b7fffffffffffffff", "7a7fffffff", "a163696d675a00010000"])
@@ -302,8 +249,7 @@ WRONG: list[tuple[dict[str, Any], str]] = [
 @pytest.mark.parametrize(
     ("data", "error", "message"),
     [
-        *((SMALL[:n], FrameSyntaxError, f"the bytes end at {n}") for n in (0, 1, 100, len(SMALL) - 1)),
-        (SMALL + b"\0", FrameSyntaxError, "1 bytes follow"),
+        (SMALL[:80] + bytes([SMALL[80] ^ 1]) + SMALL[81:], FrameChecksumError, "the bytes were corrupted"),
         *((bytes.fromhex(i), FrameSyntaxError, "instead of a map") for i in ("01", "80", "f6", "d81800")),
         # Releases of cbor2 differ in whether a lone break is an error or a value.
         *(
@@ -322,7 +268,7 @@ WRONG: list[tuple[dict[str, Any], str]] = [
 )
 def test_other_bytes_are_refused(data: bytes, error: type[FrameError], message: str) -> None:
     with pytest.raises(error, match=message):
-        decode_frame(data)
+        decoded(data)
 
 
 def test_an_image_cannot_be_changed() -> None:
@@ -330,19 +276,13 @@ def test_an_image_cannot_be_changed() -> None:
     with pytest.raises(ValueError, match="read-only"):
         frame.image[0, 0] = 1
     with pytest.raises(ValueError, match="read-only"):
-        decode_frame(encode_frame(frame)).image[0, 0] = 1
+        decoded(encode_frame(frame)).image[0, 0] = 1
 
 
-INVALID = [np.zeros((2, 3)), *(np.zeros(s, np.uint16) for s in (3, (0, 3), (1, 1025))), [1]]
-
-
-@pytest.mark.parametrize("image", INVALID)
-def test_an_invalid_image(image: Any) -> None:
-    with pytest.raises(FrameFieldError, match=r"the image (is|has shape)"):
-        Exposure(image=image, stamp=0, resolution=0.01, frame_counter=0)
-
-
-def test_an_invalid_flat_field() -> None:
+def test_what_is_no_exposure() -> None:
+    for image in (np.zeros((2, 3)), *(np.zeros(s, np.uint16) for s in (3, (0, 3), (1, 1025))), [1]):
+        with pytest.raises(FrameFieldError, match=r"the image (is|has shape)"):
+            Exposure(image=image, stamp=0, resolution=0.01, frame_counter=0)  # type: ignore[arg-type]
     with pytest.raises(FrameFieldError, match="flat_field is 3"):
         make_frame((2, 3), flat_field=3)
 

@@ -48,7 +48,6 @@ def test_duration_period_and_window(tmp_path):
     assert session.period == 0.1
     window = session.window()
     assert (window.first, len(window), window.period) == (5, 31, 0.1)
-    assert session.window(period=0.2).period == 0.2
 
 
 def test_messages_can_be_chosen(tmp_path):

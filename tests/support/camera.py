@@ -1,11 +1,29 @@
-"""The camera program in a process of its own."""
+"""The camera program in a process of its own, and a frame from its bytes."""
 
 from __future__ import annotations
 
 import os
+from io import BytesIO
 
 from tests.support.places import CAMERA_PATHS
 from tests.support.processes import Process, Processes
+from twinmatch.links.thermal_frame import FrameSyntaxError, ThermalEndError, ThermalFrame, read_frame
+
+
+def decoded(data: bytes) -> ThermalFrame:
+    """The only frame in some bytes, as a client reads it from a connection that then ends."""
+    stream = BytesIO(data)
+
+    def read(count: int) -> bytes:
+        piece = stream.read(count)
+        if len(piece) < count:
+            raise ThermalEndError("the bytes end")
+        return piece
+
+    frame = read_frame(read)
+    if stream.read():
+        raise FrameSyntaxError("bytes follow")
+    return frame
 
 
 class CameraProgram:

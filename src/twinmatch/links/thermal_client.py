@@ -22,7 +22,6 @@ import numpy as np
 
 from twinmatch.links.thermal_frame import (
     DEFAULT_PORT,
-    MAX_FRAME_BYTES,
     Exposure,
     ThermalConnectError,
     ThermalEndError,
@@ -67,29 +66,14 @@ class StampMapper:
 
 @dataclass(frozen=True, slots=True)
 class ClientSettings:
-    """Times in seconds, and the limit on a frame in bytes.
+    """Times, s."""
 
-    Raises:
-        ThermalLinkError: a value is not positive, or the longest wait is shorter than the first.
-    """
-
-    connect_timeout: float = 2.0
     stall_timeout: float = setting(
         2.0, "A connection without a frame for this long is dropped.", "s", 0.1, 60.0
     )
     first_wait: float = 0.1
     """Pause before the first retry; doubles with each further attempt that yields no frame."""
     longest_wait: float = 5.0
-    frame_limit: int = MAX_FRAME_BYTES
-
-    def __post_init__(self) -> None:
-        for name in ("connect_timeout", "stall_timeout", "first_wait", "longest_wait", "frame_limit"):
-            if not getattr(self, name) > 0:
-                msg = f"thermal client: {name} is {getattr(self, name)}; it must be positive"
-                raise ThermalLinkError(msg)
-        if self.longest_wait < self.first_wait:
-            waits = f"longest_wait {self.longest_wait} s is below first_wait {self.first_wait} s"
-            raise ThermalLinkError(f"thermal client: {waits}")
 
 
 _DEFAULTS = ClientSettings()
@@ -252,6 +236,7 @@ def region(exposure: Exposure, roi: Region | None = None) -> RegionStatistics:
 
 
 _RECEIVE_BUFFER = 32_768
+_CONNECT_TIMEOUT = 2.0
 
 
 class ThermalClient:
@@ -350,7 +335,7 @@ class ThermalClient:
         self._status = replace(self._status, state=LinkState.CONNECTING)
         host, port = self.address
         try:
-            connection = socket.create_connection(self.address, timeout=self.settings.connect_timeout)
+            connection = socket.create_connection(self.address, _CONNECT_TIMEOUT)
         except OSError as error:
             msg = f"thermal camera at {host}:{port}: {error}; is the camera server running there?"
             raise ThermalConnectError(msg) from error
@@ -364,7 +349,7 @@ class ThermalClient:
             previous: ThermalFrame | None = None
             while not self._stopping.is_set():
                 reader.begin()
-                frame = read_frame(reader.read, self.settings.frame_limit)
+                frame = read_frame(reader.read)
                 self._accept(frame, previous)
                 previous = frame
         self._socket = None

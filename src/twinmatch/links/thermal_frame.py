@@ -246,41 +246,15 @@ def encode_frame(frame: ThermalFrame) -> bytes:
     return body + zlib.crc32(body).to_bytes(_CRC_LENGTH, "big")
 
 
-def decode_frame(data: bytes) -> ThermalFrame:
-    """The frame in `data`, which must be one CBOR item and nothing after it.
+def read_frame(read: Callable[[int], bytes]) -> ThermalFrame:
+    """Read exactly one frame from a stream, and not a byte past the longest frame.
 
-    Raises:
-        FrameError: one of its subclasses, see the errors above.
-    """
-    position = 0
-
-    def read(count: int) -> bytes:
-        nonlocal position
-        piece = data[position : position + count]
-        position += len(piece)
-        if len(piece) < count:
-            msg = f"thermal frame: the bytes end at {len(data)}, in the middle of the frame"
-            raise FrameSyntaxError(msg)
-        return piece
-
-    frame = read_frame(read, limit=max(MAX_FRAME_BYTES, len(data)))
-    if position != len(data):
-        msg = f"thermal frame: {len(data) - position} bytes follow the end of the frame"
-        raise FrameSyntaxError(msg)
-    return frame
-
-
-def read_frame(read: Callable[[int], bytes], limit: int = MAX_FRAME_BYTES) -> ThermalFrame:
-    """Read exactly one frame from a stream.
-
-    Args:
-        read: returns exactly the requested number of bytes, or raises; its exceptions are passed on.
-        limit: most bytes of a frame. The stream is not read past it.
+    `read` returns exactly the requested number of bytes, or raises; its exceptions are passed on.
 
     Raises:
         FrameError: one of its subclasses. The stream is then out of step and must be closed.
     """
-    tap = _Tap(read, limit)
+    tap = _Tap(read)
     try:
         value = cbor2.load(cast(IO[bytes], tap))
     except Exception as error:  # a CBOR library may raise anything on hostile bytes
@@ -298,9 +272,8 @@ class _Tap:
     It reports that it cannot seek, because only then does cbor2 not read ahead into the next frame.
     """
 
-    def __init__(self, read: Callable[[int], bytes], limit: int) -> None:
+    def __init__(self, read: Callable[[int], bytes]) -> None:
         self._read = read
-        self._limit = limit
         self.taken = bytearray()
         self.failure: Exception | None = None
 
@@ -312,8 +285,8 @@ class _Tap:
 
     def read(self, count: int) -> bytes:
         try:
-            if len(self.taken) + count > self._limit:
-                msg = f"thermal frame: longer than the {self._limit} bytes that a frame may have"
+            if len(self.taken) + count > MAX_FRAME_BYTES:
+                msg = f"thermal frame: longer than the {MAX_FRAME_BYTES} bytes that a frame may have"
                 raise FrameTooLongError(msg)
             piece = self._read(count)
         except Exception as error:

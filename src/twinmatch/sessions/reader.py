@@ -78,13 +78,13 @@ class Session:
         """Sampling period, s, computed from the stamps of the samples."""
         return period_of(self.samples)
 
-    def window(self, period: float | None = None) -> Window:
-        """All samples as one window; `period` (s) overrides the one computed from the stamps.
+    def window(self) -> Window:
+        """All samples as one window.
 
         Raises:
             SignalError: samples are missing, see `notes`.
         """
-        return Window.from_samples(self.samples, self.period if period is None else period)
+        return Window.from_samples(self.samples, self.period)
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
         """The messages, serialised, in the order in which they were recorded.

@@ -13,12 +13,15 @@ from twinmatch_camera.errors import SourceError
 
 _log = logging.getLogger(__name__)
 
+_PATIENCE = 3.0
+"""Seconds of silence on the feed after which there are no images."""
+
 
 class EmulatedSource:
     """Images at the camera's own pace, of the temperature last fed.
 
     With a feed, there is no image before the first temperature, and none once the feed has been silent
-    for `patience` seconds: a dead simulation must not look like a plate that holds its temperature.
+    for some seconds: a dead simulation must not look like a plate that holds its temperature.
     """
 
     def __init__(
@@ -28,13 +31,11 @@ class EmulatedSource:
         feed: str | Path | None = None,
         settings: LeptonSettings | None = None,
         seed: int = 0,
-        patience: float = 3.0,
     ) -> None:
         self._settings = settings or LeptonSettings()
         self._camera = EmulatedLepton(self._settings, seed)
         self._plate = plate
         self._feed = feed
-        self._patience = patience
         self._receiver: PlateReceiver | None = None
         self._start = 0.0
         self._fed = -math.inf
@@ -90,7 +91,7 @@ class EmulatedSource:
             fed = None
         if fed is not None:
             self._plate, self._fed = fed, now
-        silent = now - self._fed > self._patience
+        silent = now - self._fed > _PATIENCE
         if silent and not self._silent:
             _log.warning("no plate temperature on %s; no frames until one comes", self._feed)
         elif self._silent and not silent:

@@ -1,0 +1,71 @@
+"""Damage as a wire does it, for the fuzz tests of codecs, firmware and simulated board."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterator
+
+from twinmatch.links.pwm_protocol import seal
+
+
+def _flip(rng: random.Random, data: bytearray) -> None:
+    for _ in range(rng.randint(1, 3)):
+        data[rng.randrange(len(data))] ^= 1 << rng.randrange(8)
+
+
+def _burst(rng: random.Random, data: bytearray) -> None:
+    at = rng.randrange(len(data))
+    for i in range(at, min(len(data), at + rng.randint(1, 20))):
+        data[i] = rng.randrange(256)
+
+
+def _drop(rng: random.Random, data: bytearray) -> None:
+    for _ in range(rng.randint(1, 3)):
+        at = rng.randrange(len(data))
+        del data[at : at + rng.randint(1, 2)]
+
+
+def _duplicate(rng: random.Random, data: bytearray) -> None:
+    at = rng.randrange(len(data))
+    data[at:at] = data[at : at + rng.randint(1, 20)]
+
+
+def _insert(rng: random.Random, data: bytearray) -> None:
+    for _ in range(rng.randint(1, 3)):
+        data.insert(rng.randrange(len(data) + 1), rng.choice(b"0123456789-PQCHSEB :*\r\n\x00\xff"))
+
+
+def _swap(rng: random.Random, data: bytearray) -> None:
+    a, b = rng.randrange(len(data)), rng.randrange(len(data))
+    data[a], data[b] = data[b], data[a]
+
+
+def _truncate(rng: random.Random, data: bytearray) -> None:
+    del data[rng.randrange(len(data)) :]
+
+
+def _replace(rng: random.Random, data: bytearray) -> None:
+    """A digit, or a byte near the beginning."""
+    digits = [i for i, byte in enumerate(data[:70]) if byte in b"0123456789ABCDEF"] or [0]
+    at = rng.choice([rng.choice(digits), rng.randrange(min(70, len(data)))])
+    data[at] = rng.choice([rng.choice(b"0123456789ABCDEF"), rng.randrange(256)])
+
+
+KINDS = (_flip, _burst, _drop, _duplicate, _insert, _swap, _truncate, _replace)
+
+
+def damaged(sound: bytes, rng: random.Random, number: int) -> bytes:
+    """A copy that differs; consecutive numbers are damaged in all ways in turn."""
+    data = bytearray(sound)
+    while data == sound:
+        KINDS[number % len(KINDS)](rng, data)
+    return bytes(data)
+
+
+def damaged_lines(count: int, seed: int) -> Iterator[tuple[str, bytes]]:
+    """`count` times a payload and its line, damaged so that it differs from what was sealed."""
+    rng = random.Random(seed)
+    for n in range(count):
+        verb = rng.choice("PPPPHQC")
+        payload = f"{verb} {rng.randrange(65536)}" + (f" {rng.randint(-255, 255)}" if verb == "P" else "")
+        yield payload, damaged(seal(payload), rng, n)
