@@ -279,7 +279,7 @@ def test_an_image_cannot_be_changed() -> None:
         decoded(encode_frame(frame)).image[0, 0] = 1
 
 
-def test_what_is_no_exposure() -> None:
+def test_invalid_exposures() -> None:
     for image in (np.zeros((2, 3)), *(np.zeros(s, np.uint16) for s in (3, (0, 3), (1, 1025))), [1]):
         with pytest.raises(FrameFieldError, match=r"the image (is|has shape)"):
             Exposure(image=image, stamp=0, resolution=0.01, frame_counter=0)  # type: ignore[arg-type]
