@@ -28,7 +28,6 @@ from twinmatch.nodes.messages import (
     forecast_from,
     forecast_message,
     message_of,
-    one_of,
     parameters_from,
     parameters_message,
     record_of,
@@ -268,11 +267,6 @@ def test_a_sample_without_a_signal_is_refused(arrays: dict[str, list[float]], sa
     )
     with pytest.raises(SignalError, match=said):
         sample_from(there_and_back(message))
-
-
-def test_a_state_of_another_number_of_loops_is_refused() -> None:
-    with pytest.raises(SignalError, match="closed_output of sample 3 has 2 values; a twin runs one loop"):
-        one_of(messages.TwinState(index=3, closed_output=[1.0, 2.0]), "closed_output")
 
 
 @pytest.mark.parametrize(

@@ -14,10 +14,11 @@ import subprocess
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 from twinmatch.errors import TwinmatchError
-from twinmatch.launching.forking import fork_server
+from twinmatch.launching.forking import Forked, fork_server
 
 PORT = 5006
 """Usual port of the live page."""
@@ -32,79 +33,39 @@ class LaunchError(TwinmatchError):
     """A process could not be started, or ended when it should not have."""
 
 
-class Child:
-    """One child process; each line of its output is shown with its name as prefix."""
-
-    def __init__(
-        self, name: str, words: Sequence[str], show: Callable[[str], None], environment: Mapping[str, str]
-    ) -> None:
-        """Start a module with its arguments; `environment` is added to ours.
-
-        Raises:
-            LaunchError: no process can be made.
-        """
-        self.name = name
-        mine, its = os.pipe()
-        try:
-            self.process = fork_server().start(
-                "-m", *words, output=its, environment={**os.environ, **environment}
-            )
-        except OSError as error:
-            os.close(mine)
-            raise LaunchError(f"{name}: cannot be started ({error.strerror})") from error
-        finally:
-            os.close(its)
-        self._reader = threading.Thread(target=self._pass_on, args=(mine, show), daemon=True)
-        self._reader.start()
-
-    @property
-    def code(self) -> int | None:
-        """Exit code once it has ended; negative: the signal that ended it."""
-        return self.process.poll()
-
-    def ask(self, number: int) -> None:
-        """Send a signal, if it still runs."""
-        if self.code is None:
-            self.process.send_signal(number)
-
-    def wait(self, seconds: float) -> bool:
-        """Whether it ended within the time; its last lines have then been shown."""
-        try:
-            self.process.wait(seconds)
-        except subprocess.TimeoutExpired:
-            return False
-        self._reader.join(1.0)
-        return True
-
-    def _pass_on(self, output: int, show: Callable[[str], None]) -> None:
-        with open(output, errors="replace") as stream:
-            for line in stream:
-                show(f"[{self.name}] {line.rstrip()}")
-
-
 class Processes:
-    """The children of one launch script."""
+    """The children of one launch script; each line that one prints is shown with its name as prefix."""
 
     def __init__(self, show: Callable[[str], None] = print) -> None:
         """Start without children; their output goes to `show`, line by line."""
         self._show = show
         self.environment: dict[str, str] = {}
-        """Variables for the children that are started from now on."""
-        self._children: dict[str, Child] = {}
+        """Variables for the children that are started from now on, in addition to ours."""
+        self._children: dict[str, tuple[Forked, threading.Thread]] = {}  # with the reader of its output
 
-    def start_module(self, name: str, module: str, *arguments: str) -> Child:
-        """Start `python -m module arguments` as a child of this name; raises as `Child`."""
-        self._children[name] = Child(name, [module, *arguments], self._show, self.environment)
-        return self._children[name]
+    def start_module(self, name: str, module: str, *arguments: str) -> None:
+        """Start `python -m module arguments` as a child of this name.
 
-    def __getitem__(self, name: str) -> Child:
-        """The child of that name."""
-        return self._children[name]
+        Raises:
+            LaunchError: no process can be made.
+        """
+        mine, its = os.pipe()
+        words, environment = ("-m", module, *arguments), {**os.environ, **self.environment}
+        try:
+            process = fork_server().start(*words, output=its, environment=environment)
+        except OSError as error:
+            os.close(mine)
+            raise LaunchError(f"{name}: cannot be started ({error.strerror})") from error
+        finally:
+            os.close(its)
+        reader = threading.Thread(target=self._pass_on, args=(name, mine), daemon=True)
+        reader.start()
+        self._children[name] = process, reader
 
     @property
     def ended(self) -> Mapping[str, int]:
-        """Exit codes of the children that have ended."""
-        codes = {name: child.code for name, child in self._children.items()}
+        """Exit codes of the children that have ended; negative: the signal that ended one."""
+        codes = {name: process.poll() for name, (process, _) in self._children.items()}
         return {name: code for name, code in codes.items() if code is not None}
 
     def stop(self, order: Sequence[str] = (), patience: float = PATIENCE) -> list[str]:
@@ -116,13 +77,16 @@ class Processes:
         rest = [name for name in reversed(self._children) if name not in order]
         killed = []
         for name in [*(n for n in order if n in self._children), *rest]:
-            child = self._children[name]
-            child.ask(signal.SIGTERM)  # as good as SIGINT to our nodes, and quiet while they import
-            if child.wait(patience):
-                continue
-            child.ask(signal.SIGKILL)
-            child.wait(patience)
-            killed.append(name)
+            process, reader = self._children[name]
+            process.send_signal(signal.SIGTERM)  # as good as SIGINT to our nodes, and quiet while they import
+            try:
+                process.wait(patience)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                killed.append(name)
+                with suppress(subprocess.TimeoutExpired):
+                    process.wait(patience)
+            reader.join(1.0)  # its last lines have then been shown
         return killed
 
     def wait_for_line(self, name: str, ready: threading.Event, seconds: float) -> None:
@@ -133,12 +97,17 @@ class Processes:
         """
         deadline = time.monotonic() + seconds
         while not ready.wait(0.05):
-            if self[name].code is not None:
-                msg = f"{name} ended with code {self[name].code} before it was ready; see its output above"
+            if (code := self.ended.get(name)) is not None:
+                msg = f"{name} ended with code {code} before it was ready; see its output above"
                 raise LaunchError(msg)
             if time.monotonic() > deadline:
                 msg = f"{name} was not ready after {seconds:g} s; see its output above"
                 raise LaunchError(msg)
+
+    def _pass_on(self, name: str, output: int) -> None:
+        with open(output, errors="replace") as stream:
+            for line in stream:
+                self._show(f"[{name}] {line.rstrip()}")
 
 
 class Page:

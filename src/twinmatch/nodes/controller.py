@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 
 from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.time import Time
 from sensor_msgs.msg import Temperature
 from std_msgs.msg import Float64
@@ -18,7 +17,7 @@ from twinmatch.dynamics import Controller, Plant, PlantError
 from twinmatch.nodes.health import Level, Report
 from twinmatch.nodes.messages import sample_message, time_message
 from twinmatch.nodes.node import READERS, Missed, Readers, TwinmatchNode
-from twinmatch.nodes.topics import LATCHED, RELIABLE
+from twinmatch.nodes.topics import LATCHED, NEWEST, RELIABLE
 from twinmatch.parameters.declared import ParameterError, Setting, Values, group
 from twinmatch.parameters.twin import loop_parameters, pid_gains
 from twinmatch.plants import Peltier, find_plant, written_name
@@ -107,10 +106,6 @@ def changed_profile(before: Mapping[str, Any], values: Mapping[str, Any]) -> Pro
                 f"is outside {was:g}; restart the controller with it"
             )
     return profile_from(values)
-
-
-NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-"""For readings, of which only the newest counts."""
 
 
 class PlantTopics(NamedTuple):

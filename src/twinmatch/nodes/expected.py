@@ -18,8 +18,9 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Image, Temperature
 from std_msgs.msg import Float64
 
-from twinmatch.comparing import ADMITTED, REFUSED
+from twinmatch.comparing import ADMITTED, REFUSED, TrustLevel
 from twinmatch.dynamics import Plant
+from twinmatch.fitting import Status
 from twinmatch.nodes import messages as converted
 from twinmatch.nodes.fields import GREATEST_INDEX, Expected, MessageError, check_fields
 from twinmatch.nodes.messages import LOOP, SAMPLED, nanoseconds, sample_from
@@ -143,11 +144,8 @@ def _check_forecast(message: Any) -> None:
     _within(message, 0.0, 1.0, "confidence", absent=False)
 
 
-STATUSES: Final = (
-    "accepted", "not_explained", "no_excitation", "did_not_converge", "bounds_hit", "not_identifiable",
-    "not_better",
-)  # fmt: skip
-LEVELS: Final = ("unknown", "trusted", "doubtful", "fault")
+STATUSES: Final = [status.value for status in Status]
+LEVELS: Final = [level.value for level in TrustLevel]
 
 
 def _check_match(message: Any) -> None:
@@ -305,8 +303,8 @@ def _check_values(answer: Any) -> None:
             raise MessageError(f"a parameter has type {value.type}; expected 0 to 9")
 
 
-def _check_nothing_more(message: Any) -> None:
-    """Nothing beyond what is checked for every type; ranges are judged where the plant is known."""
+def _nothing(message: Any) -> None:
+    """Nothing more is checked: ranges are judged where the plant is known."""
 
 
 CHECKS: Final[dict[Any, Callable[[Any], None]]] = {
@@ -319,26 +317,18 @@ CHECKS: Final[dict[Any, Callable[[Any], None]]] = {
     ours.Candidate: _check_candidate,
     ours.ForecastScore: _check_score,
     ours.PlantDescription: _check_description,
-    # A value that is out of range is a fault of the plant's, which the guard latches: it must see it.
-    ours.PlantReading: _check_nothing_more,
-    ours.PlantCommand: _check_nothing_more,
-    ours.PwmCommand: _check_nothing_more,
-    Temperature: _check_nothing_more,
-    ours.PlantApplied: _check_nothing_more,
-    ours.PwmApplied: _check_nothing_more,
-    Float64: _check_nothing_more,
-    Clock: _check_nothing_more,
     Image: _check_image,
     DiagnosticArray: _check_health,
-    Past.Request: _check_nothing_more,
     Past.Response: _check_past,
-    WhatIf.Request: _check_nothing_more,
     WhatIf.Response: _check_answer,
     GetParameters.Request: _check_names,
     GetParameters.Response: _check_values,
-    ListParameters.Request: _check_nothing_more,
     SetParameters.Request: _check_parameter_values,
     SetParametersAtomically.Request: _check_parameter_values,
+    # A value that is out of range is a fault of the plant's, which the guard latches: it must see it.
+    **dict.fromkeys((ours.PlantReading, ours.PlantCommand, ours.PwmCommand, Temperature), _nothing),
+    **dict.fromkeys((ours.PlantApplied, ours.PwmApplied, Float64, Clock), _nothing),
+    **dict.fromkeys((Past.Request, WhatIf.Request, ListParameters.Request), _nothing),
 }
 """The check of each type, after what is checked for all."""
 

@@ -122,12 +122,10 @@ class OutputGate:
         """Latch a fault."""
         self._take(self._guard.trip, kind, message)
 
-    def clear(self) -> GuardFault | None:
-        """Clear the fault and return it; the output waits for new inputs."""
+    def clear(self) -> None:
+        """Clear the fault; the output waits for new inputs."""
         with self._news:
-            fault = self._guard.fault
             self._guard.clear()
-            return fault
 
     def decide(self) -> Decision:
         """What may be sent now. Nothing is armed while the plant's clock stands still."""
@@ -321,26 +319,12 @@ class GatedNode(TwinmatchNode):
     LIMITS: ClassVar[GuardLimits]
     """The usual limits, whose `gate_table` is part of the parameters."""
 
-    _driver: DriverThread[Any] | None = None
-
-    def make_gate(self) -> None:
-        """Create the gate.
-
-        Raises:
-            SafetyError: parameters contradict each other.
-        """
+    def read_parameters(self) -> None:
+        """Create the gate."""
         limits, clock = gate_limits(self.LIMITS, self.values), ClockLimits(self.values["clock_timeout"])
         self.gate = OutputGate(self._read_clocks, limits, clock)
         self._reported_fault: GuardFault | None = None
         self._sampled_at = 0.0
-
-    def guard(self, *inputs: str) -> None:
-        """Offer the services, watch the samples, and who publishes the inputs that decide about heat."""
-        self._senders = Senders(self, inputs, self._on_senders)
-        for place in ("~", "plant"):
-            self.create_service(Trigger, f"{place}/clear_fault", self._on_clear)
-            self.create_service(Trigger, f"{place}/stop", self._on_stop)
-        self.create_subscription(LoopSample, "plant/sample", self._on_sample, RELIABLE)
 
     @property
     def pace(self) -> DriverPace:
@@ -348,12 +332,20 @@ class GatedNode(TwinmatchNode):
         simulated = self.get_parameter("use_sim_time").value
         return DriverPace(self.values["repeat"], SIMULATED_POLL if simulated else DriverPace.poll)
 
-    def drive(self, driver: DriverThread[Any]) -> None:
-        """Report from now on, and start the thread that talks to the hardware."""
+    def drive(self, driver: DriverThread[Any], *inputs: str) -> None:
+        """Start the thread that talks to the hardware; services and reports are offered from now on.
+
+        Who publishes `inputs`, which decide about heat, is watched.
+        """
         if self.step is not None:
             driver.step, driver.link.plant_time = self.step, self.step.breathe
         self._driver = driver
         self.beside.append(driver)
+        self._senders = Senders(self, inputs, self._on_senders)
+        for place in ("~", "plant"):
+            self.create_service(Trigger, f"{place}/clear_fault", self._on_clear)
+            self.create_service(Trigger, f"{place}/stop", self._on_stop)
+        self.create_subscription(LoopSample, "plant/sample", self._on_sample, RELIABLE)
         self.report_on()
         driver.start()
 
@@ -398,7 +390,7 @@ class GatedNode(TwinmatchNode):
         fault = self.gate.fault
         if fault is None:
             response.success, response.message = True, "there is no fault"
-        elif self._driver is None or not self._driver.connected:
+        elif not self._driver.connected:
             response.message = f"{fault_text(fault)}; not cleared: the {self.BOARD} is not connected"
         else:
             self._driver.clear()

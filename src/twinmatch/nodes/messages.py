@@ -70,20 +70,6 @@ def sample_from(message: messages.LoopSample) -> Sample:
     return Sample(message.index, nanoseconds(message.header.stamp), *signals)
 
 
-def one_of(message: Any, name: str) -> float:
-    """The single value of an array in a message about one loop.
-
-    Raises:
-        SignalError: there is not exactly one value.
-    """
-    values = getattr(message, name)
-    if len(values) != 1:
-        raise SignalError(
-            f"{name} of sample {message.index} has {len(values)} values; a twin runs one loop, with one value"
-        )
-    return float(values[0])
-
-
 STATE_FIGURES = (
     "closed_output", "closed_input", "driven_output", "closed_residual_y", "closed_residual_u",
     "driven_residual_y", "closed_rms_y", "closed_rms_u", "driven_rms_y",

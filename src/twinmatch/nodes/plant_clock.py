@@ -4,17 +4,14 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.time import Time
 from rosgraph_msgs.msg import Clock
 
 from twinmatch.emulation.clock import ClockClient, Stillness, parse_address
 from twinmatch.nodes.health import Level, Report
 from twinmatch.nodes.node import TwinmatchNode
+from twinmatch.nodes.topics import NEWEST
 from twinmatch.parameters.declared import Setting
-
-CLOCK = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-"""The QoS with which ROS 2 subscribes to /clock: only the newest message counts."""
 
 
 class PlantClock(TwinmatchNode):
@@ -33,7 +30,7 @@ class PlantClock(TwinmatchNode):
 
     def open(self) -> None:
         """Start to follow the rig."""
-        self._publisher = self.create_publisher(Clock, "/clock", CLOCK)
+        self._publisher = self.create_publisher(Clock, "/clock", NEWEST)
         self._client.start()
         self.beside.append(self._client)
         self.report_on()

@@ -33,8 +33,9 @@ class Pace:
     """
 
     def __init__(self, rate: float, start: float) -> None:
-        """`rate` is recorded seconds per second (0: as fast as possible), `start` the first recorded time."""
-        self._rate = rate
+        """Start paused at the first recorded time."""
+        self.rate = rate
+        """Recorded seconds per second; 0: as fast as possible."""
         self._recorded = start  # recorded time reached at `_since`
         self._since: float | None = None  # the listener's time then; None while paused
 
@@ -53,20 +54,15 @@ class Pace:
         self._recorded = self.position(now)
         self._since = None
 
-    @property
-    def rate(self) -> float:
-        """Recorded seconds per second; 0: as fast as possible."""
-        return self._rate
-
     def change(self, rate: float, now: float) -> None:
         """Continue at another rate from the current position."""
         self._recorded = self.position(now)
         self._since = None if self._since is None else now
-        self._rate = rate
+        self.rate = rate
 
     def reach(self, recorded: float, now: float) -> None:
         """Note that a message of this recorded time was played; at rate 0 this is the only progress."""
-        if self._rate == 0:
+        if self.rate == 0:
             self._recorded = max(self._recorded, recorded)
             self._since = None if self._since is None else now
 
@@ -74,15 +70,15 @@ class Pace:
         """Recorded time that has been reached."""
         if self._since is None:
             return self._recorded
-        return self._recorded + (now - self._since) * self._rate
+        return self._recorded + (now - self._since) * self.rate
 
     def wait(self, recorded: float, now: float) -> float | None:
         """Seconds until a message of this recorded time is due; None while paused."""
         if self._since is None:
             return None
-        if self._rate == 0:
+        if self.rate == 0:
             return 0.0
-        return max(0.0, (recorded - self.position(now)) / self._rate)
+        return max(0.0, (recorded - self.position(now)) / self.rate)
 
 
 BATCH = DEPTH // 4

@@ -144,20 +144,19 @@ class PwmBridge(GatedNode):
     CLOSING: ClassVar = 3
 
     def read_parameters(self) -> None:
-        """Derive the link's settings and the guard's limits."""
+        """Create the link and the gate."""
+        super().read_parameters()
         self._link = PwmLink(self.values["port"], given_to(LinkSettings(), self.values))
-        self.make_gate()
 
     def open(self) -> None:
         """Subscribe, and start to search for the board."""
-        self.create_subscription(
-            Temperature, "plant/temperature", self._on_temperature, qos_profile_sensor_data
-        )
-        self.create_subscription(PwmCommand, "plant/pwm_command", self._on_command, qos_profile_sensor_data)
-        self.guard("plant/pwm_command", "plant/temperature")
+        commands, temperatures = "plant/pwm_command", "plant/temperature"
+        self.create_subscription(Temperature, temperatures, self._on_temperature, qos_profile_sensor_data)
+        self.create_subscription(PwmCommand, commands, self._on_command, qos_profile_sensor_data)
         self._applied = self.create_publisher(PwmApplied, "plant/pwm_applied", RELIABLE)
         self.health.set("port", self.values["port"])
-        self.drive(PwmDriver(self._link, self.gate, self._tell, self.health, self.pace))
+        driver = PwmDriver(self._link, self.gate, self._tell, self.health, self.pace)
+        self.drive(driver, commands, temperatures)
 
     def report(self) -> Report:
         """The gate, and the number of board restarts."""

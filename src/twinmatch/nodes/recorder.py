@@ -212,11 +212,12 @@ class RecorderNode(TwinmatchNode):
         self._left = threading.Event()
         self.worker = worker = Worker(self._do, self.health, backlog=5000)
         self.beside.append(worker)
+        self._put = worker.put
         if values["continues"]:
-            self._on_record(CONTINUES, {"session": values["continues"]})
+            self._record(CONTINUES, {"session": values["continues"]})
         if self.step is not None:
             self.step.wait_for(lambda: worker.depth > AHEAD)
-        self._settings = NodeSettings(self, self._on_record)
+        self._settings = NodeSettings(self, self._record)
         self._past = RecorderPast(self, self._keep, self._following.__contains__)
         self.wall_timer(SEARCH, self._on_search)
         self.wall_timer(FLUSH, partial(worker.put, self._recording.flush))
@@ -316,16 +317,12 @@ class RecorderNode(TwinmatchNode):
         self._arrivals[name].lost += event.total_count_change
         self.health.flag("lost", Level.WARN, f"the middleware lost messages of {name}")
 
-    def _on_record(self, name: str, values: Mapping[str, str]) -> None:
-        self._put(partial(self._recording.add_record, name, values))
-
     def _write(self, name: str, data: bytes, now: int) -> None:
         self._recording.write(name, data, now)
         self._written += len(data)
 
-    def _put(self, job: Job) -> None:
-        if self.worker is not None:
-            self.worker.put(job)
+    def _record(self, name: str, values: Mapping[str, str]) -> None:
+        self._put(partial(self._recording.add_record, name, values))
 
     def _report_topics(self) -> Report:
         now = time.monotonic()

@@ -15,10 +15,10 @@ from collections.abc import Callable
 from typing import Final
 
 from rclpy.node import Node
-from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 
 from twinmatch.emulation.clock import ClockClient, parse_address
+from twinmatch.nodes.topics import NEWEST
 
 VARIABLE: Final = "TWINMATCH_IN_STEP"
 """Environment variable with the HOST:PORT of the virtual rig's clock; the launch scripts set it."""
@@ -30,7 +30,6 @@ BREATH: Final = 5_000_000
 """Plant time that passes while the board is waited for, per wait, ns."""
 SOON, IDLE = 0.002, 0.2
 """Intervals at which unfinished work is checked again, and a process without any, wall s."""
-NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
 class _Task:

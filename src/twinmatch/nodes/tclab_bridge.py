@@ -96,19 +96,17 @@ class TCLabBridge(GatedNode):
 
     def read_parameters(self) -> None:
         """Create the link and the gate."""
-        values = self.values
-        self._link = KitLink(values["port"], values["deadline"])
-        self.make_gate()
+        super().read_parameters()
+        self._link = KitLink(self.values["port"], self.values["deadline"])
 
     def open(self) -> None:
         """Subscribe, and connect to the kit."""
         self.create_subscription(PlantCommand, "plant/command", self._on_command, qos_profile_sensor_data)
-        self.guard("plant/command", "plant/reading")
         self._readings = self.create_publisher(PlantReading, "plant/reading", qos_profile_sensor_data)
         self._applied = self.create_publisher(PlantApplied, "plant/applied", RELIABLE)
         driver = KitDriver(self._link, self.gate, self._tell, self.health, self.pace)
         driver.other = self.values["second"]
-        self.drive(driver)
+        self.drive(driver, "plant/command", "plant/reading")
 
     def _on_command(self, message: PlantCommand) -> None:
         self.gate.command(message.input, message.index, nanoseconds(message.header.stamp))

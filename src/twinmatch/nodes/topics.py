@@ -34,6 +34,9 @@ LATCHED = QoSProfile(
 )
 """For a value that holds until the next one: a late-joining subscriber gets it too."""
 
+NEWEST = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+"""For readings and /clock, of which only the newest message counts."""
+
 ELSEWHERE = ("/clock", "/diagnostics", "/parameter_events", "/rosout")
 """Topics that belong to no rig: recorded only on request."""
 

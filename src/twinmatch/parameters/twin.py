@@ -17,7 +17,6 @@ from twinmatch.dynamics import (
     FROM_PLANT_FILE,
     Drive,
     FromPlantFile,
-    Law,
     LoopGains,
     Model,
     PidGains,
@@ -90,11 +89,6 @@ def loop_parameters(plant: type[Plant], closing: LoopGains = FROM_PLANT_FILE) ->
             "Derivative of the measurement instead of the error: no kick at set-point steps.",
         ),
     )
-
-
-def running(usual: Law | None, values: Mapping[str, Any]) -> Law | None:
-    """The controller from checked parameter values: those of a PID, or another law at their period."""
-    return pid_gains(values) if isinstance(usual, PidGains) else usual
 
 
 def pid_gains(values: Mapping[str, Any]) -> PidGains:
@@ -233,7 +227,7 @@ def settings_from(values: Mapping[str, Any]) -> TwinSettings:
         free=tuple(values["free"]),
         start=usual.start.replace(**group(values, "start.")),
         noise=Noise(values["noise.output"], values["noise.input"]),
-        gains=running(usual.gains, values),
+        gains=pid_gains(values) if isinstance(usual.gains, PidGains) else usual.gains,
         sensor=Sensor(**sensor),
         seed=values["seed"],
         decimals=values["decimals"],

@@ -19,8 +19,7 @@ from twinmatch.description import Description
 from twinmatch.nodes.health import Level, Report
 from twinmatch.nodes.messages import description_from
 from twinmatch.nodes.node import TwinmatchNode
-from twinmatch.nodes.plant_clock import CLOCK
-from twinmatch.nodes.topics import LATCHED, Following, wanted
+from twinmatch.nodes.topics import LATCHED, NEWEST, Following, wanted
 from twinmatch.parameters.declared import Setting
 from twinmatch.sessions import SessionError
 from twinmatch.sessions.messages import schema_of
@@ -220,7 +219,7 @@ class Foxglove(TwinmatchNode):
         self._laid_out: tuple[Description, frozenset[str]] | None = None
         if self.values["layout"]:
             self.create_subscription(PlantDescription, "plant/description", self._on_description, LATCHED)
-        self.create_subscription(ClockMessage, "/clock", self._on_clock, CLOCK)
+        self.create_subscription(ClockMessage, "/clock", self._on_clock, NEWEST)
         self.create_timer(POLL, self._find_topics, clock=steady)
         self.create_timer(TICK, self._send_time, clock=steady)
         warn_if_open("FOXGLOVE", address, "read this graph")

@@ -17,7 +17,7 @@ from sensor_msgs.msg import Image
 
 from twinmatch.description import UNDESCRIBED
 from twinmatch.nodes.health import Report
-from twinmatch.nodes.messages import description_from, one_of
+from twinmatch.nodes.messages import description_from
 from twinmatch.nodes.node import TwinmatchNode
 from twinmatch.nodes.topics import LATCHED
 from twinmatch.parameters.declared import Setting
@@ -28,6 +28,7 @@ from twinmatch.showing.page.requests import Requests
 from twinmatch.showing.page.state import DashboardState, DriveReport, TwinRow, update_sentence
 from twinmatch.showing.page.tab import PageServer, Tab
 from twinmatch.showing.serving import place_settings, warn_if_open
+from twinmatch.signals import one_of_each
 from twinmatch.twin import TwinSettings
 from twinmatch_msgs.msg import (
     Forecast,
@@ -83,7 +84,8 @@ class Dashboard(TwinmatchNode):
             state.push_drive(DriveReport(applied, current, fault))
 
         def take_twin(message: TwinState) -> None:
-            state.push_twin(message.index, TwinRow(*(one_of(message, name) for name in TwinRow._fields)))
+            found = (one_of_each(name, getattr(message, name)) for name in TwinRow._fields)
+            state.push_twin(message.index, TwinRow(*map(float, found)))
 
         for kind, topic, take, qos in (
             (PlantDescription, "plant/description", self._on_description, LATCHED),
