@@ -34,6 +34,12 @@ class SafetyError(TwinmatchError):
 NANOSECONDS = 1_000_000_000
 
 
+def _within_a_minute(place: str, **times: float) -> None:
+    for name, time in times.items():
+        if not 0 < time <= 60:
+            raise SafetyError(f"{place} limits: {name} is {time} s; it must be within 0 to 60 s")
+
+
 @dataclass(frozen=True)
 class ClockLimits:
     """A clock stands still if it does not advance by `progress` within `patience`, or has never advanced."""
@@ -44,10 +50,7 @@ class ClockLimits:
     """Plant time, s; a rig slowed down more than twentyfold is therefore not driven either."""
 
     def __post_init__(self) -> None:
-        for name in ("patience", "progress"):
-            if not 0 < getattr(self, name) <= 60:
-                msg = f"clock limits: {name} is {getattr(self, name)} s; it must be within 0 to 60 s"
-                raise SafetyError(msg)
+        _within_a_minute("clock", patience=self.patience, progress=self.progress)
 
 
 class SafetyClock:
@@ -237,10 +240,8 @@ class GuardLimits:
     runaway: RunawayLimits = field(default_factory=RunawayLimits)
 
     def __post_init__(self) -> None:
-        for name in ("command_timeout", "temperature_timeout"):
-            if not 0 < getattr(self, name) <= 60:
-                msg = f"guard limits: {name} is {getattr(self, name)} s; it must be within 0 to 60 s"
-                raise SafetyError(msg)
+        timeouts = {n: getattr(self, n) for n in ("command_timeout", "temperature_timeout")}
+        _within_a_minute("guard", **timeouts)
         if not self.lowest < self.highest:
             low, high = f"{self.lowest} {self.unit}", f"{self.highest} {self.unit}"
             msg = f"guard limits: lowest {low} must be below highest {high}"

@@ -38,7 +38,7 @@ pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; r
 pytest.importorskip("bokeh", reason="bokeh is not installed; it is in the extra 'dashboard'")
 
 from tests.support.places import LAUNCH_SCRIPTS
-from tests.support.processes import Process
+from tests.support.processes import Process, run_twinmatch
 from tests.support.waiting import wait_for
 from twinmatch.launching.live import RESTARTS, _LiveRun
 from twinmatch.launching.plan import VirtualPlan
@@ -84,12 +84,11 @@ def test_options_that_contradict_each_other_are_refused(words: tuple[str, ...]) 
     assert left.value.code == 2
 
 
-@pytest.mark.parametrize("script", ["live.py", "replay.py", "demo.py"])
-def test_every_launch_script_has_it(script: str) -> None:
-    command = [sys.executable, LAUNCH_SCRIPTS / script, "--help"]
-    told = subprocess.run(command, capture_output=True, text=True, check=True, timeout=360).stdout
+@pytest.mark.parametrize("command", ["live", "play", "attach", "demo"])
+def test_every_command_that_starts_nodes_has_it(command: str) -> None:
+    told = run_twinmatch(command, "--help").stdout
     assert "--dashboard" in told
-    assert ("--control" in told) == (script == "live.py")
+    assert ("--control" in told) == (command == "live")
 
 
 def test_after_a_replay_it_stays_until_ctrl_c(ros_domain: int, tmp_path: Path) -> None:  # noqa: ARG001

@@ -37,14 +37,15 @@ def test_a_heater_that_is_lost_is_reported_and_the_session_verifies(
     config = tmp_path / "kit.yaml"
     config.write_text(
         "controller:\n  ros__parameters:\n"
-        "    profile.levels: [35.0, 50.0, 42.0]\n    profile.holds: [30.0, 230.0, 50.0]\n"
+        "    profile.levels: [35.0, 50.0, 42.0]\n    profile.holds: [20.0, 140.0, 40.0]\n"
         "    profile.repeat: false\n    exit_at_end: true\n"
     )
-    session = tmp_path / "run"
-    words = ("--plant", "tclab", "--virtual", "--speed", "max", "--config", config, "--session", session)
-    process = Process(
-        sys.executable, LIVE, *words, "--fault", "drive-lost@250", output=tmp_path / "live.txt", forked=True
-    )
+    twin, session = tmp_path / "twin.yaml", tmp_path / "run"
+    schedule = "{span: 120, min_span: 60, lead: 10}"
+    twin.write_text(f"/**:\n  ros__parameters:\n    plant: tclab\n    schedule: {schedule}\n")
+    words = ("--plant", "tclab", "--virtual", "--speed", "max", "--config", config, "--twin-config", twin)
+    words += ("--session", session, "--fault", "drive-lost@140")
+    process = Process(sys.executable, LIVE, *words, output=tmp_path / "live.txt", forked=True)
     running.append(process)
     assert process.wait(6 * PATIENCE) == 0, process.text
     found = verify_session(session)
@@ -55,7 +56,7 @@ def test_a_heater_that_is_lost_is_reported_and_the_session_verifies(
     assert not any("pwm" in topic for topic in topics)
     begun = re.search(r"drive-lost begins at (\S+) s", process.text)
     assert begun, process.text
-    assert [sample.index for sample in samples] == list(range(310))
+    assert [sample.index for sample in samples] == list(range(200))
     assert "matched on samples" in process.text
     assert "drive-lost: the drive should have moved" in process.text
     assert samples[0].disturbances == (0.0,)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 from typing import Any, Final
 
@@ -24,6 +25,13 @@ from twinmatch.sessions.mapped import by_signal
 from twinmatch.sessions.sampler import REFERENCE
 
 SAMPLER = "sampler"
+
+
+def ros_arguments(values: Mapping[str, object], *files: object) -> list[str]:
+    """The words after `--ros-args` for parameter files and, above them, these values."""
+    words = [("--params-file", f"{file}") for file in files]
+    words += [("-p", f"{name}:={value}") for name, value in values.items()]
+    return ["--ros-args", *chain.from_iterable(words)]
 
 
 @dataclass(frozen=True)
@@ -130,27 +138,16 @@ class LivePlan:
         return "rig"
 
     @property
-    def simulated_time(self) -> bool:
-        """Whether the nodes run on the virtual rig's clock."""
-        return self.virtual is not None
-
-    @property
     def in_step(self) -> bool:
         """Whether the plant waits for the graph, because it may run faster than real time."""
         return self.virtual is not None and self.virtual.speed > 1
 
     def rig_arguments(self, addresses: Mapping[str, str]) -> list[str]:
         """ROS arguments of bridges and controller; `addresses` are those that the virtual rig prints."""
-        words = ["--ros-args", "--params-file", str(self.config), "-p", f"controller:plant:={self.plant}"]
-        found = dict(addresses)
-        if self.port:
-            found["serial"] = self.port
-        for name, value in self.wiring.settings(found).items():
-            words += ["-p", f"{name}:={value}"]
-        patient = dict.fromkeys(_IN_STEP if self.in_step else (), f"{PATIENCE}")
-        for name, value in {**patient, **self.overrides}.items():
-            words += ["-p", f"{name}:={value}"]
-        return [*words, *self._time()]
+        found = {**addresses, "serial": self.port} if self.port else addresses
+        patient = dict.fromkeys(_IN_STEP if self.in_step else (), PATIENCE)
+        values = {"controller:plant": self.plant, **self.wiring.settings(found), **patient, **self.overrides}
+        return ros_arguments({**values, **self._time()}, self.config)
 
     def wait_for(self, readers: str) -> list[str]:
         """ROS arguments to hold back the first sample until these nodes (space-separated) subscribe."""
@@ -159,28 +156,24 @@ class LivePlan:
 
     def clock_arguments(self, addresses: Mapping[str, str]) -> list[str]:
         """ROS arguments of the node that publishes the virtual rig's clock."""
-        words = ["--ros-args", "-p", f"address:={addresses['clock']}"]
-        return [*words, "-p", f"patience:={PATIENCE}"] if self.in_step else words
+        patient = {"patience": PATIENCE} if self.in_step else {}
+        return ros_arguments({"address": addresses["clock"], **patient})
 
     def twin_arguments(self) -> list[str]:
         """ROS arguments of the twin's nodes."""
-        words = ["--ros-args"]
-        if self.twin_config is not None:
-            words += ["--params-file", str(self.twin_config)]
-        if self.candidates is not None:
-            words += ["-p", f"discriminator:candidates:={self.candidates}"]
-        return [*words, *self._time()]
+        files = () if self.twin_config is None else (self.twin_config,)
+        given = {} if self.candidates is None else {"discriminator:candidates": self.candidates}
+        return ros_arguments({**given, **self._time()}, *files)
 
     def recorder_arguments(self, session: Path, continues: str = "") -> list[str]:
         """ROS arguments of the recorder of a session, which may continue another one."""
-        words = ["--ros-args", "--params-file", str(self.config)]
-        words += ["-p", f"recorder:folder:={session.absolute().parent}"]
-        words += ["-p", f"recorder:name:={session.name}"]
-        words += ["-p", f"recorder:continues:={continues}"] if continues else []
-        return [*words, *self._time()]
+        values = {"recorder:folder": session.absolute().parent, "recorder:name": session.name}
+        if continues:
+            values["recorder:continues"] = continues
+        return ros_arguments({**values, **self._time()}, self.config)
 
-    def _time(self) -> list[str]:
-        return ["-p", "use_sim_time:=true"] if self.simulated_time else []
+    def _time(self) -> dict[str, str]:
+        return {} if self.virtual is None else {"use_sim_time": "true"}
 
 
 @dataclass(frozen=True)
@@ -202,7 +195,7 @@ class AttachPlan(LivePlan):
 
     def rig_arguments(self, addresses: Mapping[str, str]) -> list[str]:  # noqa: ARG002
         """ROS arguments of the sampler."""
-        return ["--ros-args", "--params-file", str(self.sampler)]
+        return ros_arguments({}, self.sampler)
 
     def wait_for(self, readers: str) -> list[str]:
         """As for a rig, but longer: a rig that runs on its own is not held up while a twin is compiled."""

@@ -10,6 +10,7 @@ from pathlib import Path
 from rich.console import Console
 
 from twinmatch.comparing import Verdict
+from twinmatch.launching.plan import ros_arguments
 from twinmatch.launching.processes import LaunchError
 from twinmatch.launching.watch import Supervised, Watch
 from twinmatch.offline.summary import SessionSummary, summarise
@@ -150,18 +151,16 @@ class _ReplayRun(Supervised):
 
     def _start_twin(self) -> None:
         replay, settings = self._replay, self._settings
-        options = ["--ros-args", "-p", f"period:={settings.period}"]
-        options += ["-p", f"plant:={written_name(settings.plant)}"]
+        values = {"period": settings.period, "plant": written_name(settings.plant)}
         if settings.gains is None:
-            options += ["-p", f"loop:={UNKNOWN}"]
-        if replay.config is not None:
-            options += ["--params-file", str(replay.config)]
+            values["loop"] = UNKNOWN
         if replay.candidates is not None:
-            options += ["-p", f"discriminator:candidates:={replay.candidates}"]
+            values["discriminator:candidates"] = replay.candidates
+        options = ros_arguments(values, *(() if replay.config is None else (replay.config,)))
         self.processes.start_module("twin", "twinmatch.nodes", "twin", *options)
 
     def _start_player(self) -> None:
         self._playing = True
-        options = ["--ros-args", "-p", f"session:={self._playable}", "-p", f"readers:={READERS}"]
-        options += ["-p", f"rate:={float(self._replay.rate)}", "-p", "wait_timeout:=60.0"]
+        values = {"session": self._playable, "readers": READERS, "rate": float(self._replay.rate)}
+        options = ros_arguments({**values, "wait_timeout": 60.0})
         self.processes.start_module("player", "twinmatch.nodes", "player", *options)

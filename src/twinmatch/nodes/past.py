@@ -79,20 +79,13 @@ def samples_of_answer(answer: Past.Response) -> Iterator[Sample]:
         yield Sample(index, stamp, *map(tuple, rows))
 
 
-class Missing(NamedTuple):
-    """First and last of the samples to fetch."""
-
-    first: int
-    last: int
-
-
 class Stream:
     """Passes samples on in order, and reports which are missing."""
 
     def __init__(self, give: Callable[[Sample], None]) -> None:
         """Pass every sample on to `give`."""
-        self.missing: Missing | None = None
-        """The samples to fetch now; live samples are held back until then."""
+        self.missing: range | None = None
+        """Indices of the samples to fetch now; live samples are held back until then."""
         self._give = give
         self._end = 0  # index of the newest sample passed on, plus one
         self._live: deque[Sample] = deque()
@@ -112,7 +105,7 @@ class Stream:
         if self.missing is not None:
             self._live.append(sample)
         elif sample.index > self._end:
-            self.missing = Missing(self._end, sample.index - 1)
+            self.missing = range(self._end, sample.index)
             self._live.append(sample)
         else:
             self._pass_on(sample)
@@ -127,10 +120,10 @@ class Stream:
             return False
         for sample in samples:
             self._pass_on(sample)
-        if self._end > missing.last or (not samples and heard > missing.last):
+        if self._end >= missing.stop or (not samples and heard >= missing.stop):
             self.skip()
             return True
-        self.missing = Missing(self._end, missing.last)
+        self.missing = range(self._end, missing.stop)
         return bool(samples)
 
     def skip(self) -> None:
@@ -197,13 +190,13 @@ class CatchingUp:
         if self._since is None:
             self._since = now
         if now - self._since > PATIENCE:
-            self._give_up(f"samples {missing.first} to {missing.last} are missing and cannot be fetched")
+            self._give_up(f"samples {missing[0]} to {missing[-1]} are missing and cannot be fetched")
         elif self._requests.ready(now) and self._settled(now):
             if self._waiting() > MOST_WAITING:
                 self._since = now  # the worker is busy with what was fetched
                 return
-            count = 0 if self._fresh else missing.last + 1 - missing.first
-            wanted = Past.Request(first=missing.first, count=count, matches=self._matches, scores=NONE)
+            count = 0 if self._fresh else len(missing)
+            wanted = Past.Request(first=missing.start, count=count, matches=self._matches, scores=NONE)
             self._requests.send(wanted, now)
 
     def _settled(self, now: float) -> bool:
