@@ -21,6 +21,7 @@ from twinmatch.dynamics import (
     ObserverBank,
     Output,
     Parameters,
+    Plant,
     PlantError,
 )
 from twinmatch.dynamics.laws import LOW
@@ -142,11 +143,15 @@ def foresight_of(
     return Foresight(twins, gains, drift=drift, period=period, swift=SWIFT)
 
 
+@functools.cache
+def _least(plant: type[Plant]) -> FloatArray:
+    least = [0.0] * len(plant.outputs) + [(_LEAST * drive.noise) ** 2 for drive in plant.drives.values()]
+    return np.array(least)[:, None]
+
+
 def deviations(model: Model, variances: FloatArray) -> FloatArray:
     """Standard deviations of outputs and inputs as a twin expects them, shape (..., o + m, N)."""
-    plant = model.plant
-    least = [0.0] * len(plant.outputs) + [(_LEAST * drive.noise) ** 2 for drive in plant.drives.values()]
-    return np.asarray(np.sqrt(variances + np.array(least)[:, None]))
+    return np.asarray(np.sqrt(variances + _least(model.plant)))
 
 
 @functools.cache

@@ -26,9 +26,9 @@ baselines made on the same samples: its skill is 1 − (its mean |error|) / (the
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from copy import deepcopy
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -161,6 +161,10 @@ _SHRINKAGE: Final = 5.0
 _LN10: Final = float(np.log(10.0))
 _COMPARED: Final = 4.0
 """Effective number of forecasts from which on skill is computed."""
+_LENGTH, _WEIGHT, _COUNTED, _MEANS = range(4)
+"""Columns of an account at a horizon: characters of all signals together, and the effective number of
+forecasts in that sum; the number in the means; and from here on the mean |error| of each signal, and those of
+the baselines on the same samples."""
 
 
 class Ledger:
@@ -176,44 +180,29 @@ class Ledger:
             kept: factor on past weights per forecast; below 1, the past is forgotten slowly.
         """
         self.horizons, self.noise, self.kept = horizons, noise, kept
+        self._new = np.concatenate([[0.0, 0.0, _PRIOR_WEIGHT], np.tile(noise, 1 + len(BASELINES))])
+        """A new account at a horizon: see `_LENGTH` and those after it."""
         self._rows: dict[str | int, int] = {}
         """Row of each candidate by name, and of each baseline by its place among `BASELINES`."""
-        self._clear(0)
+        self._accounts = self._new[None, None]
+        self._set(())
 
-    def _clear(self, accounts: int) -> None:
-        """Open accounts without a forecast, in place of all that there are, and one that stays empty."""
-        shape = (accounts + 1, self.horizons)
-        self._lengths, self._weights = np.zeros(shape), np.zeros(shape)
-        """Characters by horizon, all signals together, and effective numbers of forecasts in these sums."""
-        self._sizes = np.tile(self.noise[:, None], (accounts + 1, 1, self.horizons))
-        """Mean |error| of each signal, shape (accounts, signals, H)."""
-        self._beside = np.tile(self.noise[:, None], (accounts + 1, len(BASELINES), 1, self.horizons))
-        """Those of the baselines on the same samples, shape (accounts, baselines, signals, H)."""
-        self._counted = np.full(shape, _PRIOR_WEIGHT)
-        """Effective numbers of forecasts in these means."""
-
-    @property
-    def _sums(self) -> tuple[FloatArray, ...]:
-        return self._lengths, self._weights, self._sizes, self._beside, self._counted
-
-    def _set(self, sources: Mapping[Any, str | int]) -> None:
-        """Have these accounts only: each a copy of one that there is, or a new one."""
-        old = self._sums
-        known = [(row, self._rows[name]) for row, name in enumerate(sources.values()) if name in self._rows]
-        to, of = np.array(known, dtype=np.intp).reshape(-1, 2).T
-        self._clear(len(sources))
-        for new, before in zip(self._sums, old, strict=True):
-            new[to] = before[of]
-        self._rows = {name: row for row, name in enumerate(sources)}
+    def _set(self, sources: Iterable[tuple[str | int, str | int]]) -> None:
+        """Have these accounts only: each a copy of one that there is, or a new one; and one more, empty."""
+        old = {name: self._accounts[row] for name, row in self._rows.items()}
+        new = np.tile(self._new, (self.horizons, 1))
+        found = {name: old.get(source, new) for name, source in sources}
+        self._accounts = np.array([*found.values(), new])
+        self._rows = {name: row for row, name in enumerate(found)}
 
     def keep(self, names: Iterable[str]) -> None:
         """Keep only the accounts of these candidates."""
-        self._set({name: name for name in (*range(len(BASELINES)), *names) if name in self._rows})
+        self._set((name, name) for name in (*range(len(BASELINES)), *names) if name in self._rows)
 
     def inherit(self, name: str, predecessor: str) -> None:
         """Give a candidate a copy of its predecessor's account, if there is one."""
         if predecessor in self._rows:
-            self._set({**{each: each for each in self._rows}, name: predecessor})
+            self._set([*((each, each) for each in self._rows), (name, predecessor)])
 
     def add(self, names: Sequence[str], errors: FloatArray, baselines: FloatArray, horizon: int) -> None:
         """Add the errors (measured minus forecast) of the forecasts from one sample.
@@ -225,20 +214,20 @@ class Ledger:
         """
         accounts = (*range(len(BASELINES)), *names)
         if not self._rows.keys() >= {*accounts}:
-            self._set({name: name for name in (*self._rows, *accounts)})
+            self._set((name, name) for name in (*self._rows, *accounts))
         h, rows = horizon, [self._rows[name] for name in accounts]
         sizes = np.abs(np.concatenate([baselines, errors]))
         found = np.ascontiguousarray(sizes.swapaxes(1, 2)).mean(axis=1)
-        widths = np.maximum(self._sizes[rows, :, h], _NARROWEST * self.noise)
+        account, baseline = self._accounts[rows, h], found[: len(BASELINES)].ravel()
+        widths = np.maximum(account[:, _MEANS : _MEANS + self.noise.size], _NARROWEST * self.noise)
         characters = np.log10(2.0 * widths) + found / (widths * _LN10)
-        self._lengths[rows, h] = self.kept * self._lengths[rows, h] + characters.sum(axis=1)
-        self._weights[rows, h] = self.kept * self._weights[rows, h] + 1.0
-        before = self.kept * self._counted[rows, h]
-        self._counted[rows, h] = before + 1.0
-        sums = before[:, None] * self._sizes[rows, :, h] + found
-        self._sizes[rows, :, h] = sums / self._counted[rows, h, None]
-        beside = before[:, None, None] * self._beside[rows, :, :, h] + found[: len(BASELINES)]
-        self._beside[rows, :, :, h] = beside / self._counted[rows, h, None, None]
+        account[:, :_MEANS] *= self.kept
+        before = account[:, _COUNTED, None].copy()
+        account[:, _LENGTH] += characters.sum(axis=1)
+        account[:, [_WEIGHT, _COUNTED]] += 1.0
+        means = np.hstack([found, np.tile(baseline, (len(found), 1))])
+        account[:, _MEANS:] = (before * account[:, _MEANS:] + means) / account[:, _COUNTED, None]
+        self._accounts[rows, h] = account
 
     def skills(self, name: str) -> FloatArray:
         """Skill of a candidate at each horizon beside each of `BASELINES`, shape (baselines, H).
@@ -248,13 +237,14 @@ class Ledger:
         """
         if name not in self._rows:
             return np.full((len(BASELINES), self.horizons), np.nan)
-        row = self._rows[name]
-        ratios = np.log(self._sizes[row] / self._beside[row]).mean(axis=1)
-        return np.where(self._weights[row] >= _COMPARED, 1.0 - np.exp(ratios), np.nan)
+        account = self._accounts[self._rows[name]]
+        sizes = account[:, _MEANS:].T.reshape(1 + len(BASELINES), -1, self.horizons)
+        ratios = np.log(sizes[0] / sizes[1:]).mean(axis=1)
+        return np.where(account[:, _WEIGHT] >= _COMPARED, 1.0 - np.exp(ratios), np.nan)
 
     def forecasts(self, name: str) -> float:
         """Effective number of a candidate's scored forecasts at all horizons, older ones weighted less."""
-        return float(self._weights[self._rows[name]].sum()) if name in self._rows else 0.0
+        return float(self._accounts[self._rows[name], :, _WEIGHT].sum()) if name in self._rows else 0.0
 
     def gains(self, names: Sequence[str]) -> FloatArray:
         """Characters saved per forecast of the signals, by horizon; shape (len(names), H).
@@ -263,8 +253,8 @@ class Ledger:
         """
         if 0 not in self._rows:
             return np.full((len(names), self.horizons), np.nan)
-        rows, first = [self._rows.get(name, -1) for name in names], self._rows[0]
-        lengths, weights = self._lengths[rows], self._weights[rows]
-        trivial = np.where(self._weights[first] > 0.0, self._lengths[first], np.nan)
-        trivial /= np.maximum(self._weights[first], 1e-300)
+        found = self._accounts[[self._rows.get(name, -1) for name in names]]
+        lengths, weights = found[:, :, _LENGTH], found[:, :, _WEIGHT]
+        first, counts = self._accounts[self._rows[0], :, :_COUNTED].T
+        trivial = np.where(counts > 0.0, first, np.nan) / np.maximum(counts, 1e-300)
         return np.asarray((weights * trivial - lengths) / (weights + _SHRINKAGE))

@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from itertools import pairwise
+from itertools import accumulate, pairwise, starmap
 from types import MappingProxyType
 from typing import Final, NamedTuple
 
@@ -288,10 +288,9 @@ class Forecaster:
         self._followers.push(native, samples)
 
     @property
-    def _columns(self) -> list[slice]:
+    def _columns(self) -> tuple[slice, ...]:
         """Those of set-points, outputs, inputs and disturbances."""
-        corners = np.cumsum((0, *self._recent[-1].shape)).tolist()
-        return [slice(*ends) for ends in pairwise(corners)]
+        return tuple(starmap(slice, pairwise(accumulate((0, *self._recent[-1].shape)))))
 
     def _departure(self) -> _Departure:
         self._catch_up()
