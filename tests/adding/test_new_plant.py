@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +15,7 @@ from scipy.signal import lfilter
 
 from tests.support.plant_files import plant_file
 from tests.support.plants import Exchanger, Lag, Motor
-from tests.support.processes import run_twinmatch
+from tests.support.processes import Process, run_twinmatch
 from tests.support.servo import Servo, turns
 from twinmatch.adding import AddingError, Proposal, check_plant, example, files_of, propose
 from twinmatch.adding.data import check_data, compare_structures, loop_findings
@@ -36,9 +35,8 @@ def test_noise_is_read_off_a_slow_signal(sigma: float, seed: int) -> None:
     k = np.arange(2000)
     slow = 1000 * sigma * np.sin(k / 300)
     noise = noise_of(slow + sigma * np.random.default_rng(seed).standard_normal(k.size))
-    assert noise == pytest.approx(
-        sigma, rel=0.15
-    )  # the median of 2000 is known to some percent; two digits are kept
+    # The median of 2000 is known to some percent; two digits are kept.
+    assert noise == pytest.approx(sigma, rel=0.15)
 
 
 def test_noise_is_that_of_the_rest_where_the_plant_moves_fast() -> None:
@@ -136,10 +134,9 @@ def written(folder: Path, held: Proposal, name: str) -> list[Path]:
     return paths
 
 
-def passes(*words: object, folder: Path) -> None:
-    command = [sys.executable, *map(str, words)]
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stdout + done.stderr
+def passes(folder: Path, *words: object) -> None:
+    done = Process(sys.executable, "-m", *words, output=folder / "said.txt", folder=folder, forked=True)
+    assert done.wait() == 0, done.text
 
 
 def test_what_is_written_passes_its_own_test_and_the_house_style(tmp_path: Path) -> None:
@@ -150,8 +147,8 @@ def test_what_is_written_passes_its_own_test_and_the_house_style(tmp_path: Path)
         *("my_kiln.py", "test_my_kiln.py", "my_kiln.yaml", "my_kiln_map.yaml")
     ]
     assert yaml.safe_load((tmp_path / "my_kiln_map.yaml").read_text())["columns"]["room"] == "Room"
-    passes("-m", "pytest", "-q", "-p", "no:cacheprovider", "test_my_kiln.py", folder=tmp_path)
-    passes("-m", "ruff", "format", "--check", "--line-length", "110", *paths[:2], folder=tmp_path)
+    passes(tmp_path, "pytest", "-q", "-p", "no:cacheprovider", "test_my_kiln.py")
+    passes(tmp_path, "ruff", "format", "--check", "--line-length", "110", *paths[:2])
 
 
 def test_a_disturbance_of_another_kind_is_left_to_the_reader(tmp_path: Path) -> None:
@@ -175,7 +172,7 @@ def test_the_example_passes_its_own_test(tmp_path: Path) -> None:
     done = run_twinmatch("new-plant", "my_block", "-o", tmp_path)
     assert done.returncode == 0, done.stderr
     assert "twinmatch check-plant" in done.stdout
-    passes("-m", "pytest", "-q", "-p", "no:cacheprovider", "test_my_block.py", folder=tmp_path)
+    passes(tmp_path, "pytest", "-q", "-p", "no:cacheprovider", "test_my_block.py")
     again = run_twinmatch("new-plant", "my_block", "-o", tmp_path)
     assert again.returncode == 2
     assert "exists already" in again.stderr
@@ -196,11 +193,8 @@ def test_a_fault_that_keeps_every_window_out_is_named(tmp_path: Path, stuck: boo
     y = y + plant.output.noise * np.random.default_rng(1).standard_normal(u.size)
     if stuck:
         y[65:120] = y[65]
-    samples = [
-        Sample(k, k * 1_000_000_000, 0.0, float(a), float(b), (20.0,))
-        for k, (a, b) in enumerate(zip(y, u, strict=True))
-    ]
-    session = session_of(Path("block.csv"), samples, plant=plant.name, has_reference=False)
+    run = Window(np.zeros(u.size), y, u, disturbances=np.full((u.size, 1), 20.0))
+    session = session_of(Path("block.csv"), samples_of(run), plant=plant.name, has_reference=False)
     shown: set[str] = set()
     checked = check_data(session, plant, lambda what, *_: shown.add(what.split()[0]))
     assert shown == {"judging", "fitting"}
@@ -217,11 +211,7 @@ def driven_by(gains: PidGains, *, has_reference: bool = True) -> Session:
     reference = np.repeat([0.0, 150.0, -120.0, 60.0, 200.0], 150)
     run = simulate_closed_loop(motor, reference, states=begin(motor, 0.0), gains=gains)
     y = run.output + 0.2 * np.random.default_rng(3).standard_normal(reference.size)
-    u = np.asarray(run.input)
-    samples = [
-        Sample(k, round(5e7 * k), float(r), float(a), float(b))
-        for k, (r, a, b) in enumerate(zip(reference, y, u, strict=True))
-    ]
+    samples = samples_of(Window(reference, y, np.asarray(run.input), period=0.05))
     return session_of(Path("run.csv"), tuple(samples), plant=Motor.name, has_reference=has_reference)
 
 

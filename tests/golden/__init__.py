@@ -19,6 +19,7 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -29,17 +30,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 from tests.golden.sources import SOURCES, MissingSourceError, documents_of
 
-__all__ = [
-    "FOLDER",
-    "SOURCES",
-    "MissingSourceError",
-    "compare",
-    "digest",
-    "entry_of",
-    "fingerprint",
-    "make",
-    "work",
-]
+__all__ = ["SOURCES", "MissingSourceError"]
 
 FOLDER = Path(__file__).parent
 PROSE: Final = frozenset({"reason", "certainty", "suggestion", "determined", "sentence", "notes", "absent"})
@@ -88,14 +79,6 @@ def digest(documents: dict[str, Any]) -> Entry:
     }
 
 
-def make(name: str, folder: Path) -> Entry:
-    """Compute a source and write its file."""
-    entry = entry_of(name, folder)
-    text = json.dumps(entry, indent=1, ensure_ascii=False)
-    (FOLDER / f"{name}.json").write_text(text + "\n", encoding="utf-8")
-    return entry
-
-
 def compare(name: str, found: Entry) -> tuple[list[str], str]:
     """What differs from the file, and what was compared, in words."""
     kept: Entry = json.loads((FOLDER / f"{name}.json").read_text(encoding="utf-8"))
@@ -119,11 +102,13 @@ def work(name: str, *, making: bool) -> tuple[bool, str]:
     begun = time.process_time()
     with tempfile.TemporaryDirectory(prefix="twinmatch-golden-") as folder:
         try:
-            entry = (make if making else entry_of)(name, Path(folder))
+            entry = entry_of(name, Path(folder))
         except MissingSourceError as error:
             return True, f"skipped: {error}"
     took = f"{time.process_time() - begun:.1f} s of CPU"
     if making:
+        text = json.dumps(entry, indent=1, ensure_ascii=False)
+        (FOLDER / f"{name}.json").write_text(text + "\n", encoding="utf-8")
         return True, f"written to {FOLDER.name}/{name}.json ({took})"
     different, compared = compare(name, entry)
     return not different, f"{'; '.join(different) or 'the same'} [{compared}] ({took})"
@@ -156,18 +141,19 @@ def _processor() -> str:
 
 
 def _version(library: str) -> str:
-    try:
+    with suppress(PackageNotFoundError):
         return version(library)
-    except PackageNotFoundError:
-        return "absent"
+    return "absent"
 
 
 def _gcc() -> str:
-    if shutil.which("gcc") is None:
-        return "absent"
-    return subprocess.run(
-        ["gcc", "-dumpfullversion"], capture_output=True, text=True, check=True
-    ).stdout.strip()
+    asked = ["gcc", "-dumpfullversion"]
+    there = shutil.which("gcc") is not None
+    return (
+        subprocess.run(asked, capture_output=True, text=True, check=True).stdout.strip()
+        if there
+        else "absent"
+    )
 
 
 def _leaves(value: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], str]]:

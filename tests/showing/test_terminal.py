@@ -135,12 +135,6 @@ def test_a_low_terminal_is_never_overfilled_while_the_run_continues(judged: Judg
     assert "fault: drive-lost" in "".join(s.text for line in drawn for s in line)
 
 
-def test_without_colours_the_words_still_tell(judged: Judgement) -> None:
-    written = shown(judged, 120, no_color=True, color_system="truecolor")
-    assert not re.search(r"\x1b\[(?:[0-9]+;)*(?:3[0-8]|4[0-8]|9[0-7])[;m]", written)
-    assert " FAULT " in written
-
-
 def test_what_was_drawn_can_be_wiped_away(judged: Judgement) -> None:
     stream = io.StringIO()
     screen = Screen(Console(file=stream, force_terminal=True, width=80, height=24), "run", 1.0, None)

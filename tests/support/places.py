@@ -16,3 +16,8 @@ OTHERS = Path(os.environ.get("TWINMATCH_PLANT_RECORDINGS", RECORDINGS.parent / "
 LAUNCH_SCRIPTS = PROJECT / "launch_scripts"
 CAMERA_PATHS = os.pathsep.join([str(PROJECT / "camera_server" / "src"), str(PROJECT / "src")])
 """PYTHONPATH of the camera program, which is a distribution of its own."""
+CHROMIUM = (
+    *("--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--no-first-run", "--disable-sync"),
+    *("--disable-background-networking", "--disable-component-update"),
+)
+"""Options of a browser that reaches nobody."""

@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from tests.support.places import CHROMIUM
 from tests.support.processes import Process, Processes
 from tests.support.steps import quarter_of_an_hour
 from tests.support.waiting import PATIENCE, wait_for
@@ -53,21 +54,9 @@ class Browser:
 
         options = webdriver.ChromeOptions()
         options.binary_location = str(shutil.which("chromium"))
-        for flag in (
-            "--headless",
-            "--no-sandbox",
-            "--disable-gpu",
-            "--disable-quic",
-            "--disable-dev-shm-usage",
-            "--no-first-run",
-            "--disable-background-networking",
-            "--disable-component-update",
-            "--disable-sync",
-            "--window-size=1440,1000",
-            "--js-flags=--expose-gc",
-            "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",
-            f"--user-data-dir={profile}",
-        ):
+        flags = "--window-size=1440,1000 --js-flags=--expose-gc --disable-quic --headless"
+        alone = "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1"
+        for flag in (*flags.split(), *CHROMIUM, alone, f"--user-data-dir={profile}"):
             options.add_argument(flag)
         options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
         self.driver = webdriver.Chrome(options=options, service=Service(str(shutil.which("chromedriver"))))

@@ -28,23 +28,8 @@ class Nothing:
 
     control = False
 
-    def pause(self, paused: bool) -> None:
-        raise AssertionError(paused)
-
-    def rate(self, rate: float) -> None:
-        raise AssertionError(rate)
-
     def what_if(self, level: float, hold: float | None) -> None:
         raise AssertionError(level, hold)
-
-    def set_point(self, level: float) -> None:
-        raise AssertionError(level)
-
-    def clear_fault(self) -> None:
-        raise AssertionError
-
-    def stop(self) -> None:
-        raise AssertionError
 
 
 def fill(state: DashboardState, first: int, number: int, period: float = 0.1) -> None:
@@ -126,13 +111,7 @@ def test_tabs_opened_early_and_late_show_the_same(judged: Judgement) -> None:
         state.push_verdict(verdict)
         early.update()
     _, second = opened(state)
-    for chart, renderer in (
-        ("output", 0),
-        ("matrix", 0),
-        ("matrix", 1),
-        ("happened", 0),
-        ("happened", 1),
-    ):
+    for chart, renderer in (("output", 0), *((name, k) for name in ("matrix", "happened") for k in (0, 1))):
         one, other = source(first, chart, renderer).data, source(second, chart, renderer).data
         assert {k: list(v) for k, v in one.items()} == {k: list(v) for k, v in other.items()}, chart
     for name in ("first", "reasons", "family", "events", "tiles", "status"):

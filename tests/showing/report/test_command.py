@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.places import CHROMIUM
 from tests.support.processes import run_twinmatch
 from tests.support.steps import quarter_of_an_hour
 from twinmatch.sessions import write_session
@@ -17,7 +18,7 @@ from twinmatch.sessions import write_session
 def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Written with its figures beside it."""
     folder = tmp_path_factory.mktemp("report")
-    session = write_session(folder / "quarter", quarter_of_an_hour()[:480])
+    session = write_session(folder / "quarter", quarter_of_an_hour()[:400])
     done = run_twinmatch("report", session, "--figures", "figures", "--format", "pdf", folder=folder)
     assert done.returncode == 0, done.stderr
     assert "ominal: " in done.stdout
@@ -40,21 +41,8 @@ def test_it_prints_on_numbered_a4_pages(report: Path, tmp_path: Path) -> None:
     chromium = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
     if chromium is None:
         pytest.skip("chromium is not installed: apt-get install chromium")
-    command = [
-        chromium,
-        "--headless=new",
-        "--no-sandbox",
-        "--disable-gpu",
-        "--disable-dev-shm-usage",
-        "--no-first-run",
-        "--disable-background-networking",
-        "--disable-component-update",
-        "--disable-sync",
-        "--no-pdf-header-footer",
-        f"--user-data-dir={tmp_path / 'profile'}",
-        f"--print-to-pdf={tmp_path / 'report.pdf'}",
-        report.as_uri(),
-    ]
+    places = (f"--user-data-dir={tmp_path / 'profile'}", f"--print-to-pdf={tmp_path / 'report.pdf'}")
+    command = [chromium, "--headless=new", *CHROMIUM, "--no-pdf-header-footer", *places, report.as_uri()]
     subprocess.run(command, check=True, capture_output=True, timeout=360)
     pages = PdfReader(tmp_path / "report.pdf").pages
     assert 5 <= len(pages) <= 15

@@ -16,7 +16,7 @@ from tests.support.recorded import write_judged
 from tests.support.rig import rig, run
 from twinmatch.parameters.twin import settings_from, twin_values
 from twinmatch.sessions import samples_of
-from twinmatch.showing.report.report import judge_for_report, make_report
+from twinmatch.showing.report.report import judge_for_report
 from twinmatch.signals import Sample
 from twinmatch.twin import Outcome, Twin
 
@@ -39,16 +39,7 @@ def record(judged: tuple[list[Sample], list[Outcome], dict[str, Any]], tmp_path:
     return lambda **changed: write_judged(tmp_path / "run", *judged, **changed)
 
 
-def test_the_recorded_parameters_are_used_and_the_verdicts_agree(record: Callable[..., Path]) -> None:
-    report = make_report(record())
-    assert report.judged.judgement.settings.decimals == 1
-    assert report.judged.identical is True
-    text = report.html()
-    assert "the same, bit for bit" in text
-    assert "those recorded with the session" in text
-
-
-def test_a_session_with_verdicts_is_judged_once(
+def test_a_session_with_verdicts_is_judged_once_with_its_parameters_and_they_agree(
     record: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pushed: list[int] = []
@@ -61,7 +52,10 @@ def test_a_session_with_verdicts_is_judged_once(
     folder = record()
     monkeypatch.setattr(Twin, "push", counted)
     found = judge_for_report(folder)
-    assert found.identical
+    assert found.judgement.settings.decimals == 1
+    assert found.identical is True
+    assert "the same, bit for bit" in found.recorded
+    assert found.parameters == "those recorded with the session"
     assert pushed == [sample.index for sample in found.session.samples]
 
 

@@ -7,6 +7,7 @@ import csv
 import hashlib
 import re
 import xml.etree.ElementTree as ET
+from datetime import datetime, timezone
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +24,13 @@ from twinmatch.showing.figures.drawing import svg
 from twinmatch.showing.forecasts import backtest_words, card_columns
 from twinmatch.showing.quantities import number
 from twinmatch.showing.report.pictures import write_pictures
-from twinmatch.showing.report.report import SessionReport, make_report, settings_of
+from twinmatch.showing.report.report import (
+    SessionReport,
+    judge_for_report,
+    make_report,
+    provenance,
+    settings_of,
+)
 from twinmatch.showing.summary import sentence
 from twinmatch.signals import Window
 from twinmatch.twin import TwinSettings
@@ -158,29 +165,21 @@ def test_its_forecasts_stand_beside_the_measurements(page: Element, shipped: Ses
     assert "leader_forecasts" in shipped.pictures
 
 
-def test_the_gap_table_holds_matrix_and_sums(page: Element, shipped: SessionReport) -> None:
+def test_gaps_of_plants_and_of_identified_models_have_a_table_each(
+    page: Element, shipped: SessionReport
+) -> None:
     verdict = shipped.judged.judgement.verdicts[-1]
-    table = tables_of(page)["ν-gap between the plants"]
-    rows = grid(table)
-    count = len(verdict.candidates)
-    shown = np.array([[float(c.text) for c in row[1 : count + 1]] for row in rows])
-    np.testing.assert_allclose(shown, verdict.nu_gap, atol=5.1e-4)
-    sums = [float(row[count + 1].text) for row in rows]
-    np.testing.assert_allclose(sums, [c.nu_gap_sum for c in verdict.candidates], atol=5.1e-4)
-    bold = [row[0].text for row in rows if "best" in row[count + 1].classes]
-    assert bold == [verdict.candidates[int(np.argmin(sums))].name]
-
-
-def test_the_gap_of_identified_models_has_a_table_of_its_own(page: Element, shipped: SessionReport) -> None:
-    """As in the paper's table."""
-    verdict = shipped.judged.judgement.verdicts[-1]
-    rows = grid(tables_of(page)[f"ν-gap between the models of order {verdict.order}"])
-    count = len(verdict.identified_gap)
-    shown = np.array([[float(c.text) for c in row[1 : count + 1]] for row in rows])
-    np.testing.assert_allclose(shown, verdict.identified_gap, atol=5.1e-4)
-    sums = [float(row[count + 1].text) for row in rows]
-    known = [c.identified_gap_sum for c in verdict.candidates if np.isfinite(c.identified_gap_sum)]
-    np.testing.assert_allclose(sums, known, atol=5.1e-4)
+    sums = [c.nu_gap_sum for c in verdict.candidates]
+    identified = [c.identified_gap_sum for c in verdict.candidates if np.isfinite(c.identified_gap_sum)]
+    for between, gaps, known in (
+        ("plants", verdict.nu_gap, sums),
+        (f"models of order {verdict.order}", verdict.identified_gap, identified),
+    ):
+        rows, count = grid(tables_of(page)[f"ν-gap between the {between}"]), len(gaps)
+        shown = np.array([[float(c.text) for c in row[1 : count + 2]] for row in rows])
+        np.testing.assert_allclose(shown, np.column_stack([gaps, known]), atol=5.1e-4)
+        bold = [k for k, row in enumerate(rows) if "best" in row[count + 1].classes]
+        assert bold == [int(np.argmin(known))]
 
 
 def test_nominal_parameters_have_units_errors_and_intervals(page: Element, shipped: SessionReport) -> None:
@@ -315,10 +314,11 @@ def test_a_recording_as_csv_is_reported_like_a_session(tmp_path: Path) -> None:
         writer = csv.writer(file)
         writer.writerow(["time", "reference", "temperature", "pwm"])
         writer.writerows(zip(window.time, window.reference, window.output, window.input, strict=True))
-    report = make_report(path)
-    assert report.nominal is not None
-    assert "has no recorded verdicts" in report.html()
-    assert [f.name for f in report.provenance.files] == ["bench.csv"]
+    judged = judge_for_report(path)
+    assert judged.judgement.summary.nominal is not None
+    assert "has no recorded verdicts" in judged.recorded
+    made = provenance(path, judged.judgement.settings, "", datetime.now(timezone.utc))
+    assert [f.name for f in made.files] == ["bench.csv"]
 
 
 def test_a_faulty_plant_is_reported_as_one(recordings: dict[int, Path], tmp_path: Path) -> None:
