@@ -12,7 +12,6 @@ from twinmatch.launching.processes import add_page_options, page_of
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
     add_options(parser, "--config", help="parameters of sampler and recorder")
     add_options(parser, "--plant", default="", help="plant of the rig")
     add_options(

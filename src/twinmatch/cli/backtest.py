@@ -25,7 +25,6 @@ from twinmatch.showing.forecasts import backtest_tables, backtest_words
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
     # Sessions come first: after --horizon or --peers they would be parsed as further values of these.
     parser.usage = "%(prog)s SESSION [SESSION ...] [options]"
     add_options(parser, "sessions")

@@ -13,7 +13,6 @@ from twinmatch.plants import find_plant
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
     codes = "Exit code 0: no findings; 1: findings, each with what to do; 2: the plant cannot be used."
     parser.description = codes
     parser.add_argument("plant", metavar="NAME|FILE.py", help="the plant")

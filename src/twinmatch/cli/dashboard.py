@@ -8,7 +8,6 @@ from twinmatch.cli.shared import add_options, add_serving_options, serving_words
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
     add_serving_options(parser, 5006)
     add_options(parser, "--config", help="parameters (.yaml) of the twin's nodes")
     parser.add_argument(

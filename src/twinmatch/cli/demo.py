@@ -16,7 +16,6 @@ LONGEST = 60.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
     add_options(parser, "session", nargs="?", help="session or recording to play instead")
     fastest = "highest speed of the virtual rig, times real time (default: as fast as the machine allows)"
     add_options(parser, "--speed", default=math.inf, help=fastest)

@@ -12,7 +12,6 @@ from twinmatch.plants import find_plant
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
     parser.add_argument("file", type=Path, metavar="FMU", help="the FMU; its binary is not run")
     plant = "the plant it will be a structure of (default: peltier)"
     parser.add_argument("--plant", default="peltier", help=plant)

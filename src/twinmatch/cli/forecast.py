@@ -26,7 +26,6 @@ from twinmatch.twin import TwinSettings
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
     parser.description = (
         "Runs the session through the twin once. At each chosen sample the leader (the candidate whose "
         "forecasts have cost least so far) forecasts what comes next, from the samples up to that one and "

@@ -9,7 +9,6 @@ from twinmatch.cli.shared import add_serving_options, check_writable, serving_wo
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
     add_serving_options(parser, 8765)
     parser.add_argument(
         "--layout",

@@ -21,7 +21,6 @@ from twinmatch.signals import Sample
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
     parser.add_argument(
         "recording",
         type=Path,

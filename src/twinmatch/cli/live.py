@@ -14,7 +14,6 @@ CONFIGS = {"peltier": ("rig.yaml", None), "tclab": ("tclab.yaml", "tclab_twin.ya
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
     parser.add_argument(
         "--plant", default="peltier", choices=sorted(CONFIGS), help="plant to run (default: peltier)"
     )

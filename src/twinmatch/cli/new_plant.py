@@ -16,7 +16,6 @@ from twinmatch.sessions.tables import read_table
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
     parser.add_argument("name", help="name of the plant: lower-case letters, digits and _")
     table = "recording (.csv or .mat) to take ranges, noise, sampling period and a first gain and lag from"
     parser.add_argument("--from", dest="table", type=Path, metavar="CSV", help=table)

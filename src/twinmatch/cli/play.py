@@ -9,7 +9,6 @@ from twinmatch.launching.processes import add_page_options, page_of
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
     add_options(parser, "session")
     parser.add_argument(
         "--rate", type=float, default=50.0, help="times recorded speed (default: 50); 0: as fast as possible"

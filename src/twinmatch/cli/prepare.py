@@ -11,7 +11,6 @@ from twinmatch.plants import PLANTS, find_plant
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
     parser.add_argument(
         "--plant", metavar="NAME|FILE.py", help="only this plant (default: all that come with twinmatch)"
     )

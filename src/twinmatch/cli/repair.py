@@ -9,7 +9,6 @@ from twinmatch.sessions.recording import repair_session
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
     add_options(parser, "session", help="session folder")
 
 

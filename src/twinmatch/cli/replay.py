@@ -39,7 +39,6 @@ if TYPE_CHECKING:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
     add_options(parser, "sessions", "--json", "--figure", *TERMS)
     group = parser.add_argument_group(
         "many sessions",

@@ -17,7 +17,6 @@ FORMATS = ("png", "pdf")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
     add_options(parser, "session")
     # The session comes first: after --peers it would be parsed as another of these.
     parser.usage = "%(prog)s SESSION [options]"

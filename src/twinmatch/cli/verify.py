@@ -9,7 +9,6 @@ from twinmatch.offline.verification import verify_session
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
     add_options(parser, "session", help="session folder or .mcap file")
     topic = "topic of the samples, if the session has several rigs"
     parser.add_argument("--topic", metavar="TOPIC", help=topic)

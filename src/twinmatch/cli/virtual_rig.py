@@ -25,7 +25,6 @@ _STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of `twinmatch virtual-rig`."""
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     width = max(map(len, KINDS))
     parser.epilog = "faults:\n" + "\n".join(f"  {kind:{width}}  {text}" for kind, text in KINDS.items())

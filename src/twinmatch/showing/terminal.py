@@ -22,7 +22,7 @@ from twinmatch.dynamics import Plant
 from twinmatch.offline.summary import nominal_score
 from twinmatch.showing.family import CRITERIA, chosen_score
 from twinmatch.showing.lines import STYLES, Lines, redraws
-from twinmatch.showing.quantities import number, parameter_format, span_text
+from twinmatch.showing.quantities import number, parameter_format, percent, span_text
 from twinmatch.showing.verdicts import Event, EventKind, events_since, leader_words, level_words, missed
 from twinmatch.twin import MatchReport
 
@@ -134,11 +134,10 @@ class Screen:
         if self._total is None:
             parts.append(Text(f"plant time {plant_time} h, {self._done} samples"))
         else:
-            whole = str(timedelta(seconds=int(self._total * self._period)))
+            whole, total = timedelta(seconds=int(self._total * self._period)), max(self._total, 1)
             if width > 2 * BAR + len(self._title):
-                parts.append(ProgressBar(max(self._total, 1), self._done, width=BAR))
-            share = 100 * self._done / max(self._total, 1)
-            parts.append(Text(f"{number(share, 0)} %, {plant_time} of {whole} h"))
+                parts.append(ProgressBar(total, self._done, width=BAR))
+            parts.append(Text(f"{percent(self._done / total, 0)} %, {plant_time} of {whole} h"))
         grid = Table.grid(padding=(0, 2, 0, 0))
         grid.add_row(*parts)
         return grid
@@ -168,13 +167,8 @@ def _headline(verdict: Verdict | None, period: float) -> RenderableType:
     """Level, leader, nominal, fault and reason, each after its label."""
     level = TrustLevel.UNKNOWN if verdict is None else verdict.level
     grid = Table.grid(padding=(0, 2, 0, 0))
-    grid.add_row(
-        "level",
-        Text.assemble(
-            (f" {level.value.upper()} ", f"{STYLES[level]} reverse"),
-            (f"  {level_words(verdict)}", STYLES[level]),
-        ),
-    )
+    badge, words = (f" {level.value.upper()} ", f"{STYLES[level]} reverse"), f"  {level_words(verdict)}"
+    grid.add_row("level", Text.assemble(badge, (words, STYLES[level])))
     if verdict is None:
         grid.add_row("verdict", "none yet")
         return grid
@@ -228,10 +222,8 @@ def family_table(verdict: Verdict, determined: WellDetermined, width: int) -> Ta
     rows = [(c, determined.get((c.first, c.last), ())) for c in verdict.modelled]
     columns = _family_columns(verdict)
     cells = [[column.cell(*row) for row in rows] for column in columns]
-    widths = [
-        max(cell_len(text) for text in (*column.header.split("\n"), *texts))
-        for column, texts in zip(columns, cells, strict=True)
-    ]
+    pairs = zip(columns, cells, strict=True)
+    widths = [max(map(cell_len, (*column.header.split("\n"), *texts))) for column, texts in pairs]
     table = Table(box=None, padding=(0, _GAP, 0, 0), pad_edge=False, header_style="bold")
     chosen = _fitting([c.priority for c in columns], widths, width)
     for k in chosen:
@@ -264,24 +256,16 @@ def _family_columns(verdict: Verdict) -> tuple[FamilyColumn, ...]:
     if not verdict.modelled:
         return (first,)
     model = verdict.candidates[0].parameters.model
-    y, u = model.plant.output, model.plant.drive
+    y, u, free = model.plant.output, model.plant.drive, model.structure.free
     return (
         first,
         FamilyColumn(f"at\n{y.unit}", 8, lambda c, _: number(c.operating_point, y.decimals)),
-        *(
-            _parameter(model.plant, name, 4 + k / len(model.structure.free))
-            for k, name in enumerate(model.structure.free)
-        ),
+        *(_parameter(model.plant, name, 4 + k / len(free)) for k, name in enumerate(free)),
         FamilyColumn("order", 1, lambda c, _: c.chosen_order),
-        *(
-            _criterion(name, header, priority)
-            for name, header, priority in (
-                ("gain", "gain\ncharacters", 7),
-                ("naic", "nAIC", 11),
-                ("bic", "BIC", 12),
-                ("mdl", f"MDL\n{y.unit}²+{u.unit or u.name}²", 13),
-            )
-        ),
+        _criterion("gain", "gain\ncharacters", 7),
+        _criterion("naic", "nAIC", 11),
+        _criterion("bic", "BIC", 12),
+        _criterion("mdl", f"MDL\n{y.unit}²+{u.unit or u.name}²", 13),
         FamilyColumn("ν-gap\nsum", 2, lambda c, _: number(c.nu_gap_sum, 3)),
         FamilyColumn(
             "90 %\ninterval", 10, lambda c, _: span_text(c.nu_gap_sum_low, c.nu_gap_sum_high, 2, "…")

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from itertools import cycle
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any, Final
 
@@ -133,27 +134,31 @@ def draw_backtest(backtest: Backtest) -> Figure:
         empty(errors, "no forecast could be judged")
         held.set_axis_off()
     output = figure.add_subplot(grid[1, :])
-    left = figure.add_subplot(grid[2, :], sharex=output)
-    entry = figure.add_subplot(grid[3, :], sharex=output)
-    _draw_came(output, entry, backtest)
+    axes = (output, *(figure.add_subplot(grid[row, :], sharex=output) for row in (2, 3)))
+    for k, window in enumerate(backtest.came):
+        draw_outputs(output, window, closed=not backtest.driven, named=not k, plant="measured", lw=1)
+        draw_inputs(axes[-1], window, 0.8)
     for k, forecast in enumerate(backtest.shown):
-        _draw_forecast((output, left, entry), forecast, backtest, first=k == 0)
-    _dress((output, left, entry), backtest)
-    figure.align_ylabels((output, left, entry))
+        _draw_forecast(axes, forecast, backtest, first=k == 0)
+    _dress(axes, backtest)
+    figure.align_ylabels(axes)
     return figure
 
 
 def _looks(found: Sequence[Card]) -> dict[str, tuple[str, str]]:
-    names = list(dict.fromkeys(card.who for card in found))
-    others = [name for name in names if name not in _LOOKS]
-    return {
-        name: _LOOKS[name] if name in _LOOKS else _PEERS[others.index(name) % len(_PEERS)] for name in names
-    }
+    peers = cycle(_PEERS)
+    names = dict.fromkeys(card.who for card in found)
+    return {name: _LOOKS.get(name) or next(peers) for name in names}
 
 
-def _places(count: int) -> Sequence[float]:
-    """Horizontal offsets of the forecasters around a horizon."""
-    return [(k - (count - 1) / 2) * 0.8 / count for k in range(count)]
+def _marks(
+    found: Sequence[Card], horizons: Sequence[float], looks: dict[str, tuple[str, str]]
+) -> Iterator[tuple[str, list[float], list[Card]]]:
+    """Every forecaster with its cards and their places, side by side around the horizons."""
+    for k, who in enumerate(looks):
+        shift = (k - (len(looks) - 1) / 2) * 0.8 / len(looks)
+        own = [card for card in found if card.who == who]
+        yield who, [horizons.index(card.horizon) + shift for card in own], own
 
 
 def _draw_errors(
@@ -162,10 +167,9 @@ def _draw_errors(
     """Median, and a line up to the value below which nine in ten are."""
     from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter  # noqa: PLC0415 — slow
 
-    for (who, (colour, marker)), shift in zip(looks.items(), _places(len(looks)), strict=True):
-        own = [(horizons.index(c.horizon) + shift, c) for c in found if c.who == who]
-        places, medians = [place for place, _ in own], [c.median for _, c in own]
-        axes.vlines(places, medians, [c.nine_in_ten for _, c in own], color=colour, lw=1.2)
+    for who, places, own in _marks(found, horizons, looks):
+        (colour, marker), medians = looks[who], [c.median for c in own]
+        axes.vlines(places, medians, [c.nine_in_ten for c in own], color=colour, lw=1.2)
         axes.plot(places, medians, marker, color=colour, ms=6, label=who)
     axes.set_yscale("log")
     axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
@@ -180,11 +184,10 @@ def _draw_coverage(
     axes: Axes, backtest: Backtest, found: Sequence[Card], looks: dict[str, tuple[str, str]]
 ) -> None:
     """Share of the samples in the band: output filled, input hollow."""
-    for (who, (colour, marker)), shift in zip(looks.items(), _places(len(looks)), strict=True):
-        own = [(backtest.horizons.index(c.horizon) + shift, c) for c in found if c.who == who]
-        places = [place for place, _ in own]
-        axes.plot(places, [100 * c.coverage_output for _, c in own], marker, color=colour, ms=6)
-        axes.plot(places, [100 * c.coverage_input for _, c in own], marker, color=colour, ms=6, mfc="white")
+    for who, places, own in _marks(found, backtest.horizons, looks):
+        colour, marker = looks[who]
+        axes.plot(places, [100 * c.coverage_output for c in own], marker, color=colour, ms=6)
+        axes.plot(places, [100 * c.coverage_input for c in own], marker, color=colour, ms=6, mfc="white")
     axes.axhline(100 * backtest.confidence, color=MODEL, lw=1, ls="--")
     words = signal_names(backtest.plant)
     of_both = f"Coverage of the band: {words.output} filled, {words.input} hollow"
@@ -199,16 +202,7 @@ def _name_horizons(axes: Axes, horizons: Sequence[float]) -> None:
     axes.grid(visible=False, axis="x")
 
 
-def _draw_came(output: Axes, entry: Axes, backtest: Backtest) -> None:
-    """Draw the samples of the session."""
-    for k, window in enumerate(backtest.came):
-        draw_outputs(output, window, closed=not backtest.driven, named=not k, plant="measured", lw=1)
-        draw_inputs(entry, window, 0.8)
-
-
-def _draw_forecast(
-    axes: tuple[Axes, Axes, Axes], forecast: Forecast, backtest: Backtest, *, first: bool
-) -> None:
+def _draw_forecast(axes: Sequence[Axes], forecast: Forecast, backtest: Backtest, *, first: bool) -> None:
     """Draw a forecast of the leader, mean and band, and the output's error within the band."""
     output, left, entry = axes
     hidden = "" if first else "_"
@@ -225,7 +219,7 @@ def _draw_forecast(
             left.plot(time, came - band.mean, color=PLANT, lw=0.8)
 
 
-def _dress(axes: tuple[Axes, Axes, Axes], backtest: Backtest) -> None:
+def _dress(axes: Sequence[Axes], backtest: Backtest) -> None:
     output, left, entry = axes
     words = signal_names(backtest.plant)
     if backtest.shown:

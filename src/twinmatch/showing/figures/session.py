@@ -28,7 +28,7 @@ from twinmatch.showing.series import Comparison, compare, rolling_rms
 from twinmatch.showing.style import CLOSED, DRIVEN, LEVELS, PLANT, SET_POINT, TEXT
 from twinmatch.showing.verdicts import admitted, last_verdict, level_stretches
 from twinmatch.signals import FloatArray, Sample, Window, unbroken
-from twinmatch.twin import MatchReport, TwinSettings, response_on
+from twinmatch.twin import MatchReport, TwinSettings
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -91,9 +91,8 @@ def _draw_twins(upper: Axes, control: Axes, part: Comparison, *, first: bool) ->
     closed, driven = ("closed-loop twin", "driven twin") if first else ("_", "_")
     if part.closed is not None:
         upper.plot(part.time, part.closed.output, color=CLOSED, lw=1, label=closed)
-    upper.plot(part.time, part.driven, color=DRIVEN, lw=1, ls=":", label=driven)
-    if part.closed is not None:
         control.plot(part.time, part.closed.input, color=CLOSED, lw=0.8, label=closed)
+    upper.plot(part.time, part.driven, color=DRIVEN, lw=1, ls=":", label=driven)
 
 
 def _draw_residuals(axes: Sequence[Axes], part: Comparison, *, first: bool) -> None:
@@ -209,8 +208,13 @@ def draw_verdict(
         window = Window.from_samples(stretch, settings.period)
         draw_outputs(upper, window, closed=settings.gains is not None, named=number == 0, lw=1.2)
         draw_inputs(control, window, 0.9)
-        if shown is not None and len(window) >= 4:
-            _draw_twin(upper, control, window, shown, settings, named=number == 0)
+    parts = compare(samples, shown.parameters, settings.gains, settings.period) if shown else ()
+    for number, part in enumerate(parts):
+        label = f"twin of {shown.name}" if shown and number == 0 else "_"
+        output = part.driven if part.closed is None else part.closed.output
+        upper.plot(part.time, output, color=CLOSED, lw=1, label=label)
+        if part.closed is not None:
+            control.plot(part.time, part.closed.input, color=CLOSED, lw=0.8)
     signals = signal_names(settings.plant)
     for axes, label in ((upper, signals.output_label), (control, signals.input_label)):
         axes.set_ylabel(label)
@@ -224,18 +228,6 @@ def draw_verdict(
         draw_gains(figure.add_subplot(grid[3, 0]), last)
         fill_matrix(figure.add_subplot(grid[3, 1]), last)
     save(figure, path)
-
-
-def _draw_twin(
-    upper: Axes, control: Axes, window: Window, shown: ShownTwin, settings: TwinSettings, *, named: bool
-) -> None:
-    """The twin's response on one unbroken stretch."""
-    twin = response_on(shown.parameters, window, settings.gains)
-    upper.plot(
-        window.time[2:], twin.output, color=CLOSED, lw=1, label=f"twin of {shown.name}" if named else "_"
-    )
-    if settings.gains is not None:
-        control.plot(window.time[2:], twin.input, color=CLOSED, lw=0.8)
 
 
 def _title(shown: ShownTwin, nominal: CandidateScore | None) -> str:

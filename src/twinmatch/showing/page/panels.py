@@ -180,10 +180,9 @@ def status(state: DashboardState, now: float) -> str:
 def _sample_pill(state: DashboardState, now: float) -> str:
     if state.received_at is None:
         return _pill(TrustLevel.UNKNOWN, "waiting for the first sample")
-    quiet, patience = now - state.received_at, SILENCE * max(1.0, state.period)
-    at = (state.sample or 0) * state.period
+    quiet, at = now - state.received_at, (state.sample or 0) * state.period
     newest = f"sample {state.sample}, {number(at, 0 if state.period >= 1 else 1)} s"
-    if quiet > patience and state.nodes.ended is None:
+    if quiet > SILENCE * max(1.0, state.period) and state.nodes.ended is None:
         return _pill(TrustLevel.DOUBTFUL, f"no sample for {quiet:.0f} s after {newest}")
     return _pill(TrustLevel.TRUSTED, newest)
 
@@ -229,7 +228,7 @@ def family_table(verdict: Verdict | None, *, every: bool) -> str:
             cells += [
                 f'<td class="best">{c.text}</td>' if c.best else f"<td>{c.text}</td>" for c in line.cells
             ]
-            cells += [f"<td>{escape(value)}</td>" for value in (rest if line.chosen else [""] * len(rest))]
+            cells += [f"<td>{escape(value) if line.chosen else ''}</td>" for value in rest]
             kind = "nominal-row" if nominal and line.chosen else "" if line.chosen else "faded"
             lines.append(f'<tr class="{kind}">{"".join(cells)}</tr>')
     return _table(head, lines)

@@ -11,7 +11,7 @@ from twinmatch.comparing import REFUSED, CandidateScore, Verdict
 from twinmatch.dynamics import Plant
 from twinmatch.fitting import Match
 from twinmatch.offline.backtest import Backtest
-from twinmatch.offline.backtest.scoring import LEADER, TWINS, Card
+from twinmatch.offline.backtest.scoring import LEADER, TWINS
 from twinmatch.showing.family import Member, computed, criterion_rows, interval, outputs_of, value_of
 from twinmatch.showing.forecasts import card_columns, levels_words
 from twinmatch.showing.quantities import (
@@ -32,19 +32,14 @@ Item = TypeVar("Item")
 
 
 class Cell(NamedTuple):
-    """One cell."""
+    """One cell, which may be in bold, head its row, be aligned right, span rows, and have a CSS class."""
 
     text: str
     best: bool = False
-    """Set in bold."""
     head: bool = False
-    """Heads its row."""
     number: bool = True
-    """Aligned right."""
     rows: int = 1
-    """Number of rows it spans."""
     mark: str = ""
-    """CSS class."""
 
 
 @dataclass(frozen=True)
@@ -309,18 +304,16 @@ def forecast_tables(tested: Backtest) -> list[ReportTable]:
     used live is bold."""
     columns, found = card_columns(tested.plant, driven=tested.driven), []
     for horizon, cards in tested.at_horizons.items():
-        least = min((c.median for c in cards if c.who not in TWINS[1:]), default=None)
-
-        def cell(card: Card, name: str, text: str, least: float | None = least) -> Cell:
-            if name == "who":
-                return _head(text)
-            live = card.who not in TWINS[1:]
-            return Cell(text, best=name == "error" and live and card.median == least)
-
+        live = [card for card in cards if card.who not in TWINS[1:]]
+        best = {card.who for card in live if card.median == min(c.median for c in live)}
+        rows = []
+        for card in cards:
+            who, *figures = (text(card) for _, text in columns)
+            error = Cell(figures[0], best=card.who in best)
+            rows.append((_head(who), error, *map(Cell, figures[1:])))
         caption = f"{horizon:g} s ahead, {cards[0].count} forecasts"
-        rows = tuple(tuple(cell(card, name, text(card)) for name, text in columns) for card in cards)
         marked = frozenset(k for k, card in enumerate(cards) if card.who == LEADER)
-        found.append(ReportTable(caption, tuple(name for name, _ in columns), rows, marked))
+        found.append(ReportTable(caption, tuple(name for name, _ in columns), tuple(rows), marked))
     return found
 
 
@@ -339,19 +332,19 @@ def leader_forecast_table(fans: Sequence[Fan], plant: type[Plant]) -> ReportTabl
         inside = one.in_band[signal]
         return Cell(f"{percent(float(inside.mean()), 0)} %" if inside.size else "–")
 
+    def last(one: Fan) -> Cell:
+        return Cell(number(None if one.measured is None else one.measured.output[-1], decimals))
+
+    def error(one: Fan) -> Cell:
+        return Cell(number(root_mean_square([one.error]), decimals + 1))
+
+    unit = signals.output_unit
     shown: list[tuple[str, Callable[[Fan], Cell]]] = [
         ("made at / s", lambda one: _head(number(one.forecast.sample * one.past.period, 0))),
         ("by", lambda one: _words(one.forecast.candidate)),
         (with_unit(*moves), lambda one: _words(levels_words(one.forecast))),
-        (with_unit("forecast at its end", signals.output_unit), ends),
-        (
-            with_unit("measured", signals.output_unit),
-            lambda one: Cell(number(None if one.measured is None else one.measured.output[-1], decimals)),
-        ),
-        (
-            with_unit("RMS error", signals.output_unit),
-            lambda one: Cell(number(root_mean_square([one.error]), decimals + 1)),
-        ),
+        *((with_unit("forecast at its end", unit), ends), (with_unit("measured", unit), last)),
+        (with_unit("RMS error", unit), error),
         (f"{signals.output} within band", lambda one: share(one, 0)),
         *([(f"{signals.input} within band", lambda one: share(one, 1))] if closed else []),
     ]
