@@ -19,7 +19,7 @@ from tests.support.plants import Box, Lag
 from twinmatch.dynamics import Experiment
 from twinmatch.fitting import fit_structure
 from twinmatch.forecasting import Forecast, ForecastError
-from twinmatch.offline.backtest.arx import InputArx, LoopArx, equations
+from twinmatch.offline.backtest.arx import Equation, InputArx, LoopArx, _Loop, _simulated, equations
 from twinmatch.offline.backtest.peer import BacktestError, Peer
 from twinmatch.offline.backtest.peers import (
     PEERS,
@@ -138,6 +138,16 @@ def test_the_limiter_is_foreseen() -> None:
     came = np.mean([linear_loop(ahead, random, past).output for _ in range(40)], axis=0)
     forecast = LoopArx(Peltier).forecast(past, ahead)
     assert np.mean(np.abs(forecast.output.mean - came)) < 1.2
+
+
+def test_an_input_at_its_limit_narrows_no_band_of_the_next() -> None:
+    """u = r − y/2 + v, with no past: its spread is that of y/2 and v, whatever the limiter did before."""
+    plant = Equation(0.0, np.empty(0), np.zeros((1, 3)), 0.04, 0.0)
+    controller = Equation(0.0, np.array([1.0, -0.5]), np.zeros((1, 3)), 0.09, 0.0)
+    past, wide, limits = np.zeros(1), np.array([-1e9, 1e9]), np.array([-1.0, 1.0])
+    loop, ahead = _Loop(plant, controller), np.array([1e6, 0.0])
+    _, spread = _simulated(loop, (past, past, past), ahead, np.zeros((3, 0)), (wide, limits))
+    np.testing.assert_allclose(spread, [[0.2, 0.1**0.5]] * 2)
 
 
 def test_the_least_squares_are_those_of_statsmodels(loop: Window) -> None:

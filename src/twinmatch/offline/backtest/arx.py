@@ -231,7 +231,7 @@ def _run_ahead(
     means, spreads = np.empty((count, 2)), np.empty((count, 2))
     covariance, after, reach = np.zeros((size, size)), np.zeros((size, size)), np.zeros((2, size))
     of_y, of_u = sizes[0, 1], sizes[1, 1]
-    gain, passed, now, square = direct[1], 1.0, np.empty(2), np.zeros((2, 2))
+    gain, now, square = direct[1], np.empty(2), np.zeros((2, 2))
     for k in range(count):
         now[0], now[1] = sizes[0, 0], sizes[1, 0]
         for of in range(2):
@@ -252,7 +252,8 @@ def _run_ahead(
                     square[of, other] += rows[of, i] * reach[other, i]
         means[k, 0], means[k, 1] = y, u
         spreads[k, 0] = np.sqrt(square[0, 0] + of_y)
-        spreads[k, 1] = np.sqrt(square[1, 1] + passed**2 * (gain**2 * of_y + of_u))
+        wanted = square[1, 1] + gain**2 * of_y + of_u
+        spreads[k, 1] = np.sqrt(wanted)
         above = math.erfc((u - bounds[1, 1]) / spreads[k, 1] * math.sqrt(0.5))
         passed = 0.5 * (above - math.erfc((u - bounds[1, 0]) / spreads[k, 1] * math.sqrt(0.5)))
         for i in range(size):
@@ -264,7 +265,7 @@ def _run_ahead(
                 after[order, i] = after[i, order] = passed * reach[1, i - 1]
         after[0, 0] = square[0, 0] + of_y
         after[0, order] = after[order, 0] = passed * (square[0, 1] + gain * of_y)
-        after[order, order] = passed**2 * (square[1, 1] + gain**2 * of_y + of_u)
+        after[order, order] = passed**2 * wanted
         covariance, after = after, covariance
         for i in range(order - 1, 0, -1):
             for j in range(lags.shape[1]):
