@@ -148,11 +148,9 @@ def test_the_summary_tells_the_last_refusal() -> None:
 def test_a_new_leader_is_reported() -> None:
     story = [verdict(UNKNOWN, 60, nominal=None), verdict(TRUSTED, 120)]
     story += [verdict(TRUSTED, 180, leader=name) for name in ("a", "a", "b")]
-    found = [e for e in events(story) if e.kind is EventKind.LEADER]
-    assert [(e.title, e.why) for e in found] == [
-        ("a leads", "the first with forecasts"),
-        ("b leads", "its forecasts are better than those of a"),
-    ]
+    found = {e.title: e.why for e in events(story) if e.kind is EventKind.LEADER}
+    better = "its forecasts are better than those of a"
+    assert found == {"a leads": "the first with forecasts", "b leads": better}
 
 
 def test_events_come_in_order_with_their_kind_and_reason() -> None:

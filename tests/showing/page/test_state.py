@@ -74,12 +74,9 @@ def test_a_spike_of_one_sample_stays_as_high_as_it_was() -> None:
     assert np.all(np.diff(columns["index"]) > 0)
 
 
-def test_envelope_keeps_the_order_within_a_group() -> None:
+def test_envelope_keeps_the_order_within_a_group_and_shows_what_is_missing() -> None:
     rows = np.array([[0.0, 5.0], [1.0, 9.0], [2.0, 1.0], [3.0, 2.0]])
     assert envelope(rows, 4).tolist() == [[0.0, 9.0], [3.0, 1.0]]
-
-
-def test_envelope_shows_what_is_missing() -> None:
     rows = np.array([[0.0, 1.0], [1.0, np.nan], [2.0, 3.0], [3.0, 4.0]])
     drawn = envelope(rows, 2)
     assert np.isnan(drawn[:2, 1]).all()
@@ -151,25 +148,20 @@ def test_indices_that_start_over_are_a_new_session(judged: Judgement) -> None:
     assert {e.session for e in list(state.events)[:-1]} == {1}
 
 
-def test_the_twins_rows_may_come_before_the_sample_of_a_new_session() -> None:
-    state = DashboardState()
-    for k in range(10):
-        state.push_sample(sample(k), 0.0)
-        state.push_twin(k, twin_row(1.0))
-    state.push_twin(0, twin_row(2.0))
-    state.push_sample(sample(0), 0.0)
-    assert state.twin.since(0)[0]["closed_input"].tolist() == [2.0]
-
-
-def test_a_late_row_of_the_session_before_does_no_harm() -> None:
-    state = DashboardState()
-    for k in range(10):
-        state.push_sample(sample(k), 0.0)
-    state.push_sample(sample(0), 0.0)
-    state.push_twin(9, twin_row(1.0))
-    state.push_twin(0, twin_row(2.0))
-    assert state.plant.count == 1
-    assert state.twin.since(0)[0]["closed_input"].tolist() == [2.0]
+def test_the_twins_rows_of_a_new_session_may_come_first_and_a_late_one_of_the_old_does_no_harm() -> None:
+    for early in (True, False):
+        state = DashboardState()
+        for k in range(10):
+            state.push_sample(sample(k), 0.0)
+            state.push_twin(k, twin_row(1.0))
+        if early:
+            state.push_twin(0, twin_row(2.0))
+        state.push_sample(sample(0), 0.0)
+        if not early:
+            state.push_twin(9, twin_row(1.0))
+            state.push_twin(0, twin_row(2.0))
+        assert state.plant.count == 1
+        assert state.twin.since(0)[0]["closed_input"].tolist() == [2.0]
 
 
 def test_events_and_stretches_are_those_of_the_report(judged: Judgement) -> None:
@@ -202,12 +194,8 @@ def test_marks_follow_what_happened(judged: Judgement) -> None:
 def test_a_fault_is_reported_when_it_comes_and_when_it_goes() -> None:
     state = DashboardState()
     state.push_sample(sample(41), 0.0)
-    for fault in (
-        "",
-        "over_temperature: 111 °C is above 110 °C",
-        "over_temperature: 111 °C is above 110 °C",
-        "",
-    ):
+    hot = "over_temperature: 111 °C is above 110 °C"
+    for fault in ("", hot, hot, ""):
         state.push_drive(DriveReport(0.0, math.nan, fault))
     told = [(e.sample, e.title, e.why) for e in state.events]
     assert told == [
@@ -250,6 +238,7 @@ def test_an_image_without_values_leaves_the_one_before() -> None:
 
 def test_it_takes_no_more_room_however_long(judged: Judgement) -> None:
     """Samples, twins, verdicts, matches, faults, warnings and images, beyond what is kept of each."""
+    assert CAPACITY == 3600 * 10  # an hour at 10 Hz
     kept = 5_000
     state = DashboardState(kept)
     images = [np.full((60, 80), float(k), dtype=np.float32) for k in range(2)]
@@ -279,10 +268,6 @@ def test_it_takes_no_more_room_however_long(judged: Judgement) -> None:
     assert len(state.plant.since(0)[0]["index"]) == kept
     assert len(state.events) == EVENTS
     assert len(state.trust) == STRETCHES
-
-
-def test_an_hour_at_ten_hertz_is_kept() -> None:
-    assert CAPACITY == 3600 * 10
 
 
 def summed_up(samples: Sequence[Sample], verdicts: Sequence[Verdict]) -> str:
