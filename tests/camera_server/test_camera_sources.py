@@ -77,23 +77,7 @@ def test_counters_continue_over_the_rounds(tmp_path: Path) -> None:
     source.close()
 
 
-def test_a_frame_that_is_not_yet_due(tmp_path: Path) -> None:
-    source = RecordedSource(recording(tmp_path / "r", [1, 2], gap_ms=60_000))
-    source.open()
-    assert source.read(0.01) is not None
-    assert source.read(0.01) is None
-    source.close()
-
-
-def test_a_recording_without_a_frame(tmp_path: Path) -> None:
-    (tmp_path / "r").write_bytes(b"")
-    source = RecordedSource(tmp_path / "r")
-    with pytest.raises(SourceError, match="holds no frame; record one first"):
-        source.open()
-    source.close()
-
-
-def test_a_damaged_recording(tmp_path: Path) -> None:
+def test_recordings_that_are_empty_or_damaged(tmp_path: Path) -> None:
     path = recording(tmp_path / "r", [1, 2, 3])
     data = bytearray(path.read_bytes())
     data[len(data) // 2] ^= 1
@@ -102,6 +86,11 @@ def test_a_damaged_recording(tmp_path: Path) -> None:
     source.open()
     with pytest.raises(SourceError, match="frame 2: thermal frame: checksum"):
         drain(source, 3)
+    source.close()
+    path.write_bytes(b"")
+    source = RecordedSource(path)
+    with pytest.raises(SourceError, match="holds no frame; record one first"):
+        source.open()
     source.close()
 
 
@@ -123,12 +112,15 @@ def test_nonsense_on_the_feed_is_reported_and_skipped(
     source.close()
 
 
-def test_an_image_that_is_not_yet_due() -> None:
-    source = EmulatedSource(plate=30.0, settings=LeptonSettings(rate=0.1))
-    source.open()
-    assert source.read(0.01) is not None
-    assert source.read(0.01) is None
-    source.close()
+def test_a_frame_that_is_not_yet_due(tmp_path: Path) -> None:
+    for source in (
+        RecordedSource(recording(tmp_path / "r", [1, 2], gap_ms=60_000)),
+        EmulatedSource(plate=30.0, settings=LeptonSettings(rate=0.1)),
+    ):
+        source.open()
+        assert source.read(0.01) is not None
+        assert source.read(0.01) is None
+        source.close()
 
 
 # --- the thread and the program ------------------------------------------------------------------
@@ -176,7 +168,7 @@ def raising(error: BaseException) -> Callable[[], Exposure]:
     return step
 
 
-def test_exposures_are_numbered_and_published() -> None:
+def test_exposures_are_numbered_and_published_under_a_boot_id_of_this_run() -> None:
     sink = Sink()
     source = Scripted(lambda: shot(1), lambda: None, lambda: shot(2), raising(EndOfRecording("it ends")))
     thread = CameraThread(source, sink)
@@ -186,12 +178,7 @@ def test_exposures_are_numbered_and_published() -> None:
     assert [(f.sequence, f.frame_counter) for f in frames] == [(0, 1), (1, 2)]
     assert {f.boot_id for f in frames} == {thread.boot_id}
     assert thread.failure is None
-    sink.close()
-
-
-def test_every_run_has_its_own_boot_id() -> None:
-    sink = Sink()
-    assert CameraThread(Scripted(), sink).boot_id != CameraThread(Scripted(), sink).boot_id
+    assert CameraThread(Scripted(), sink).boot_id != thread.boot_id
     sink.close()
 
 
@@ -213,15 +200,13 @@ def test_a_source_that_does_not_open_gives_everything_back() -> None:
     Broadcast("127.0.0.1", port).close()
 
 
-def test_the_end_of_a_recording_is_reported(caplog: pytest.LogCaptureFixture) -> None:
+def test_the_end_of_a_recording_is_reported_and_signal_handlers_are_put_back(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
     caplog.set_level(logging.INFO)
-    run(Scripted(raising(EndOfRecording("it ends"))), Broadcast("127.0.0.1", 0))
-    assert caplog.messages[-2:] == ["it ends", "stopped"]
-
-
-def test_signal_handlers_are_put_back() -> None:
     before = signal.getsignal(signal.SIGTERM), signal.getsignal(signal.SIGINT)
     run(Scripted(raising(EndOfRecording("it ends"))), Broadcast("127.0.0.1", 0))
+    assert caplog.messages[-2:] == ["it ends", "stopped"]
     assert (signal.getsignal(signal.SIGTERM), signal.getsignal(signal.SIGINT)) == before
 
 
@@ -281,24 +266,22 @@ def test_an_image_cut_short_is_left_out() -> None:
     assert source.read(0.1) is not None
 
 
-def test_a_device_that_falls_silent(monkeypatch: pytest.MonkeyPatch) -> None:
+class Unplugged(FakeCapture):
+    def read(self, _timeout: float) -> bytes | None:
+        raise OSError(19, "No such device")
+
+
+def test_a_device_that_falls_silent_is_unplugged_or_was_never_opened(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(v4l2_module, "_PATIENCE", -1.0)
     with pytest.raises(SourceError, match=r"no image for -1\.0 s"):
         opened(FakeCapture()).read(0.1)
-
-
-def test_a_device_that_is_unplugged() -> None:
-    class Unplugged(FakeCapture):
-        def read(self, _timeout: float) -> bytes | None:
-            raise OSError(19, "No such device")
-
     with pytest.raises(SourceError, match="No such device; is it unplugged"):
         opened(Unplugged()).read(0.1)
-
-
-def test_read_before_open_and_close_twice() -> None:
     with pytest.raises(SourceError, match="read before it was opened"):
         V4l2Source().read(0.1)
+
+
+def test_it_is_closed_once() -> None:
     capture = FakeCapture()
     source = opened(capture)
     source.close()
@@ -407,12 +390,9 @@ def test_the_names_asked_of_linuxpy_exist() -> None:
 
 
 def test_linuxpy_is_asked_for_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "linuxpy.video.device", None)
-    with pytest.raises(SourceError, match=r"install with `pip install 'twinmatch-camera\[v4l2\]'`"):
-        V4l2Source("/dev/video9").open()
-
-
-def test_no_such_device() -> None:
     pytest.importorskip("linuxpy.video.device")
     with pytest.raises(SourceError, match=r"/dev/no-such-video.*shows what there is"):
         V4l2Source("/dev/no-such-video").open()
+    monkeypatch.setitem(sys.modules, "linuxpy.video.device", None)
+    with pytest.raises(SourceError, match=r"install with `pip install 'twinmatch-camera\[v4l2\]'`"):
+        V4l2Source("/dev/video9").open()

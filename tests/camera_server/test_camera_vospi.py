@@ -62,27 +62,20 @@ def feed(assembler: Assembler, packets: Iterable[bytes]) -> list[VospiFrame]:
 # --- packets to frames ---------------------------------------------------------------------------
 
 
-def test_a_frame_among_discard_packets() -> None:
-    stream = [DISCARD] * 7 + frame_packets() + [DISCARD] * 3 + frame_packets(level=31000)
+def test_a_frame_among_discard_packets_and_joined_in_the_midst_of_one() -> None:
+    packets = frame_packets()
+    begun = [*packets[20:], *packets[:30], DISCARD, DISCARD, *packets[30:]]
+    stream = [DISCARD] * 7 + begun + [DISCARD] * 3 + frame_packets(level=31000)
     first, second = feed(Assembler(), stream)
     assert first.image[:, 0].tolist() == [30000 + 10 * row for row in range(60)]
     assert first.telemetry.tolist() == telemetry_rows().tolist()
     assert second.image[0, 79] == 31000
 
 
-def test_discard_packets_within_a_frame_are_skipped() -> None:
-    packets = frame_packets()
-    assert len(feed(Assembler(), [*packets[:30], DISCARD, DISCARD, *packets[30:]])) == 1
-
-
 def test_the_high_nibble_of_the_id_does_not_matter() -> None:
     packets = frame_packets()
     packets[20] = bytes([0x40 | packets[20][0]]) + packets[20][1:]
     assert len(feed(Assembler(), packets)) == 1
-
-
-def test_joining_in_the_midst_of_a_frame_waits_for_the_next() -> None:
-    assert len(feed(Assembler(), frame_packets()[20:] + frame_packets())) == 1
 
 
 def test_a_frame_that_begins_before_the_last_one_ended_replaces_it() -> None:
@@ -326,16 +319,14 @@ def test_settings_are_written_and_awaited() -> None:
     assert (0x0219, [1, 0]) in wire.set
 
 
-def test_a_refused_setting() -> None:
-    with pytest.raises(SourceError, match="refuses gain control off with error -3"):
-        configure(FakeCci(error=-3), sleep=lambda _: None)
-
-
-def test_a_camera_that_does_not_boot() -> None:
-    with pytest.raises(SourceError, match=r"waited 5\.0 s to boot, its status is 0x0002"):
-        configure(FakeCci(boots=False), sleep=lambda _: None)
-
-
-def test_a_camera_that_does_not_answer() -> None:
-    with pytest.raises(SourceError, match=r"no answer on I2C .*Remote I/O error"):
-        configure(FakeCci(answers=False), sleep=lambda _: None)
+@pytest.mark.parametrize(
+    ("wire", "message"),
+    [
+        (FakeCci(error=-3), "refuses gain control off with error -3"),
+        (FakeCci(boots=False), r"waited 5\.0 s to boot, its status is 0x0002"),
+        (FakeCci(answers=False), r"no answer on I2C .*Remote I/O error"),
+    ],
+)
+def test_a_camera_that_refuses_does_not_boot_or_does_not_answer(wire: FakeCci, message: str) -> None:
+    with pytest.raises(SourceError, match=message):
+        configure(wire, sleep=lambda _: None)

@@ -168,15 +168,12 @@ def test_time_lost_to_a_busy_machine(monkeypatch: pytest.MonkeyPatch, speed: flo
     assert free * 0.01 == pytest.approx(made_up, abs=0.021)
 
 
-@pytest.mark.parametrize("text", ["", "localhost", "localhost:", ":1", "a:0", "a:65536", "a:1.5"])
-def test_invalid_addresses(text: str) -> None:
-    with pytest.raises(ClockError, match="give HOST:PORT"):
-        parse_address(text)
-
-
 def test_addresses() -> None:
     assert parse_address("localhost:80") == ("localhost", 80)
     assert parse_address("[::1]:80") == ("::1", 80)
+    for text in ("", "localhost", "localhost:", ":1", "a:0", "a:65536", "a:1.5"):
+        with pytest.raises(ClockError, match="give HOST:PORT"):
+            parse_address(text)
 
 
 def test_the_clock_reaches_its_readers_and_they_come_back() -> None:
@@ -206,12 +203,12 @@ def test_a_reader_that_sleeps_misses_updates_and_holds_nobody_up() -> None:
     server = ClockServer()
     with socket.create_connection(server.address) as sleeper:
         sleeper.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-        for stamp in range(10**18, 10**18 + 60_000):
+        for stamp in range(10**18, 10**18 + 40_000):
             server.send(stamp)
         server.close()
         received = sleeper.makefile("rb").read().split(b"\n")
     assert int(received[0]) == 10**18
-    assert len(received) < 60_000
+    assert len(received) < 40_000
 
 
 def test_a_stream_that_is_not_a_clock_is_refused() -> None:
@@ -369,7 +366,7 @@ def test_without_a_process_that_drives_it_a_plant_in_step_keeps_real_time() -> N
         plant.run()
         wall, _ = plant.achieved()
     assert wall >= 0.29
-    with Bare(RigSettings(speed=INFINITE, duration=10_000.0)) as plant:
+    with Bare(RigSettings(speed=INFINITE, duration=1000.0)) as plant:
         plant.run()
         _, speed = plant.achieved()
     assert speed > 100
@@ -426,26 +423,20 @@ def test_without_a_host_two_runs_agree_to_the_last_bit(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_board_that_does_not_exist(tmp_path: Path) -> None:
-    with pytest.raises(ArduinoError, match="'esp32' does not exist"):
-        make_board("esp32", tmp_path / "tty")
-
-
 def test_without_a_simulator_the_stand_in_says_so(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(arduino_virtual, "_PROJECT", tmp_path)
-    with pytest.raises(ArduinoError, match="its sources are not installed"):
-        make_board("simavr", tmp_path / "tty")
-    made = make_board("auto", tmp_path / "tty")
-    assert made.kind == "python"
-    assert "its sources are not installed" in made.remark
-    made.board.close()
-
-
-def test_a_cache_that_cannot_be_written(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
     with pytest.raises(ArduinoError, match="cannot be built in"):
         virtual_tools()
+    monkeypatch.setattr(arduino_virtual, "_PROJECT", tmp_path)
+    with pytest.raises(ArduinoError, match="its sources are not installed"):
+        make_board("simavr", tmp_path / "tty")
+    with pytest.raises(ArduinoError, match="'esp32' does not exist"):
+        make_board("esp32", tmp_path / "tty")
+    made = make_board("auto", tmp_path / "tty")
+    assert made.kind == "python"
+    assert "its sources are not installed" in made.remark
+    made.board.close()
 
 
 def test_noise_on_the_line_writes_and_takes(tmp_path: Path) -> None:

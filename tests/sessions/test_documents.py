@@ -19,7 +19,6 @@ from tests.support.limits import within
 from tests.support.rig import rig
 from tests.support.schemas import bare
 from twinmatch.cli import main
-from twinmatch.dynamics import PlantError
 from twinmatch.errors import TwinmatchError
 from twinmatch.parameters.twin import read_settings
 from twinmatch.plants import Peltier
@@ -256,15 +255,13 @@ def test_commands_end_with_one_line(tmp_path: Path, capsys: Any, option: str, na
 
 # Files of candidates: plants, structures, names, and files from before there were structures.
 
-PAPER = Path(__file__).resolve().parents[2] / "config" / "paper_candidates.yaml"
-
 
 def entry_candidates(text: str) -> str:
     return f"candidates:\n  - {{name: a, operating_point: 50.0, {text}}}\n"
 
 
 def test_the_papers_family_has_the_papers_structure() -> None:
-    family = read_candidates(PAPER)
+    family = read_candidates(PROJECT / "config" / "paper_candidates.yaml")
     assert [c.operating_point for c in family] == [30.0, 50.0, 70.0, 90.0]
     assert family[0].parameters == rig(seebeck=0.0963, conductance=0.3, heat_capacity=34.9)
     assert {c.parameters.model for c in family} == {Peltier.model()}
@@ -339,11 +336,6 @@ def test_a_sink_that_was_held_beside_a_lag_is_a_sink_that_hardly_moves() -> None
     assert found["sink_heat_capacity"] > 1e9
 
 
-def test_unknown_plants_are_named() -> None:
-    with pytest.raises(PlantError, match="plant 'kettle': not known"):
-        parameters_from("kettle", "", {"seebeck": 0.1})
-
-
 # Our definitions are those of the installed messages, the hashes those of ROS 2; schemas of any types.
 
 SOURCE = Path(messages.__file__).parents[2] / "twinmatch_msgs" / "msg"
@@ -397,17 +389,12 @@ def install(folder: Path, **texts: str) -> dict[str, str]:
 def test_parts_come_once_and_in_their_order(tmp_path):
     environment = install(
         tmp_path,
-        Frame="# a Nothing here\nuint8 KIND=3\nPixel[<=4] pixels\nrig_msgs/Lens lens\nstring<=9 name\n",
+        Frame="# a Nothing here\nuint8 KIND=3\nPixel[<=4] pixels\nrig_msgs/msg/Lens lens\nstring<=9 name\n",
         Pixel="float64[2] at\nbool DEAD = true # Ghost x\n",
         Lens="Pixel centre\n",
     )
     blocks = schema_of("rig_msgs/msg/Frame", environment).split("=" * 80 + "\n")
     assert [block.split("\n")[0] for block in blocks[1:]] == ["MSG: rig_msgs/Pixel", "MSG: rig_msgs/Lens"]
-
-
-def test_full_names_of_parts_are_understood(tmp_path):
-    environment = install(tmp_path, Frame="rig_msgs/msg/Lens lens\n", Lens="bool clean\n")
-    assert "MSG: rig_msgs/Lens" in schema_of("rig_msgs/msg/Frame", environment)
 
 
 @pytest.mark.parametrize(
