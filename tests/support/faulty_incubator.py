@@ -1,6 +1,4 @@
-"""Simulated incubators whose lid is opened: how soon it is reported, and what of those that are left alone.
-
-    python -m tests.support.faulty_incubator 40
+"""Simulated incubators whose lid is opened.
 
 An open lid lets the air of the box mix with that of the room: a conductance from air to room, which the
 plant that the monitor follows does not have.
@@ -8,14 +6,12 @@ plant that the monitor follows does not have.
 
 from __future__ import annotations
 
-import sys
-from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
 
 from twinmatch.dynamics import Parameters, advance, begin, read
-from twinmatch.health import Alarm, Fault, HealthSettings, Monitor
+from twinmatch.health import Alarm, HealthSettings, Monitor
 from twinmatch.plants import Incubator
 from twinmatch.signals import Sample
 
@@ -91,46 +87,3 @@ def watch(samples: list[Sample]) -> tuple[Alarm, ...]:
     for sample in samples:
         monitor.push(sample)
     return monitor.alarms
-
-
-def _opened(seed: int, minutes: float) -> tuple[Lid, tuple[Alarm, ...]]:
-    random = np.random.default_rng(seed + 100)
-    opened = int(random.integers(250, 500))
-    lid = Lid(opened, opened + round(60 * minutes / PERIOD), random.uniform(3.0, 10.0))
-    return lid, watch(run(some_incubator(seed), seed, 900, lid))
-
-
-def _measure(runs: int, minutes: float) -> str:
-    told, early, other = [], 0, Counter[str]()
-    closed: list[float] = []
-    for seed in range(runs):
-        lid, alarms = _opened(seed, minutes)
-        early += any(a.flagged < lid.opened for a in alarms)
-        found = [a for a in alarms if a.fault is Fault.LOSSES_CHANGED and a.flagged >= lid.opened]
-        other.update(a.fault.value for a in alarms if a not in found[:1])
-        if not found:
-            continue
-        told.append((found[0].flagged - lid.opened) * PERIOD)
-        if found[0].last is not None:
-            closed.append((found[0].last + 1 - lid.closed) * PERIOD)
-    delays = f"{np.median(told):.0f}, {max(told):.0f} s" if told else "–"
-    ends = f"{np.median(closed):.0f}, {max(closed):.0f} s" if closed else "–"
-    rest = ", ".join(f"{n} {name}" for name, n in other.most_common()) or "nothing"
-    return (
-        f"open for {minutes:g} min: {len(told)} of {runs} reported, {delays}; "
-        f"over after {ends}; {early} before; else {rest}"
-    )
-
-
-def main() -> None:
-    """Print the figures of docs/incubator.md."""
-    runs = int(sys.argv[1]) if len(sys.argv) > 1 else 40
-    for minutes in (1.0, 3.0):
-        print(_measure(runs, minutes), flush=True)
-    healthy = (watch(run(some_incubator(seed + 500), seed, 1200)) for seed in range(runs))
-    alarms = Counter(a.fault.value for found in healthy for a in found)
-    print(f"{runs} healthy hours: {dict(alarms) or 'no alarm'}")
-
-
-if __name__ == "__main__":
-    main()

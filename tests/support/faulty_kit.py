@@ -1,6 +1,4 @@
-"""Temperature Control Labs whose heater is lost, and healthy ones: the measurements of docs/tclab.md.
-
-    python -m tests.support.faulty_kit 20 100
+"""Temperature Control Labs whose heater is lost, and healthy ones.
 
 Two kinds: the model of the package `tclab`, which is linear; and the published balance with radiation and a
 second heater, in a room whose temperature wanders. Either is held by the PID published for the kit.
@@ -11,9 +9,7 @@ from __future__ import annotations
 import contextlib
 import io
 import random
-import sys
-from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 from functools import partial
@@ -23,7 +19,7 @@ import numpy as np
 
 from twinmatch.control import Loop
 from twinmatch.dynamics import advance, begin, read
-from twinmatch.health import Alarm, Fault, HealthSettings, Monitor
+from twinmatch.health import Alarm, HealthSettings, Monitor
 from twinmatch.plants import TCLab
 from twinmatch.plants.tclab import RESOLUTION
 from twinmatch.signals import FloatArray, Sample
@@ -191,79 +187,3 @@ def some_levels(seed: int, size: int, low: float, high: float, most: int) -> Flo
     while len(found) < size:
         found += [float(chosen.uniform(low, high))] * int(chosen.integers(100, most))
     return np.array(found[:size])
-
-
-def _kits(runs: int) -> Iterator[tuple[int, Simulated | Published, FloatArray]]:
-    """Kits of both kinds in turn, half of the published ones with a second heater that is switched."""
-    for seed in range(runs):
-        kit = Published(seed) if seed % 2 else Simulated(seed)
-        second = some_levels(seed + 1, 3600, 0.0, 60.0, 900) if seed % 4 == 3 else np.zeros(3600)
-        yield seed, kit, second
-
-
-def _told(lost: int, alarms: tuple[Alarm, ...]) -> tuple[int | None, str]:
-    """Time to `drive-lost`, s, and the first name."""
-    after = [a for a in alarms if a.flagged >= lost]
-    found = next((a.flagged - lost for a in after if a.fault is Fault.DRIVE_LOST), None)
-    return found, after[0].fault.value if after else "nothing"
-
-
-def _row(found: Sequence[tuple[int | None, str]]) -> str:
-    times = [t for t, _ in found if t is not None]
-    soon = sum(t <= 30 for t in times)
-    seen = f"median {np.median(times):.0f}, worst {max(times)} s" if times else "–"
-    first = dict(Counter(name for _, name in found))
-    return f"{len(times)} of {len(found)} drive-lost, {seen}, {soon} within 30 s; first {first}"
-
-
-def _by_power(runs: int) -> None:
-    for power in (5, 10, 20, 30, 50, 80):
-        found = []
-        for seed in range(runs):
-            lost = 1000 + 37 * seed
-            alarms = watch(run(Simulated(seed), hold(power, lost + 240), Broken(lost=lost)))
-            found.append(_told(lost, alarms))
-        print(f"at rest at {power} %: {_row(found)}", flush=True)
-
-
-def _at_some_moment(runs: int, make: Callable[[int], Simulated | Published], name: str) -> None:
-    found, early = [], 0
-    for seed in range(runs):
-        lost = int(np.random.default_rng(seed).integers(60, 2400))
-        alarms = watch(run(make(seed), levels(lost + 240), Broken(lost=lost)))
-        early += any(a.flagged < lost for a in alarms)
-        found.append(_told(lost, alarms))
-    print(f"{name}, at some moment: {_row(found)}; {early} before", flush=True)
-
-
-def _draughts(runs: int) -> None:
-    for factor in (1.5, 2.0, 3.0):
-        names: Counter[str] = Counter()
-        for seed in range(runs):
-            kit: Simulated | Published = Published(seed) if seed % 2 else Simulated(seed)
-            alarms = watch(run(kit, levels(1800), Broken(draught=1250, losses=factor)))
-            names.update([", ".join(a.fault.value for a in alarms if a.flagged >= 1250) or "nothing"])
-        print(f"losses times {factor:g} from one second to the next: {dict(names)}", flush=True)
-
-
-def _healthy(hours: int) -> None:
-    told = Counter(
-        a.fault.value
-        for seed, kit, second in _kits(hours)
-        for a in watch(run(kit, some_levels(seed, 3600, 26.0, 65.0, 700), second=second))
-    )
-    print(f"{hours} healthy hours: {dict(told) or 'no alarm'}", flush=True)
-
-
-def main() -> None:
-    """Print the figures."""
-    runs, hours = (int(a) for a in (*sys.argv[1:], "20", "100")[:2])
-    _by_power(runs)
-    _at_some_moment(runs, Simulated, "model of the package")
-    _at_some_moment(runs, Published, "published balance")
-    _draughts(runs)
-    _healthy(hours)
-
-
-if __name__ == "__main__":
-    main()

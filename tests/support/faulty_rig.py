@@ -1,13 +1,11 @@
-"""A rig in closed loop that can be broken, and the measurements of docs/health.md.
+"""A rig in closed loop that can be broken.
 
 The plate stands on a sink with mass, seen through a camera whose readings jump and settle at a flat-field
-correction, as the real one's do. Run as a program it prints the tables: `python -m tests.support.faulty_rig`.
+correction, as the real one's do.
 """
 
 from __future__ import annotations
 
-import sys
-from collections import Counter
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -33,13 +31,6 @@ FANS = {"fan-failed": 0.1, "draught": 3.0}
 """Convection from the sink, as a share of what it was."""
 SLOWLY = 300.0
 """What comes slowly has come after this time, s."""
-IN_TIME = 300
-"""Samples within which a slow change is to be reported."""
-SLOW_KINDS = (
-    "fan-failed", "draught", "room+10", "room-10", "supply*0.8", "supply*0.6", "supply~0.6", "reading+3",
-    "reading~6",
-)  # fmt: skip
-"""Changes that leave a plant that obeys; `~` comes slowly."""
 
 
 @dataclass(frozen=True)
@@ -140,58 +131,6 @@ def watch(
     return monitor, [monitor.push(s, parameters) for s in samples]
 
 
-def visible_after(
-    start: int, samples: list[Sample], whole: list[Sample], truth: FloatArray, other: FloatArray
-) -> int | None:
-    """Samples from the break until plate or reading are 1 °C (15 times the noise) from what they would be."""
-    away = np.abs(truth - other)
-    away = np.maximum(away, [abs(a.output - b.output) for a, b in zip(samples, whole, strict=True)])
-    found = np.flatnonzero(away[start:] > 1.0)
-    return int(found[0]) if found.size else None
-
-
-def measure(kind: str, length: int, runs: int) -> str:
-    names: Counter[str] = Counter()
-    onset, seen, cleared, early = [], [], 0, 0
-    for seed in range(runs):
-        start = int(np.random.default_rng(seed).integers(500, 900))
-        reference, rig = (
-            profile(seed + 1000, 1500 if kind[:4] in ("driv", "supp", "sens", "read") else 2700),
-            some_rig(seed),
-        )
-        samples, truth = run(reference, Break(kind, start, length), rig=rig, seed=seed)
-        whole, other = run(reference, rig=rig, seed=seed)
-        monitor, healths = watch(samples)
-        alarms = [a for a in monitor.alarms if a.flagged >= start]
-        early += len(monitor.alarms) - len(alarms)
-        after = visible_after(start, samples, whole, truth, other)
-        if alarms:
-            names[alarms[0].fault.value] += 1
-            onset.append(alarms[0].flagged - start)
-            if after is not None:
-                seen.append(onset[-1] - after)
-            cleared += alarms[-1].last is not None
-        elif any(h.state is HealthState.SUSPECT and h.index > start for h in healths):
-            names["only suspected"] += 1
-        else:
-            names["not seen" if after is not None else "never visible"] += 1
-    delays = f"{np.median(onset):4.0f} {max(onset):4d}" if onset else "   –    –"
-    since = f"{np.median(seen):4.0f} {max(seen):4d}" if seen else "   –    –"
-    told = ", ".join(f"{n} {name}" for name, n in names.most_common())
-    lasts = str(length) if length < 10_000 else "stays"
-    return f"{kind:15s} {lasts:>6s} | {delays} | {since} | {cleared:3d} | {early} | {told}"
-
-
-RIGHT = {
-    "fan": "losses-changed",
-    "draught": "losses-changed",
-    "room": "room-changed",
-    "supply": "drive-weak",
-    "reading": "sensor-drift",
-}
-"""The name of a change by how its kind begins."""
-
-
 def names_told(kind: str, seed: int) -> tuple[str, int | None]:
     """The first name that is reported for a lasting change, and how many samples after it.
 
@@ -211,45 +150,3 @@ def names_told(kind: str, seed: int) -> tuple[str, int | None]:
     if monitor.alarms[0].flagged < start:
         return "early", None
     return named[0].fault.value, named[0].flagged - start
-
-
-def confusion(runs: int, kinds: tuple[str, ...] = SLOW_KINDS) -> list[str]:
-    """What is reported for every kind of change: rows are what is broken, columns what it was called."""
-    lines = [f"{'changed':12s} right in {IN_TIME} s | median, worst | reported (of {runs} runs)"]
-    for kind in kinds:
-        told = [names_told(kind, seed) for seed in range(runs)]
-        names = Counter(name for name, _ in told)
-        delays = sorted(d for _, d in told if d is not None)
-        right = {RIGHT[part] for part in RIGHT if kind.startswith(part)}
-        in_time = sum(name in right and d is not None and d <= IN_TIME for name, d in told)
-        spread = f"{np.median(delays):5.0f} {delays[-1]:7d}" if delays else "    –       –"
-        words = ", ".join(f"{n} {name}" for name, n in names.most_common())
-        lines.append(f"{kind:12s} {in_time:14d} | {spread} | {words}")
-    return lines
-
-
-def false_alarms(hours: int) -> str:
-    alarms, suspects = 0, 0
-    for seed in range(hours):
-        samples, _ = run(profile(seed + 5000, 3600), rig=some_rig(seed + 5000), seed=seed)
-        monitor, healths = watch(samples)
-        alarms += len(monitor.alarms)
-        suspects += sum(h.state is HealthState.SUSPECT for h in healths)
-    return f"{hours} healthy hours: {alarms} alarms, {suspects} samples suspect"
-
-
-def main() -> None:
-    runs, hours = (int(a) for a in (*sys.argv[1:], "40", "100")[:2])
-    print("broken          length | onset med max | visible med max | cleared | before | reported")
-    cases = [("drive-lost", n) for n in (10, 20, 60, 1_000_000)]
-    cases += [(kind, n) for kind in ("supply*0.5", "supply*0.6") for n in (60, 1_000_000)]
-    cases += [("sensor-frozen", n) for n in (12, 30, 1_000_000)]
-    cases += [(kind, n) for kind in ("sensor-off", "reading-offset") for n in (20, 1_000_000)]
-    for case in cases:
-        print(measure(*case, runs), flush=True)
-    print(*confusion(runs), sep="\n", flush=True)
-    print(false_alarms(hours))
-
-
-if __name__ == "__main__":
-    main()
