@@ -314,19 +314,13 @@ def test_bytes_flags_and_short_lists_are_followed() -> None:
         follow(message, "text")
 
 
-@pytest.mark.parametrize("text", ["/cmd:data", "/camera/temperature:temperature", "cmd", "t:readings[0].x"])
-def test_a_channel_is_written_as_it_was_read(text: str) -> None:
-    assert parse_channel(text).text == text
-
-
-def test_blanks_around_a_channel_do_not_matter() -> None:
+def test_a_channel_is_written_as_it_was_read_and_what_is_none_is_refused() -> None:
+    for text in ("/cmd:data", "/camera/temperature:temperature", "cmd", "t:readings[0].x"):
+        assert parse_channel(text).text == text
     assert parse_channel(" /cmd : data ") == Channel("/cmd", "data")
-
-
-@pytest.mark.parametrize("text", ["", "/cmd:", ":data", "/a b:c", "/cmd/:data", "/cmd:da ta", "/cmd:1"])
-def test_what_is_not_a_channel_is_refused(text: str) -> None:
-    with pytest.raises(SamplingError):
-        parse_channel(text)
+    for text in ("", "/cmd:", ":data", "/a b:c", "/cmd/:data", "/cmd:da ta", "/cmd:1"):
+        with pytest.raises(SamplingError):
+            parse_channel(text)
 
 
 # Numbers of ticks: one after the other however they jitter and drift, and a gap where ticks are missing.
@@ -357,16 +351,16 @@ def test_a_gap_in_time_is_a_gap_in_the_numbers(before: int, gap: int, phase: flo
     assert numbers(times) == expected
 
 
-def test_a_burst_is_one_tick() -> None:
-    assert numbers(np.array([0.0, 1.0, 4.2, 4.21, 4.22, 5.0, 6.0])) == [0, 1, 4, None, None, 5, 6]
-
-
-def test_a_clock_that_is_set_back_starts_over_behind_a_gap() -> None:
-    assert numbers(np.array([100.0, 101.0, 5.0, 6.0])) == [0, 1, 3, 4]
-
-
-def test_a_message_a_little_before_the_last_is_not_a_tick() -> None:
-    assert numbers(np.array([0.0, 1.0, 0.9, 2.0])) == [0, 1, None, 2]
+@pytest.mark.parametrize(
+    ("times", "found"),
+    [
+        ([0.0, 1.0, 4.2, 4.21, 4.22, 5.0, 6.0], [0, 1, 4, None, None, 5, 6]),  # a burst is one tick
+        ([100.0, 101.0, 5.0, 6.0], [0, 1, 3, 4]),  # a clock that is set back starts over behind a gap
+        ([0.0, 1.0, 0.9, 2.0], [0, 1, None, 2]),  # a message a little before the last is not a tick
+    ],
+)
+def test_numbers_by_hand(times: list[float], found: list[int | None]) -> None:
+    assert numbers(np.array(times)) == found
 
 
 def rate_of(times: np.ndarray) -> Rate:

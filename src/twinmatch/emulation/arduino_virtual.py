@@ -75,9 +75,7 @@ class _State(NamedTuple):
 
 
 class VirtualArduino(EmulatedBoard):
-    """A board that runs the firmware.
-
-    `heat_level` is the level of the direction pin for heating, as in the firmware's `config.h`.
+    """A board that runs the firmware, whose direction pin is low for heating.
 
     Raises:
         ArduinoError: the simulator does not start; of all methods: it has ended.
@@ -85,11 +83,8 @@ class VirtualArduino(EmulatedBoard):
 
     WHAT = "virtual board"
 
-    def __init__(
-        self, tools: VirtualTools, port: str | Path | None = None, *, heat_level: bool = False
-    ) -> None:
+    def __init__(self, tools: VirtualTools, port: str | Path | None = None) -> None:
         super().__init__(port)
-        self._heat_level = heat_level
         self._lock = threading.Lock()
         self._remarks = tempfile.TemporaryFile()  # noqa: SIM115 (lives as long as the process)
         command = [str(tools.program), str(tools.image), self.port]
@@ -193,7 +188,7 @@ class VirtualArduino(EmulatedBoard):
     def _drive(self, state: _State) -> PinDrive:
         enabled = bool(state.enable)
         magnitude = PWM_LIMIT * state.high / state.top if enabled and state.top else 0.0
-        cools = bool(state.direction) != self._heat_level and magnitude > 0
+        cools = state.direction and magnitude > 0
         return PinDrive(state.time_us / 1e6, -magnitude if cools else magnitude, enabled)
 
 

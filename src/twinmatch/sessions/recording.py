@@ -129,12 +129,12 @@ SAMPLES_BETWEEN = 10_000
 """Samples between two reports of progress."""
 
 
-def samples_of(window: Window, start: int = EPOCH) -> list[Sample]:
-    """The samples of a window, stamped `start` (ns) + index · period."""
+def samples_of(window: Window) -> list[Sample]:
+    """The samples of a window, stamped `EPOCH` + index · period."""
     signals = window.references, window.outputs, window.inputs, window.disturbances
     rows = zip(*(map(tuple, columns.tolist()) for columns in signals), strict=True)
     return [
-        Sample(index, start + round(index * window.period * 1e9), *values)
+        Sample(index, EPOCH + round(index * window.period * 1e9), *values)
         for index, values in enumerate(rows, start=window.first)
     ]
 
