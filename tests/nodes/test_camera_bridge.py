@@ -265,20 +265,6 @@ def test_stamps_are_of_the_simulated_clock(start: Start, camera: Camera, ears: E
     ears.until(tick, "a stamp in simulated time")
 
 
-@pytest.mark.parametrize(
-    ("arguments", "line"),
-    [
-        (["-p", "port:=0"], "parameter port is 0; allowed: 1 to 65535"),
-        (["-p", "roi.width:=0"], "parameter roi.width is 0; allowed: pixels, 1 to 1024"),
-        (["-p", "hots:=pi"], "there is no parameter hots; did you mean host?"),
-    ],
-)
-def test_wrong_parameters_end_it(start: Start, arguments: list[str], line: str) -> None:
-    bridge = start("camera_bridge", *arguments)
-    assert bridge.wait() == 2
-    assert line in bridge.text
-
-
 def exposure(counts: list[list[int]], resolution: float = 0.01, **values: Any) -> Exposure:
     image = np.array(counts, dtype=np.uint16)
     return Exposure(image=image, stamp=0, resolution=resolution, frame_counter=0, **values)

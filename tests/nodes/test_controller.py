@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 import signal
 import time
 from collections.abc import Callable
@@ -283,25 +282,3 @@ def test_ticks_follow_the_clock(start: Start, bench: Bench) -> None:
     heard = len(bench.commands), len(bench.samples)
     bench.pass_time(1.0)
     assert (len(bench.commands), len(bench.samples)) == heard
-
-
-@pytest.mark.parametrize(
-    ("arguments", "line"),
-    [
-        (
-            ["-p", "profile.levels:=[120.0]", "-p", "profile.holds:=[9.0]"],
-            "level 1 is 120 °C; give one in the safe range",
-        ),
-        (["-p", "profile.levels:=[30.0]"], "1 levels and 4 times are given"),
-        (["-p", "exit_at_end:=true"], "with profile.repeat, exit_at_end would never take effect"),
-        (["-p", "exit_at_end:=true", "-p", "reference_source:=topic"], "a topic has no end"),
-        (["-p", "profile.lowest:=60.0", "-p", "profile.highest:=50.0"], "profile.lowest 60 must be below"),
-        (["-p", "reference_source:=moon"], "reference_source is 'moon'; allowed: one of"),
-        (["-p", "pid.hihg:=3.0"], "did you mean pid.high?"),
-    ],
-)
-def test_wrong_parameters_are_one_line(start: Start, arguments: list[str], line: str) -> None:
-    process = start("controller", *arguments)
-    assert process.wait() == 2
-    assert re.search(re.escape(line), process.text)
-    assert len(process.text.splitlines()) == 1

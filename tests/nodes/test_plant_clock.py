@@ -68,9 +68,3 @@ def test_plant_time_becomes_the_clock_and_standing_is_an_error(
     )
     ticking.stands = False
     listener.spin_until(lambda: health[-1].status[0].level == b"\0", "its withdrawal")
-
-
-def test_an_address_has_to_be_given(start_process: Start) -> None:
-    node = start_process("plant_clock")
-    assert node.wait() == 2
-    assert node.text.strip() == "clock address '': give HOST:PORT, as the virtual rig prints it"

@@ -133,26 +133,6 @@ def test_recorded_namespace_gives_way_to_the_players(start: Start, listener: Lis
     listener.spin_until(lambda: len(heard) == 920, "the last sample")
 
 
-@pytest.mark.parametrize(
-    ("arguments", "line"),
-    [
-        ([], "player: the session is missing; give"),
-        (["-p", "session:=/nowhere"], "session /nowhere: does not exist"),
-        (
-            ["-p", "session:=SESSION", "-p", "wait_timeout:=0.5"],
-            "player: /plant/sample has 0 of 1 subscribers",
-        ),
-        (["-p", "session:=SESSION", "-p", "topics:=[thermal/]"], "leave out plant/sample"),
-        (["-p", "session:=SESSION", "-p", "rate:=-1.0"], "player: parameter rate is -1.0; allowed: 0 to"),
-    ],
-)
-def test_refusals(start: Start, session: Path, arguments: list[str], line: str) -> None:
-    process = start("player", *(argument.replace("SESSION", str(session)) for argument in arguments))
-    assert process.wait() == 2
-    assert line in process.text
-    assert len(process.text.splitlines()) == 1
-
-
 @pytest.mark.parametrize("kind", ["nobody_msgs/msg/LoopSample", "twinmatch_msgs/msg/Nothing"])
 def test_types_that_are_not_installed(kind: str) -> None:
     with pytest.raises(PlayerError, match=f"player: /x: the type {kind} is not installed here"):

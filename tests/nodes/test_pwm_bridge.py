@@ -348,20 +348,6 @@ def test_a_second_publisher_of_what_decides_about_heat_is_named_and_latches(
     rig.drive(50.0, board)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "line"),
-    [
-        (["-p", "lowest:=120.0", "-p", "highest:=100.0"], "lowest 120.0 °C must be below highest 100.0 °C"),
-        (["-p", "command_timeout:=0.0"], "parameter command_timeout is 0.0; allowed: s, 0.1 to 10"),
-        (["-p", "prot:=/dev/ttyACM1"], "there is no parameter prot; did you mean port?"),
-    ],
-)
-def test_wrong_parameters_end_it(start: Start, arguments: list[str], line: str) -> None:
-    bridge = start("pwm_bridge", *arguments)
-    assert bridge.wait() == 2
-    assert line in bridge.text
-
-
 def test_another_protocol_ends_it_in_one_line(
     start: Start, board: StandInArduino, monkeypatch: pytest.MonkeyPatch
 ) -> None:

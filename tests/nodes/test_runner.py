@@ -153,6 +153,46 @@ def test_wrong_command_line(capfd: pytest.CaptureFixture[str], words: list[str],
     assert "Traceback" not in said
 
 
+REFUSED: tuple[tuple[str, str, str], ...] = (
+    ("matcher", "sed:=3", "matcher: there is no parameter sed; did you mean seed?"),
+    ("matcher", "seed:=-3", "matcher: parameter seed is -3; allowed: 0 to"),
+    ("discriminator", "candidates:=/nowhere.yaml", "/nowhere.yaml: cannot be read"),
+    ("twin_simulator", "schedule.span:=700 schedule.capacity:=600", "increasing order"),
+    ("twin_simulator", "recent:=[]", "a parameter is empty"),
+    ("controller", "profile.levels:=[120.0] profile.holds:=[9.0]", "level 1 is 120 °C; give one in the safe"),
+    ("controller", "profile.levels:=[30.0]", "1 levels and 4 times are given"),
+    ("controller", "exit_at_end:=true", "with profile.repeat, exit_at_end would never take effect"),
+    ("controller", "exit_at_end:=true reference_source:=topic", "a topic has no end"),
+    ("controller", "profile.lowest:=60.0 profile.highest:=50.0", "profile.lowest 60 must be below"),
+    ("controller", "reference_source:=moon", "reference_source is 'moon'; allowed: one of"),
+    ("controller", "pid.hihg:=3.0", "did you mean pid.high?"),
+    ("pwm_bridge", "lowest:=120.0 highest:=100.0", "lowest 120.0 °C must be below highest 100.0 °C"),
+    ("pwm_bridge", "command_timeout:=0.0", "parameter command_timeout is 0.0; allowed: s, 0.1 to 10"),
+    ("pwm_bridge", "prot:=/dev/ttyACM1", "there is no parameter prot; did you mean port?"),
+    ("camera_bridge", "port:=0", "parameter port is 0; allowed: 1 to 65535"),
+    ("camera_bridge", "roi.width:=0", "parameter roi.width is 0; allowed: pixels, 1 to 1024"),
+    ("camera_bridge", "hots:=pi", "there is no parameter hots; did you mean host?"),
+    ("plant_clock", "", "clock address '': give HOST:PORT, as the virtual rig prints it"),
+    ("player", "", "player: the session is missing; give"),
+    ("player", "session:=/nowhere", "session /nowhere: does not exist"),
+    ("player", "session:=SESSION wait_timeout:=0.5", "player: /plant/sample has 0 of 1 subscribers"),
+    ("player", "session:=SESSION topics:=[thermal/]", "leave out plant/sample"),
+    ("player", "session:=SESSION rate:=-1.0", "player: parameter rate is -1.0; allowed: 0 to"),
+)
+"""Program, parameters, and what it says of them."""
+
+
+@pytest.mark.parametrize(("name", "given", "line"), REFUSED)
+def test_parameters_that_are_refused_are_one_line_and_exit_code_two(
+    start: Start, session: Path, name: str, given: str, line: str
+) -> None:
+    words = given.replace("SESSION", str(session)).split()
+    process = start(name, *(word for one in words for word in ("-p", one)))
+    assert process.wait() == 2
+    assert line in process.text
+    assert len(process.text.splitlines()) == 1
+
+
 def test_help_shows_the_parameters(capfd: pytest.CaptureFixture[str]) -> None:
     assert run([Player], ["player", "--help"]) == 0
     assert "rate: 1.0" in capfd.readouterr().out

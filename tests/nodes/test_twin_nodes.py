@@ -147,25 +147,6 @@ def test_gap_is_an_error_on_diagnostics(start: Start, listener: Listener, steps:
     assert "samples 5 to 7 are missing" in status.message
 
 
-@pytest.mark.parametrize(
-    ("name", "arguments", "line"),
-    [
-        ("matcher", ["-p", "sed:=3"], "matcher: there is no parameter sed; did you mean seed?"),
-        ("matcher", ["-p", "seed:=-3"], "matcher: parameter seed is -3; allowed: 0 to"),
-        ("discriminator", ["-p", "candidates:=/nowhere.yaml"], "/nowhere.yaml: cannot be read"),
-        ("twin_simulator", ["-p", "schedule.span:=700", "-p", "schedule.capacity:=600"], "increasing order"),
-        ("twin_simulator", ["-p", "recent:=[]"], "a parameter is empty"),
-    ],
-)
-def test_wrong_parameters_are_one_line_and_exit_code_2(
-    start: Start, name: str, arguments: list[str], line: str
-) -> None:
-    process = start(name, *arguments)
-    assert process.wait() == 2
-    assert line in process.text
-    assert len(process.text.splitlines()) == 1
-
-
 def test_three_in_one_process_have_nothing_to_say(start_process: Start, listener: Listener) -> None:
     process = start_process("twin")
     names = {"matcher", "discriminator", "twin_simulator"}

@@ -21,7 +21,7 @@ from twinmatch.description import Description, Quantity
 from twinmatch.dynamics import Parameters, PlantError
 from twinmatch.forecasting import Band, Forecast, Question, WhatIfResult
 from twinmatch.record import fill, object_of, parameters_of, parameters_tree, tree_of, tree_of_message
-from twinmatch.signals import Sample, SignalError, Window, incomplete
+from twinmatch.signals import Sample, SignalError, Window
 from twinmatch.twin import MatchReport, MatchRequest, MirrorState
 from twinmatch_msgs import msg as messages
 from twinmatch_msgs import srv as services
@@ -59,14 +59,8 @@ def sample_message(sample: Sample, frame: str = "plate") -> messages.LoopSample:
 
 
 def sample_from(message: messages.LoopSample) -> Sample:
-    """A sample from `LoopSample`.
-
-    Raises:
-        SignalError: it has no reference, no output or no input.
-    """
+    """A sample from `LoopSample`, which was checked."""
     signals = [tuple(getattr(message, name)) for name in SAMPLED]
-    if missing := incomplete(message.index, list(map(len, signals[:3]))):
-        raise SignalError(missing)
     return Sample(message.index, nanoseconds(message.header.stamp), *signals)
 
 
@@ -149,16 +143,8 @@ def description_message(description: Description, period: float) -> messages.Pla
 
 
 def description_from(message: messages.PlantDescription) -> Description:
-    """A plant from `PlantDescription`.
-
-    Raises:
-        SignalError: it has no reference, no output or no input.
-    """
+    """A plant from `PlantDescription`, which was checked."""
     tree = tree_of_message(message)
-    if not all(tree[name] for name in LOOP):
-        counts = ", ".join(str(len(tree[name])) for name in LOOP)
-        msg = f"description of {message.plant}: has {counts} references, outputs and inputs; give one of each"
-        raise SignalError(msg)
     del tree["period"]
     for name, field in (*SAMPLED.items(), ("states", "states")):
         tree[field] = tuple(Quantity(**quantity) for quantity in tree.pop(name))

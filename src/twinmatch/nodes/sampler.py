@@ -244,7 +244,8 @@ class SamplerNode(TwinmatchNode):
         header = getattr(message, "header", None)
         stamp = nanoseconds(header.stamp) if header is not None else 0
         step = round(self.values["period"] * 1e9)
-        self.health.flag_if(stamp > now + step, "stamps", Level.WARN, _ahead(topic, stamp - now))
+        ahead = f"{(stamp - now) / 1e9:.1f} s ahead of this machine's clock; the time of arrival is used"
+        self.health.flag_if(stamp > now + step, "stamps", Level.WARN, f"the stamps of {topic} are {ahead}")
         # A reading stamped in the future would never become stale; one without a stamp counts as new.
         at = min(stamp, now) if stamp else now
         for name, source in self._ready.items():
@@ -300,8 +301,3 @@ class SamplerNode(TwinmatchNode):
 
     def _now(self) -> int:
         return int(self.get_clock().now().nanoseconds)
-
-
-def _ahead(topic: str, nanos: int) -> str:
-    ahead = f"{nanos / 1e9:.1f} s"
-    return f"the stamps of {topic} are {ahead} ahead of this machine's clock; the time of arrival is used"

@@ -114,7 +114,6 @@ class TwinNode(TwinmatchNode):
     """A node of the twin: its settings, and a worker for long computations."""
 
     FIXED = "a replay must give the recorded verdicts"
-    worker: Worker[Any] | None = None
 
     @classmethod
     def table_for(cls, given: Mapping[str, Any]) -> tuple[Sequence[Setting], Mapping[str, Any]]:
@@ -130,10 +129,10 @@ class TwinNode(TwinmatchNode):
         """Start the worker."""
         self._standstill = Standstill()
         self._standstill.start()
-        self.worker = Worker(self.work, self.health)
+        self.worker: Worker[Any] = Worker(self.work, self.health)
         self.beside += [self._standstill, self.worker]  # a wait for readers ends first
         if self.step is not None:
-            self.step.wait_for(lambda: self.worker is not None and self.worker.depth > AHEAD)
+            self.step.wait_for(lambda: self.worker.depth > AHEAD)
         self.report_on()
 
     @abstractmethod
@@ -142,8 +141,7 @@ class TwinNode(TwinmatchNode):
 
     def put(self, item: Any) -> None:
         """Queue an item for the worker."""
-        if self.worker is not None:
-            self.worker.put(item)
+        self.worker.put(item)
 
     def publish(self, publisher: Publisher, message: Any) -> None:
         """Publish from the worker's thread; after a suspension, once the readers are connected again."""
@@ -152,8 +150,7 @@ class TwinNode(TwinmatchNode):
 
     def report(self) -> Report:
         """The queue."""
-        if self.worker is not None:
-            self.worker.watch()
+        self.worker.watch()
         return super().report()
 
 
@@ -173,7 +170,7 @@ class SampleNode(TwinNode):
         """Start the worker and subscribe to `plant/sample`."""
         super().open()
         self._stream = Stream(self._on_next)
-        self._catching_up = CatchingUp(self, self._stream, self._depth, self.learn)
+        self._catching_up = CatchingUp(self, self._stream, lambda: self.worker.depth, self.learn)
         self.create_subscription(LoopSample, "plant/sample", self._on_sample, EVERYTHING)
 
     def learn(self, said: Past.Response) -> None:
@@ -184,11 +181,8 @@ class SampleNode(TwinNode):
         self._watch.check(time.monotonic())
         return super().report()
 
-    def _depth(self) -> int:
-        return 0 if self.worker is None else self.worker.depth
-
     def _on_sample(self, sample: Sample) -> None:
-        if self._depth() + self._stream.waiting > MOST_QUEUED:
+        if self.worker.depth + self._stream.waiting > MOST_QUEUED:
             self.health.count("samples left to be fetched")
             return
         self._stream.push(sample)
