@@ -275,7 +275,7 @@ def judge_uncertainty(
         nominal: name of the chosen candidate.
         loop: the loop in which they are held; its controller, if known, gives the margins.
         plant: the plant as it is now, if known; it decides between two candidates.
-        seed: seed of the random draws.
+        seed: of the random draws.
     """
     names = [c.name for c in candidates]
     if nominal not in names:

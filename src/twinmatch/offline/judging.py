@@ -178,11 +178,6 @@ def rehearse(plant: type[Plant], settings: TwinSettings, watch: Callable[[int, i
 
     Compiled code is kept, so this takes a minute or two the first time. Without it that time would pass while
     the rig already runs, and matches would come too late. A plant without a loop is not rehearsed.
-
-    Args:
-        plant: the plant to simulate.
-        settings: the settings of the twin.
-        watch: called with how many samples of how many are judged.
     """
     mark = cache_folder() / f"rehearsed-{plant.name}-{__version__}"
     if plant.loop is None or mark.exists():

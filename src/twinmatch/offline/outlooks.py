@@ -54,14 +54,8 @@ def prospects(
 ) -> dict[int, Prospect]:
     """Run a session through the twin once, up to the last of these samples, and collect the outlook at each.
 
-    The outlook at a sample depends only on that sample and those before it.
-
-    Args:
-        session: the session.
-        terms: parameters and initial candidates.
-        at: indices of the samples.
-        candidate: name of the candidate; the leader at each sample if not given.
-        watch: called with (samples done, total).
+    The outlook at a sample depends only on that sample and those before it. It is that of `candidate`, by
+    default of the leader at each sample.
 
     Raises:
         ForecastError: the session has no such sample, or the candidate does not exist at it.
@@ -177,14 +171,8 @@ def ahead_of(
 ) -> Ahead:
     """The set-points, or inputs, of the `size` samples after this one, or of as many as were recorded.
 
-    Args:
-        session: the session.
-        sample: the sample to forecast from.
-        size: the number of samples ahead.
-        settings: the settings of the twin.
-        reference: name of a file of set-points, or `RECORDED`; None: neither.
-        hold: a value to hold; without it, and without `reference`, that of the sample.
-        rows: the lines of the file, if one is named.
+    `reference` names a file of set-points, whose lines are `rows`, or is `RECORDED`; `hold` is a value to
+    hold. Without both, that of the sample is held.
 
     Raises:
         TwinmatchError: the plant does not take a set-point or input, a profile cannot be read, or nothing

@@ -89,11 +89,9 @@ def verify_session(
     Args:
         path: session folder or `.mcap` file.
         topic: topic of the samples, if the session has several rigs.
-        config: parameters to use instead of the recorded ones.
-        candidates: initial candidates instead of the recorded ones.
+        config, candidates: files to use instead of what was recorded.
         plant: name or file of the plant, if the session does not name it or it is in a file.
-        watch: called with the progress.
-        progress: called with the amount of the file read and the total.
+        watch, progress: called with the progress of judging and of reading.
 
     Raises:
         VerifyError: the session has no verdicts.

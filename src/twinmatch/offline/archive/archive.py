@@ -58,8 +58,7 @@ def judge_archive(
     Args:
         named: sessions, recordings, folders of them, patterns; see `find_sessions`.
         document: makes a session's document; see `ArchiveTerms`.
-        config: parameter file.
-        candidates: file of initial candidates for every session.
+        config, candidates: files of parameters and initial candidates for every session.
         plant: name or file of the plant of every session that does not name it.
         out: folder for one JSON file per session with its document. A session is not judged again if its
             file there has the same content, parameters and version.

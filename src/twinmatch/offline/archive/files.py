@@ -110,12 +110,7 @@ def content_of(path: Path) -> str:
 
 
 def key_of(content: str, terms: str) -> str:
-    """One hash of everything a result depends on.
-
-    Args:
-        content: from `content_of`.
-        terms: settings and candidates, as text.
-    """
+    """One hash of all that a result depends on: `content_of` the session, settings and candidates as text."""
     return hashlib.sha256("\0".join((content, terms, software())).encode()).hexdigest()
 
 

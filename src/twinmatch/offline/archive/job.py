@@ -77,9 +77,7 @@ class Failure(NamedTuple):
 def judge_job(job: Job, place: str = "") -> JobResult:
     """Judge one session; any error becomes the outcome's error.
 
-    Args:
-        job: the session.
-        place: where this runs, for messages, such as " on worker tcp://10.0.0.7:41"; empty: on this machine.
+    `place` is where this runs, for messages, such as " on worker tcp://10.0.0.7:41"; empty: on this machine.
     """
     try:
         content = content_of(job.path)
@@ -180,11 +178,7 @@ def judge_on_cluster(jobs: Sequence[Job], address: str) -> Iterator[JobResult]:
     """Judge sessions on the workers of a cluster; yields outcomes as they complete.
 
     Workers need the same version of this package and the sessions under the same paths; everything else, and
-    all results, are sent by value.
-
-    Args:
-        jobs: the sessions.
-        address: address of the scheduler, for example "tcp://10.0.0.1:8786".
+    all results, are sent by value. `address` is the scheduler's, such as "tcp://10.0.0.1:8786".
     """
     with contextlib.closing(_connected(address)) as client:
         _check_workers(client, address, [job.path for job in jobs])

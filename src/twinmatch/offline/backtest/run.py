@@ -84,14 +84,8 @@ def regular(held: Sequence[Window], every: float) -> list[int]:
 def origins(
     held: Sequence[Window], samples: Iterable[int], horizons: Sequence[float], *, driven: bool = False
 ) -> list[Origin]:
-    """The origins at these samples, if at least the nearest horizon can be scored.
-
-    Args:
-        held: the session's stretches.
-        samples: indices of the samples.
-        horizons: horizons, s, from near to far.
-        driven: whether the loop is not known.
-    """
+    """The origins at these samples of a session's stretches, if at least the nearest of the horizons, s, from
+    near to far, can be scored."""
     wanted = sorted(set(samples))
     found = []
     for stretch in held:
@@ -176,14 +170,8 @@ def with_constant_band(
     """The same means with a band of one width at all horizons.
 
     The band contains its share of the residuals of the closed-loop twin over the whole past (measured minus
-    twin, for output and input), or of the driven twin (output only). The twin was matched on part of that
-    past, so the band tends to be narrow; such bands are usually made so.
-
-    Args:
-        forecast: the twin's forecast.
-        parameters: parameters of that twin.
-        past: all samples up to the forecast, at least four.
-        gains: gains of its controller; None if the loop is not known.
+    twin, for output and input), or, without gains, of the driven twin (output only). The twin was matched on
+    part of that past, so the band tends to be narrow; such bands are usually made so.
     """
     twin = response_on(parameters, past, gains)
     output = _around(forecast.output.mean, past.output[SKIPPED:] - twin.output, forecast.confidence)
@@ -320,11 +308,9 @@ def backtest_session(
     Args:
         path: session, .mcap file or recording.
         choices: horizons, interval and peers.
-        config: file of parameters; without it the defaults.
-        candidates: file of initial candidates.
+        config, candidates: files of parameters and initial candidates; without them the defaults and none.
         plant: name or file of the plant, if the session does not name it or it is in a file.
-        watch: called with the progress.
-        progress: called with the amount of the file read and the total.
+        watch, progress: called with the progress of judging and of reading.
         second: whether a second process may forecast meanwhile; it is a fork of this one.
     """
     with beside(possible=second) as work:

@@ -66,14 +66,8 @@ def interval_score(low: FloatArray, high: FloatArray, came: FloatArray, confiden
     S = (high − low) + 2/α (low − x)⁺ + 2/α (x − high)⁺ with α = 1 − confidence: Gneiting and Raftery,
     *Strictly Proper Scoring Rules, Prediction, and Estimation*, JASA 102 (2007), eq. 43.
 
-    Args:
-        low: lower ends, any shape.
-        high: upper ends, the same shape.
-        came: actual values, the same shape.
-        confidence: share of the values that the intervals are to hold, between 0 and 1.
-
-    Returns:
-        Scores in the unit of the values, the same shape.
+    The ends, the values and the scores have one shape and unit; `confidence` is the share of the values that
+    the intervals are to hold.
 
     Raises:
         BacktestError: the confidence is not between 0 and 1.
@@ -194,11 +188,8 @@ class Card:
 
 
 def best_in_hindsight(marked: Iterable[Marked]) -> list[Marked]:
-    """The forecast with the least error for every origin and horizon, under the name `HINDSIGHT`.
-
-    Args:
-        marked: forecasts of candidates; of equal ones the first is taken.
-    """
+    """The forecast with the least error for every origin and horizon, under the name `HINDSIGHT`; of equal
+    ones the first."""
     best: dict[tuple[str, int, float], Marked] = {}
     for one in marked:
         if one.place not in best or one.marks.error < best[one.place].marks.error:
