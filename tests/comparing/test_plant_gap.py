@@ -51,22 +51,21 @@ GAINS = gains_of(Peltier, 1.0)
 TERMS = LoopConditions(GAINS, spans_of(Peltier))
 POINTS = (30.0, 50.0, 70.0, 90.0)
 ONE = MODEL.parameters(seebeck=0.06, conductance=0.6, heat_capacity=28.0)
+PLATE = {"seebeck": 0.06, "conductance": 0.6, "heat_capacity": 28.0, "ambient": ONE["ambient"]}
 OTHER = MODEL.parameters(seebeck=0.075, conductance=0.4, heat_capacity=24.0)
 
 
 def plates() -> st.SearchStrategy[Parameters]:
     """Twins with a held sink or with one that has a mass."""
-    held_sink = st.builds(
-        MODEL.parameters,
-        seebeck=st.floats(0.03, 0.12),
-        conductance=st.floats(0.1, 1.0),
-        heat_capacity=st.floats(15.0, 60.0),
-    )
+    plate = {
+        "seebeck": st.floats(0.03, 0.12),
+        "conductance": st.floats(0.1, 1.0),
+        "heat_capacity": st.floats(15.0, 60.0),
+    }
+    held_sink = st.builds(MODEL.parameters, **plate)
     massive = st.builds(
         RICH.parameters,
-        seebeck=st.floats(0.03, 0.12),
-        conductance=st.floats(0.1, 1.0),
-        heat_capacity=st.floats(15.0, 60.0),
+        **plate,
         ambient=st.floats(285.0, 305.0),
         sink_heat_capacity=st.floats(50.0, 2000.0),
         sink_convection=st.floats(0.2, 20.0),
@@ -142,18 +141,16 @@ def test_equal_twins_are_at_no_distance(twin: Parameters) -> None:
 
 def test_what_a_plant_is_called_does_not_matter() -> None:
     """The paper's structure and one whose ambient happens to be the paper's are one plant."""
-    values = {"seebeck": 0.06, "conductance": 0.6, "heat_capacity": 28.0, "ambient": ONE["ambient"]}
-    named_otherwise = Peltier.model("held sink, free ambient").parameters(**values)
+    named_otherwise = Peltier.model("held sink, free ambient").parameters(**PLATE)
     assert plant_gap(ONE, named_otherwise, POINTS, TERMS) == 0.0
 
 
 def test_a_heavy_sink_comes_near_a_held_one() -> None:
     """Structures with different states are compared, and the richer one has the poorer as its limit."""
-    values = {"seebeck": 0.06, "conductance": 0.6, "heat_capacity": 28.0, "ambient": ONE["ambient"]}
     model = Peltier.model("sink with mass, free ambient")
     gaps = [
         plant_gap(
-            ONE, model.parameters(**values, sink_heat_capacity=mass, sink_convection=cooling), POINTS, TERMS
+            ONE, model.parameters(**PLATE, sink_heat_capacity=mass, sink_convection=cooling), POINTS, TERMS
         )
         for mass, cooling in ((100.0, 3.0), (1e3, 30.0), (1e5, 3e3), (1e7, 3e5))
     ]
@@ -348,39 +345,27 @@ def candidate(operating_point: float, name: str | None = None) -> Candidate:
     return Candidate(name or f"{operating_point:g} °C", operating_point, RIG, None)
 
 
-def test_the_newest_match_of_a_regime_replaces_the_older_one() -> None:
-    family = Family()
-    assert family.admit(candidate(50.0)) is None
-    leaving = family.admit(candidate(53.0))
-    assert leaving is not None
-    assert leaving.operating_point == 50.0
-    assert [c.operating_point for c in family.candidates] == [53.0]
-    assert family.admit(candidate(60.0)) is None
-
-
-def test_the_nearest_of_two_regimes_is_replaced() -> None:
-    family = Family()
-    family.admit(candidate(50.0))
-    family.admit(candidate(57.0))
-    leaving = family.admit(candidate(54.0))
-    assert leaving is not None
-    assert leaving.operating_point == 57.0
-
-
-def test_a_full_family_loses_the_one_matched_longest_ago() -> None:
-    family = Family(most=2)
-    family.admit(candidate(90.0))
-    family.admit(candidate(30.0))
-    leaving = family.admit(candidate(60.0))
-    assert leaving is not None
-    assert leaving.operating_point == 90.0
+@pytest.mark.parametrize(
+    ("most", "admitted", "leaving"),
+    [
+        pytest.param(8, [50.0, 53.0], 50.0, id="the older of a regime"),
+        pytest.param(8, [50.0, 57.0, 54.0], 57.0, id="the nearer of two regimes"),
+        pytest.param(8, [50.0, 60.0], None, id="nobody"),
+        pytest.param(2, [90.0, 30.0, 60.0], 90.0, id="the one matched longest ago, of a full family"),
+    ],
+)
+def test_who_leaves(most: int, admitted: list[float], leaving: float | None) -> None:
+    family = Family(most=most)
+    gone = [family.admit(candidate(point)) for point in admitted]
+    assert [c is None for c in gone[:-1]] == [True] * (len(admitted) - 1)
+    assert (gone[-1] and gone[-1].operating_point) == leaving
+    assert {c.operating_point for c in family.candidates} == set(admitted) - {leaving}
 
 
 def test_names_are_unique() -> None:
     family = Family()
     family.admit(candidate(30.0, "twin"))
-    leaving = family.admit(candidate(90.0, "twin"))
-    assert leaving is not None
+    assert family.admit(candidate(90.0, "twin")) is not None
     assert len(family) == 1
 
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -64,12 +64,8 @@ def measured(rig: Parameters = RIG, seed: int = 1) -> Window:
     return Window(REFERENCE, run.output, run.input)
 
 
-def criteria(gain: int, naic: float, bic: float, mdl: float) -> Criteria:
-    return Criteria(1000, 1000 - gain, gain, gain / 1000, naic, bic, mdl)
-
-
-def entry(order: str, *values: float) -> OrderScore:
-    c = criteria(int(values[0]), *values[1:])
+def entry(order: str, gain: int, *criteria: float) -> OrderScore:
+    c = Criteria(1000, 1000 - gain, gain, gain / 1000, *criteria)
     return OrderScore(order, c, c, c)
 
 
@@ -163,13 +159,9 @@ def test_the_control_model_has_the_kick_of_the_same_tick() -> None:
 
 
 def test_the_twin_response_repeats_with_its_seed_only() -> None:
-    window = measured()
-
-    def run(seed: int) -> Any:
-        return twin_response(RIG, window, Peltier.loop, Peltier.sensor, seed).output
-
-    np.testing.assert_array_equal(run(5), run(5))
-    assert not np.array_equal(run(5), run(6))
+    runs = [twin_response(RIG, measured(), Peltier.loop, Peltier.sensor, seed).output for seed in (5, 5, 6)]
+    np.testing.assert_array_equal(runs[0], runs[1])
+    assert not np.array_equal(runs[0], runs[2])
 
 
 def test_a_window_that_does_not_move_identifies_nothing() -> None:
@@ -199,17 +191,15 @@ def test_more_parameters_for_the_same_loss_never_help(v: float, n_p: int, n: int
 
 @pytest.mark.parametrize("criterion", [naic, bic, mdl])
 @pytest.mark.parametrize("bad", [-1e-9, math.nan, math.inf])
-def test_an_impossible_loss_is_refused(criterion: object, bad: float) -> None:
-    assert callable(criterion)
+def test_an_impossible_loss_is_refused(criterion: Callable[..., float], bad: float) -> None:
     with pytest.raises(DiscriminationError, match=f"the loss is {bad}"):
         criterion(bad, 3, 100)
 
 
-def test_impossible_counts_are_refused() -> None:
-    with pytest.raises(DiscriminationError, match="3 parameters and 0 samples"):
-        naic(1.0, 3, 0)
-    with pytest.raises(DiscriminationError, match="-1 parameters and 10 samples"):
-        mdl(1.0, -1, 10)
+@pytest.mark.parametrize(("parameters", "samples"), [(3, 0), (-1, 10)])
+def test_impossible_counts_are_refused(parameters: int, samples: int) -> None:
+    with pytest.raises(DiscriminationError, match=f"{parameters} parameters and {samples} samples"):
+        naic(1.0, parameters, samples)
 
 
 # The kernels behind the intervals, against the formulas they stand for.
@@ -342,13 +332,11 @@ def smallest_sum() -> str:
 def test_every_field_is_filled_with_what_its_source_says() -> None:
     found = judged()
     known = family_uncertainty(twins(), gaps(twins()), TERMS)
-    nominal = loop_plant(RIGS["70 °C"], 70.0)
-    for k, (candidate, (name, rig)) in enumerate(zip(found.candidates, RIGS.items(), strict=True)):
-        point = float(name.split(maxsplit=1)[0])
-        assert candidate.margin == stability_margin(
-            loop_plant(rig, point), loop_controller(gains_of(Peltier, 1.0))
-        )
-        assert candidate.plant_gap_to_nominal == nu_gap(loop_plant(rig, point), nominal)
+    nominal, controller = loop_plant(RIGS["70 °C"], 70.0), loop_controller(gains_of(Peltier, 1.0))
+    for k, (candidate, rig) in enumerate(zip(found.candidates, RIGS.values(), strict=True)):
+        plant = loop_plant(rig, candidate.operating_point)
+        assert candidate.margin == stability_margin(plant, controller)
+        assert candidate.plant_gap_to_nominal == nu_gap(plant, nominal)
         assert candidate.nu_gap_low == tuple(known.nu_gap_low[k])
         assert candidate.nu_gap_high == tuple(known.nu_gap_high[k])
         assert candidate.nu_gap_sum_low == known.sum_low[k]
@@ -357,37 +345,39 @@ def test_every_field_is_filled_with_what_its_source_says() -> None:
         assert candidate.nu_gap_sum == 0.1  # what was there stays
 
 
-def test_a_clear_choice_is_decided_and_the_controller_holds_all() -> None:
-    name = smallest_sum()
-    found = judged(name, factor=1e-4)
-    assert found.certainty.startswith(
-        f"{name} is nominal with probability above 0.99; the controller stabilises it"
-    )
-    assert "which covers all candidates (the farthest is 0." in found.certainty
+def other() -> str:
+    return next(name for name in RIGS if name != smallest_sum())
 
 
-def test_when_the_data_cannot_tell_it_says_so() -> None:
-    found = judged(smallest_sum(), factor=100.0)
-    assert found.certainty.startswith(
-        f"the data do not decide which candidate is nominal: {smallest_sum()} with probability 0."
-    )
-    chosen = next(c for c in found.candidates if c.name == smallest_sum())
-    assert chosen.nominal_probability < 0.9
-
-
-def test_a_choice_against_the_probabilities_is_not_decided() -> None:
-    other = next(name for name in RIGS if name != smallest_sum())
-    found = judged(other, factor=1e-4)
-    assert found.certainty.startswith(
-        f"the data do not decide which candidate is nominal: {other} with probability below 0.01, "
-        f"{smallest_sum()} with above 0.99"
-    )
+@pytest.mark.parametrize(
+    ("nominal", "factor", "words"),
+    [
+        (
+            smallest_sum,
+            1e-4,
+            [
+                "{0} is nominal with probability above 0.99; the controller stabilises it",
+                "which covers all candidates (the farthest is 0.",
+            ],
+        ),
+        (smallest_sum, 100.0, ["the data do not decide which candidate is nominal: {0} with probability 0."]),
+        (other, 1e-4, ["the data do not decide", "{1} with probability below 0.01, {0} with above 0.99"]),
+    ],
+    ids=["clear", "the data cannot tell", "against the probabilities"],
+)
+def test_how_certain_the_choice_is_in_words(
+    nominal: Callable[[], str], factor: float, words: list[str]
+) -> None:
+    found = judged(nominal(), factor=factor)
+    for said in words:
+        assert said.format(smallest_sum(), other()) in found.certainty
+    chosen = next(c for c in found.candidates if c.name == nominal())
+    assert (chosen.nominal_probability >= 0.9) == ("decide" not in found.certainty)
 
 
 def test_a_single_candidate_leaves_no_choice() -> None:
-    found = judged("50 °C", family=1)
     margin = stability_margin(loop_plant(RIGS["50 °C"], 50.0), loop_controller(gains_of(Peltier, 1.0)))
-    assert found.certainty == (
+    assert judged("50 °C", family=1).certainty == (
         "50 °C is the only candidate; the controller stabilises it and every plant "
         f"within a ν-gap of {margin:.2f}"
     )
@@ -402,15 +392,17 @@ def test_a_controller_that_is_too_hot_holds_nothing() -> None:
 
 def test_plants_beyond_the_margin_and_lost_ones_are_named() -> None:
     family, matrix = twins(), gaps(twins())
-    candidates = [scored(name, rig) for name, rig in RIGS.items()]
-    # half the heat capacity, twice the gain: held, but far away
-    light = replace(candidates[2], parameters=RIGS["90 °C"].replace(heat_capacity=12.0))
-    found = judge_uncertainty([*candidates[:2], light], family, matrix, "70 °C", TERMS)
+
+    def with_capacity(heat_capacity: float) -> Certainty:
+        rigs = {**RIGS, "90 °C": RIGS["90 °C"].replace(heat_capacity=heat_capacity)}
+        candidates = [scored(name, rig) for name, rig in rigs.items()]
+        return judge_uncertainty(candidates, family, matrix, "70 °C", TERMS)
+
+    found = with_capacity(12.0)  # half the heat capacity, twice the gain: held, but far away
     assert found.candidates[2].plant_gap_to_nominal > found.candidates[1].margin > 0
     assert found.candidates[2].margin > 0
     assert "which excludes 90 °C (0." in found.certainty
-    lighter = replace(candidates[2], parameters=RIGS["90 °C"].replace(heat_capacity=0.4))
-    found = judge_uncertainty([*candidates[:2], lighter], family, matrix, "70 °C", TERMS)
+    found = with_capacity(0.4)
     assert found.candidates[2].margin == 0.0
     assert found.certainty.endswith(", but not 90 °C")
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
 from twinmatch.dynamics import Parameters
-from twinmatch.fitting import BoxJenkins, FittingError, Match, estimate, estimate_ladder, match
+from twinmatch.fitting import FittingError, Match, estimate, estimate_ladder, match
 from twinmatch.fitting.estimation import Estimate, on_bounds, solve, starts_for, uncertainty
 from twinmatch.fitting.prediction import MEMORY
 from twinmatch.fitting.problem import Noise, Problem
@@ -315,18 +316,8 @@ def test_covariance_is_that_of_finite_differences() -> None:
 
     def errors(coefficients: FloatArray) -> FloatArray:
         b, c, d, f = coefficients.reshape(4, 2)
-        moved = BoxJenkins(
-            model.order,
-            np.append(0.0, b),
-            np.append(1.0, c),
-            np.append(1.0, d),
-            np.append(1.0, f),
-            model.variance,
-            model.covariance,
-            model.initial_state,
-            model.n_samples,
-        )
-        return moved.prediction_errors(u, y)
+        monic = {name: np.append(1.0, part) for name, part in zip("CDF", (c, d, f), strict=True)}
+        return replace(model, B=np.append(0.0, b), **monic).prediction_errors(u, y)
 
     h = 1e-6
     base = model.coefficients
@@ -419,14 +410,11 @@ def test_polynomials_that_are_missing(order: str) -> None:
 
 
 def test_sixty_samples_are_enough_for_the_ladder() -> None:
-    models = estimate_ladder(*recorded(60, 17, skip=20))
+    models = estimate_ladder(*recorded(60, 17, skip=20), period=0.5)
     assert list(models) == ["22221", "33331", "44441", "55551"]
+    assert {model.period for model in models.values()} == {0.5}
     assert models["22221"].n_samples == 60
     assert models["55551"].n_parameters == 20
-
-
-def test_the_period_is_passed_on() -> None:
-    assert estimate(*recorded(100, 18), "22221", period=0.5).period == 0.5
 
 
 def test_data_that_cannot_be_used() -> None:

@@ -56,23 +56,14 @@ FLAWS = {
 }
 
 
-def test_good_evidence_is_accepted() -> None:
-    status, reason = judge(GOOD, GateLimits())
-    assert status is Status.ACCEPTED
-    assert "1.2 times the noise variance" in reason
-
-
 @pytest.mark.parametrize(
     ("flaw", "status", "reason"),
     [
+        ({}, Status.ACCEPTED, "1.2 times the noise variance"),
         ({"chi2": 41.0}, Status.NOT_EXPLAINED, "even the best fit leaves residuals of 41 times"),
         ({"chi2": float("nan")}, Status.NOT_EXPLAINED, "even the best fit leaves residuals of nan"),
         ({"converged": False}, Status.DID_NOT_CONVERGE, "did not converge within"),
-        (
-            {"bounds_hit": ("seebeck",), "values": np.array([0.2, 0.6, 30.0])},
-            Status.BOUNDS_HIT,
-            "seebeck ended on its bound at 0.2",
-        ),
+        ({"bounds_hit": ("seebeck",)}, Status.BOUNDS_HIT, "seebeck ended on its bound at 0.075"),
         ({"condition": 1001.0}, Status.NOT_IDENTIFIABLE, "condition number 1e+03 is above 1000"),
         ({"condition": float("inf")}, Status.NOT_IDENTIFIABLE, "condition number inf"),
         (
@@ -80,13 +71,10 @@ def test_good_evidence_is_accepted() -> None:
             Status.NOT_IDENTIFIABLE,
             "conductance is 0.6 ± 0.4: this window does not determine it",
         ),
-        (
-            {"standard_errors": np.array([np.inf, 0.1, 2.0])},
-            Status.NOT_IDENTIFIABLE,
-            "seebeck is 0.075 ± inf",
-        ),
+        ({"standard_errors": np.array([np.inf, 0.1, 2])}, Status.NOT_IDENTIFIABLE, "seebeck is 0.075 ± inf"),
         ({"held_back_chi2": 1.7}, Status.NOT_BETTER, "residuals are 1.7 times"),
         ({"held_back_chi2": float("nan")}, Status.NOT_BETTER, "residuals are nan times"),
+        ({"held_back_chi2": 1.64}, Status.ACCEPTED, "predicts the held-back samples (1.64"),  # by chance
     ],
 )
 def test_each_flaw_has_its_status(flaw: dict[str, object], status: Status, reason: str) -> None:
@@ -102,8 +90,7 @@ def test_the_first_flaw_in_order_names_the_status() -> None:
         assert judge(replace(GOOD, **flaws), GateLimits())[0] is status
 
 
-def test_chance_may_make_the_held_back_part_a_little_worse() -> None:
-    assert judge(replace(GOOD, held_back_chi2=1.64), GateLimits())[0] is Status.ACCEPTED
+def test_without_slack_the_held_back_part_may_not_be_worse() -> None:
     assert judge(replace(GOOD, held_back_chi2=1.64), GateLimits(slack=1.0))[0] is Status.NOT_BETTER
 
 
@@ -111,12 +98,9 @@ def test_a_temperature_is_not_measured_by_its_distance_from_absolute_zero() -> N
     ambient = replace(
         GOOD, free=unknown("seebeck", "conductance", "ambient"), values=np.array([0.075, 0.6, 296.0])
     )
-    loose = replace(ambient, standard_errors=np.array([0.005, 0.03, 6.0]))
-    assert (
-        judge(replace(ambient, standard_errors=np.array([0.005, 0.03, 4.0])), GateLimits())[0]
-        is Status.ACCEPTED
-    )
-    assert judge(loose, GateLimits())[0] is Status.NOT_IDENTIFIABLE
+    for error, status in ((4.0, Status.ACCEPTED), (6.0, Status.NOT_IDENTIFIABLE)):
+        known = replace(ambient, standard_errors=np.array([0.005, 0.03, error]))
+        assert judge(known, GateLimits())[0] is status
 
 
 def test_what_was_kept_is_said_and_not_asked_for_its_error() -> None:
@@ -162,17 +146,19 @@ def test_only_what_passes_every_limit_is_accepted(
     assert (judge(evidence, GateLimits())[0] is Status.ACCEPTED) == passes
 
 
-def excited(reference: list[float]) -> int | None:
-    return first_excited(np.array(reference), 2.0)
-
-
-def test_excitation_is_a_movement_of_the_set_point() -> None:
-    assert excited([30.0, 30.0, 30.0, 32.0, 32.0]) == 3
-    assert excited([30.0, 30.0, 31.0, 30.5, 29.0]) == 4
-    assert excited([30.0, 30.5, 31.0, 31.5, 32.0, 32.5, 33.0]) == 5  # a ramp excites as well
-    assert excited([30.0, 40.0, 40.0, 40.0]) is None  # stepped before the twin starts
-    assert excited([30.0, 31.9, 30.0]) is None
-    assert excited([30.0]) is None
+@pytest.mark.parametrize(
+    ("reference", "at"),
+    [
+        ([30.0, 30.0, 30.0, 32.0, 32.0], 3),
+        ([30.0, 30.0, 31.0, 30.5, 29.0], 4),
+        ([30.0, 30.5, 31.0, 31.5, 32.0, 32.5, 33.0], 5),  # a ramp excites as well
+        ([30.0, 40.0, 40.0, 40.0], None),  # stepped before the twin starts
+        ([30.0, 31.9, 30.0], None),
+        ([30.0], None),
+    ],
+)
+def test_excitation_is_a_movement_of_the_set_point(reference: list[float], at: int | None) -> None:
+    assert first_excited(np.array(reference), 2.0) == at
 
 
 def test_limits_have_a_meaning() -> None:
@@ -228,9 +214,7 @@ def test_a_rich_window_determines_all(record: Recorder) -> None:
     assert result.believed == result.free
     assert result.suggestion == ""
     assert "left open" not in result.determined
-    for low, value, high in zip(
-        result.intervals[:, 0], (0.075, 0.6, 30.0), result.intervals[:, 1], strict=True
-    ):
+    for (low, high), value in zip(result.intervals, (0.075, 0.6, 30.0), strict=True):
         assert low < value < high < 2 * low
 
 

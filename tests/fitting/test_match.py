@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -41,6 +42,12 @@ AUTHORS_BOUNDS = {"seebeck": (0.02, 0.15), "conductance": (0.0, 1.0), "heat_capa
 PLATE = ("seebeck", "conductance", "heat_capacity")
 
 
+def within(result: Match, truth: Parameters) -> bool:
+    """Whether all parameters are within four of their standard errors of the truth."""
+    errors = [result.parameters[name] - truth[name] for name in result.free]
+    return bool(np.all(np.abs(errors) < 4.0 * result.standard_errors))
+
+
 def test_a_good_window_is_accepted(record: Recorder) -> None:
     window = record(TRUTH, seed=4)
     result = match(window, start=START)
@@ -48,9 +55,7 @@ def test_a_good_window_is_accepted(record: Recorder) -> None:
     assert result.status is Status.ACCEPTED
     assert result.free == ("seebeck", "conductance", "heat_capacity")
     assert result.samples == (window.first, window.last)
-    truth = np.array([TRUTH[name] for name in PLATE])
-    found = np.array([result.parameters[name] for name in result.free])
-    assert np.all(np.abs(found - truth) < 4.0 * result.standard_errors)
+    assert within(result, TRUTH)
     assert 0.5 < result.chi2 < 2.0
     assert result.fit.y > 0.97
     assert np.all(np.diag(result.correlation) == pytest.approx(1.0))
@@ -194,24 +199,27 @@ def test_other_periods_are_matched_as_well() -> None:
         match(window, start=START, gains=Peltier.loop)
 
 
-def test_questions_without_meaning_are_refused(record: Recorder) -> None:
-    window = record(TRUTH)
-    with pytest.raises(
-        FittingError, match="'alpha' cannot be free in Peltier rig, held sink; choose from seebeck"
-    ):
-        match(window, start=START, free=["alpha"])
-    with pytest.raises(FittingError, match="give at least one parameter and none twice"):
-        match(window, start=START, free=[])
-    with pytest.raises(FittingError, match="give at least one parameter and none twice"):
-        match(window, start=START, free=["seebeck", "seebeck"])
-    with pytest.raises(FittingError, match="'sink_convection' cannot be free in Peltier rig, held sink"):
-        match(window, start=START, free=["sink_convection"])
-    with pytest.raises(FittingError, match="bounds for 'alpha', which is unknown; choose from seebeck"):
-        match(window, start=START, bounds={"alpha": (0.0, 1.0)})
-    with pytest.raises(FittingError, match=r"the bounds of conductance are 1\.0 and 0\.0; give two finite"):
-        match(window, start=START, bounds={"conductance": (1.0, 0.0)})
-    with pytest.raises(PlantError, match="conductance is -1 W/K; it must be finite and at least 0"):
-        match(window, start=START, bounds={"conductance": (-1.0, 1.0)})
+@pytest.mark.parametrize(
+    ("asked", "words"),
+    [
+        ({"free": ["alpha"]}, "'alpha' cannot be free in Peltier rig, held sink; choose from seebeck"),
+        ({"free": []}, "give at least one parameter and none twice"),
+        ({"free": ["seebeck", "seebeck"]}, "give at least one parameter and none twice"),
+        ({"free": ["sink_convection"]}, "'sink_convection' cannot be free in Peltier rig, held sink"),
+        ({"bounds": {"alpha": (0.0, 1.0)}}, "bounds for 'alpha', which is unknown; choose from seebeck"),
+        (
+            {"bounds": {"conductance": (1.0, 0.0)}},
+            r"the bounds of conductance are 1\.0 and 0\.0",
+        ),
+        ({"bounds": {"conductance": (-1.0, 1.0)}}, "conductance is -1 W/K; it must be finite and at least 0"),
+    ],
+)
+def test_questions_without_meaning_are_refused(record: Recorder, asked: dict[str, Any], words: str) -> None:
+    with pytest.raises((FittingError, PlantError), match=words):
+        match(record(TRUTH), start=START, **asked)
+
+
+def test_impossible_noise_is_refused() -> None:
     with pytest.raises(FittingError, match=r"noise: input is 0\.0; it must be finite and positive"):
         Noise(0.1, 0.0)
 
@@ -293,20 +301,15 @@ def driven(seed: int | None = 5) -> Window:
     return Window(np.zeros(u.size), run.output, u)
 
 
-def test_a_motor_is_found_without_noise() -> None:
+def test_a_motor_is_found_exactly_without_noise_and_through_its_sensor() -> None:
     found = match(spun(seed=None), start=MOTOR.parameters())
     assert found.free == ("k", "j", "b")
     assert found.accepted
     for name in found.free:
         assert found.parameters[name] == pytest.approx(TRUTH_ANY_PLANT[name], rel=1e-6)
-
-
-def test_a_motor_is_found_through_its_sensor() -> None:
     found = match(spun(), start=MOTOR.parameters())
     assert found.accepted
-    truth = np.array([TRUTH_ANY_PLANT[name] for name in found.free])
-    values = np.array([found.parameters[name] for name in found.free])
-    assert np.all(np.abs(values - truth) < 4.0 * found.standard_errors)
+    assert within(found, TRUTH_ANY_PLANT)
 
 
 def test_words_use_the_plant_s_own_units() -> None:
