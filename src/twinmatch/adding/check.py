@@ -89,19 +89,19 @@ def _unit_notes(dimensions: Dimensions) -> list[str]:
 
 def _unused(plant: type[Plant]) -> list[Finding]:
     models: list[Model] = [plant.model(name) for name in plant.structures]
-    used = {name for model in models for name in model.declared}
-    moving = {name for model in models for name in model.states}
-    found = [
-        Finding(f"parameter {name}: no structure depends on it", "remove it, or use it in the equations")
-        for name in plant.parameters
-        if name not in used
+    used = {name for model in models for name in (*model.declared, *model.states)}
+    parts = {part for structure in plant.structures.values() for part in structure.parts}
+    kinds = (
+        ("parameter {}: no structure depends on it", "use it in the equations", plant.parameters, used),
+        ("state {}: no structure gives it a rate", "give it a rate and a start", plant.states, used),
+        ("part {!r}: no structure has it", "add a structure with it", plant.parts, parts),
+    )
+    return [
+        Finding(what.format(name), f"remove it, or {todo}")
+        for what, todo, declared, known in kinds
+        for name in declared
+        if name not in known
     ]
-    found += [
-        Finding(f"state {name}: no structure gives it a rate", "remove it, or give it a rate and a start")
-        for name in plant.states
-        if name not in moving
-    ]
-    return found
 
 
 def unreached(plant: type[Plant]) -> list[Finding]:
@@ -118,7 +118,7 @@ def unreached(plant: type[Plant]) -> list[Finding]:
         for state in (str(state) for state in written.rates if str(state) not in seen):
             what = f"{place}: state {state} does not act on the output, so no recording can show it"
             found.append(Finding(what, todo))
-    return [*found, *_same(plant, equations), *_unused_parts(plant)]
+    return [*found, *_same(plant, equations)]
 
 
 def idle_disturbances(plant: type[Plant]) -> list[str]:
@@ -155,15 +155,6 @@ def _same(plant: type[Plant], equations: dict[str, Equations]) -> list[Finding]:
                 what = f"structures {other!r} and {name!r} have the same equations: {listed} changes nothing"
                 found.append(Finding(what, "use the part in `equations`, or remove one of the structures"))
     return found
-
-
-def _unused_parts(plant: type[Plant]) -> list[Finding]:
-    used = frozenset().union(*(structure.parts for structure in plant.structures.values()))
-    return [
-        Finding(f"part {part!r}: no structure has it", "remove it, or add a structure with it")
-        for part in plant.parts
-        if part not in used
-    ]
 
 
 def _names(expressions: Iterable[Any]) -> set[str]:

@@ -77,7 +77,10 @@ def check_data(session: Session, plant: type[Plant], show: Shown = lambda *_: No
     y = np.array([sample.output for sample in session.samples])
     noise, declared = noise_of(y), plant.output.noise
     notes = [f"{session.name}: {y.size} samples, one every {session.period:g} s; measured noise {noise:g}"]
-    findings = _of_noise(declared, noise)
+    findings = []
+    if not declared / _LARGE <= noise <= declared * _SMALL:
+        what = f"the noise of the output is declared as {declared:g}, but measured as {noise:g}"
+        findings.append(Finding(what, "correct `noise`: every judgement of the fit depends on it"))
     if _SMALL * noise < declared <= _LARGE * noise:
         ratio = f"{declared / noise:.2g} times the measured one"
         notes.append(f"errors count in units of the declared noise, {ratio}")
@@ -100,13 +103,6 @@ def check_data(session: Session, plant: type[Plant], show: Shown = lambda *_: No
     if not accepted and any(match.status is Status.NOT_EXPLAINED for match in found):
         findings += _of_what_is_left(compared.least, plant.output)
     return CheckedPlant(f"{plant.title} on {session.name}", tuple(findings), tuple(notes))
-
-
-def _of_noise(declared: float, measured: float) -> list[Finding]:
-    if declared / _LARGE <= measured <= declared * _SMALL:
-        return []
-    what = f"the noise of the output is declared as {declared:g}, but measured as {measured:g}"
-    return [Finding(what, "correct `noise`: every judgement of the fit depends on it")]
 
 
 def _of_what_is_left(least: float, output: Output) -> list[Finding]:

@@ -78,7 +78,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _run(rig: VirtualPlantTime) -> int:
-    rig.on_change = lambda change: _say("fault", _described(change))
+    rig.on_change = _say_fault
     _say("board", f"{rig.board_kind} ({rig.board_remark})")
     for name, address in rig.addresses.items():
         _say(name, address)
@@ -101,8 +101,8 @@ def _reader_gone() -> bool:
     return any(event & select.POLLERR for _, event in output.poll(0))
 
 
-def _described(change: Change) -> str:
-    return f"{change.kind} {'begins' if change.begins else 'ends'} at {change.time:.2f} s"
+def _say_fault(change: Change) -> None:
+    _say("fault", f"{change.kind} {'begins' if change.begins else 'ends'} at {change.time:.2f} s")
 
 
 def _say(key: str, value: Any) -> None:
