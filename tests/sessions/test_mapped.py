@@ -324,11 +324,13 @@ def test_a_table_without_times_needs_only_the_distance_of_its_rows(
         map_samples(table, given, heated)
 
 
-def test_units_of_time_are_recognised_by_size(tmp_path: Path) -> None:
+def test_units_of_time_are_recognised_by_size_also_beside_infinite_times(tmp_path: Path) -> None:
     table = read_table(written(tmp_path, "a,b\n1611326938720,1\n1611326939720,2\n"))
     times = read_times(table, "a")
     assert times.seconds.tolist() == [0.0, 1.0]
     assert times.origin == pytest.approx(1611326938.72)
+    table = read_table(written(tmp_path, "t,a\n0,1\n1,2\ninf,3\n3,4\n"))
+    assert read_times(table, "t").seconds[[0, 1, 3]].tolist() == [0.0, 1.0, 3.0]
 
 
 def test_the_command_lists_imports_and_says_of_which_plant_a_session_is(tmp_path: Path) -> None:
@@ -337,6 +339,10 @@ def test_the_command_lists_imports_and_says_of_which_plant_a_session_is(tmp_path
     listed = run_twinmatch("import", table, "--list")
     assert listed.returncode == 0, listed.stderr
     assert "--map time=t output=T1 input=on" in listed.stdout
+    refused = run_twinmatch("import", table, "--map", *MAP, "-o", tmp_path / "session")
+    assert refused.returncode == 2
+    assert "the plant is missing; give --plant" in refused.stderr
+    assert not (tmp_path / "session").exists()
     done = run_twinmatch("import", table, "--plant", plant, "--map", *MAP, "-o", tmp_path / "session")
     assert done.returncode == 0, done.stderr
     assert "4 samples, one every 1 s" in done.stdout
@@ -359,13 +365,6 @@ def test_a_session_has_a_temperature_only_if_the_plant_has_one(tmp_path: Path) -
     )
     assert done.returncode == 0, done.stderr
     assert read_session(tmp_path / "session").counts == {"/plant/sample": 4, "/plant/reference": 4}
-
-
-def test_the_command_refuses_a_recording_of_nobodys_plant(tmp_path: Path) -> None:
-    done = run_twinmatch("import", written(tmp_path, CSV), "--map", *MAP, "-o", tmp_path / "session")
-    assert done.returncode == 2
-    assert "the plant is missing; give --plant" in done.stderr
-    assert not (tmp_path / "session").exists()
 
 
 PLAIN = "t,T (°C),on\n" + "".join(f"{k},{20 + k % 7},{k % 2}\n" for k in range(9))
@@ -392,10 +391,19 @@ def test_a_table_is_read_however_it_is_written(tmp_path: Path, content: bytes) -
     assert table.values(temperature).tolist() == [20 + k % 7 for k in range(9)]
 
 
-def test_a_row_with_words_is_not_taken_for_units(tmp_path: Path) -> None:
-    (tmp_path / "log.csv").write_text("day,T\n2021-01-01 10:00,m\n2021-01-01 10:01,2\n2021-01-01 10:02,3\n")
-    with pytest.raises(RecordingError, match="line 2: 'T' is 'm', which is not a number"):
-        read_table(tmp_path / "log.csv").values("T")
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [  # the first row has a word, and not units
+        (
+            "day,T\n2021-01-01 10:00,m\n2021-01-01 10:01,2\n2021-01-01 10:02,3\n",
+            "line 2: 'T' is 'm', which is",
+        ),
+        ('t;T\n0;"1,000.5"\n1;"2,000.5"\n', "write numbers without separators of thousands"),
+    ],
+)
+def test_cells_that_are_not_numbers_are_refused_in_words(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(RecordingError, match=message):
+        read_table(written(tmp_path, text)).values("T")
 
 
 @pytest.mark.parametrize(
@@ -411,14 +419,3 @@ def test_what_is_not_a_table_is_refused(tmp_path: Path, content: bytes, message:
     (tmp_path / "log.csv").write_bytes(content)
     with pytest.raises(RecordingError, match=message):
         read_table(tmp_path / "log.csv")
-
-
-def test_times_that_are_infinite_do_not_change_the_unit(tmp_path: Path) -> None:
-    table = read_table(written(tmp_path, "t,a\n0,1\n1,2\ninf,3\n3,4\n"))
-    assert read_times(table, "t").seconds[[0, 1, 3]].tolist() == [0.0, 1.0, 3.0]
-
-
-def test_separators_of_thousands_are_refused_in_words(tmp_path: Path) -> None:
-    table = read_table(written(tmp_path, 't;P\n0;"1,000.5"\n1;"2,000.5"\n'))
-    with pytest.raises(RecordingError, match="write numbers without separators of thousands"):
-        table.values("P")
