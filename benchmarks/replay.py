@@ -41,7 +41,7 @@ def _rig(at: int) -> Parameters:
 
 
 def run(quick: bool) -> list[Row]:
-    judged = run_on(recorded(620 if quick else HOUR), quick)
+    judged = run_on(recorded(320 if quick else HOUR), quick)
     return judged + _growth(quick) + _full_verdict(quick) + _one_sample(quick)
 
 
@@ -60,22 +60,18 @@ def run_on(samples: Sequence[Sample], quick: bool) -> list[Row]:
 
 def _growth(quick: bool) -> list[Row]:
     """Time to judge an hour of a recording, for short and long recordings."""
-    lengths = (600, 620) if quick else (600, HOUR, 10 * HOUR)
+    lengths = (300, 320) if quick else (600, HOUR, 10 * HOUR)
     settings = TwinSettings()
     calls = {}
     for length in lengths:
         samples = recorded(length)
         calls[length] = lambda samples=samples: judge_samples("run", samples, settings)
     timings = measure_side_by_side({str(n): c for n, c in calls.items()}, 1 if quick else 3, patience=240.0)
-    rows = []
-    for name, timing in timings.items():
-        note = f"{timing.median / int(name) * HOUR:.2f} s per hour"
-        rows.append(
-            Row(
-                "replay", f"{name} samples", "twinmatch", timing.median, None, len(timing.seconds), None, note
-            )
-        )
-    return rows
+    return [
+        Row("replay", f"{name} samples", "twinmatch", timing.median, None, len(timing.seconds), None, note)
+        for name, timing in timings.items()
+        for note in [f"{timing.median / int(name) * HOUR:.2f} s per hour"]
+    ]
 
 
 def _full_verdict(quick: bool) -> list[Row]:

@@ -19,6 +19,8 @@ def common(monkeypatch: pytest.MonkeyPatch) -> object:
     monkeypatch.syspath_prepend(str(PROJECT))
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         monkeypatch.setenv(variable, "1")
+    # Before each measurement; of what all tests have left, a fifth of a second.
+    monkeypatch.setattr("gc.collect", lambda: 0)
     import benchmarks.common
 
     return benchmarks.common

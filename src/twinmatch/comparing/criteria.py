@@ -147,24 +147,20 @@ def score(model: SimoModel, window: Window, decimals: int = 2, *, absolute: floa
         absolute: added to outputs in these tables (`Output.absolute`): the published lengths show that
             the tables are in kelvin (paper, table IV).
     """
-    if model.u is None:
-        level = operating_level(window, driven=True, lead=model.lead)
-        _, y, u = deviations(window, level)
-        on_y = _criteria(model.y, u, y, level.output + absolute, decimals)
-        return OrderScore(model.order, on_y, None, on_y)
-    level = operating_level(window, lead=model.lead)
+    driven = model.u is None
+    level = operating_level(window, driven=driven, lead=model.lead)
     r, y, u = deviations(window, level)
-    on_y = _criteria(model.y, r, y, level.output + absolute, decimals)
+    on_y = _criteria(model.y, u if driven else r, y, level.output + absolute, decimals)
+    if model.u is None:
+        return OrderScore(model.order, on_y, None, on_y)
     on_u = _criteria(model.u, ahead(r), u, level.input, decimals)
     return OrderScore(model.order, on_y, on_u, on_y + on_u)
 
 
 def choose_order(scores: Sequence[OrderScore]) -> str:
     """The order preferred by most criteria in total; of equals the lowest, by Occam's razor."""
-    best = [max(scores, key=lambda s: s.total.gain).order]
-    for name in ("naic", "bic", "mdl"):
-        best.append(min(scores, key=lambda s: float(getattr(s.total, name))).order)
-    return common_order(best)
+    best = [min(scores, key=lambda s: float(getattr(s.total, name))) for name in ("naic", "bic", "mdl")]
+    return common_order([s.order for s in (max(scores, key=lambda s: s.total.gain), *best)])
 
 
 def common_order(chosen: Sequence[str]) -> str:

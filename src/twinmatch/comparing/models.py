@@ -109,11 +109,10 @@ def identify(
     Raises:
         FittingError: set-point or input does not move, or there are too few samples.
     """
+    r, y, u = deviations(window, operating_level(window, driven=scale is not None, lead=lead))
     if scale is not None:
-        _, y, u = deviations(window, operating_level(window, driven=True, lead=lead))
         found = estimate_ladder(u, y, orders, hops=0, period=window.period)
         return tuple(SimoModel(o, found[o], None, scale, lead) for o in orders)
-    r, y, u = deviations(window, operating_level(window, lead=lead))
     # In parallel: almost all of the work is compiled code, which releases the GIL, and both are independent.
     with ThreadPoolExecutor(1) as other:
         u_models = other.submit(estimate_ladder, ahead(r), u, orders, hops=0, period=window.period)
@@ -184,13 +183,8 @@ class Family:
     """At most `most` candidates, one per set-point regime; a newer match of a regime replaces the older."""
 
     def __init__(self, most: int = 8, regime_width: float = 10.0) -> None:
-        """Begin empty.
-
-        Args:
-            most: how many candidates are kept; the one matched longest ago is removed first.
-            regime_width: operating points closer than half of this, in the output's unit, belong to one
-            regime.
-        """
+        """Begin empty; of more than `most` the one matched longest ago is removed. Operating points closer
+        than half of `regime_width`, in the output's unit, belong to one regime."""
         self.most = most
         self.regime_width = regime_width
         self._candidates: list[Candidate] = []

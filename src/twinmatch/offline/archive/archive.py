@@ -70,11 +70,11 @@ def judge_archive(
     paths = find_sessions(named)
     run = _Run(_terms(config, candidates, plant, document), Store(out) if out else None, on_skip)
     todo = run.start(paths)
-    reused = len(run.records)
+    reused, known = len(run.records), len(paths) - len(todo)
     report = watch or (lambda _done, _total: None)
-    report(len(paths) - len(todo), len(paths))
+    report(known, len(paths))
     with contextlib.closing(_outcomes(todo, jobs, scheduler)) as outcomes:
-        for done, outcome in enumerate(outcomes, len(paths) - len(todo) + 1):
+        for done, outcome in enumerate(outcomes, known + 1):
             run.take(paths[outcome.number], outcome)
             report(done, len(paths))
     return run.archive(paths, reused)
