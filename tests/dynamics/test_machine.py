@@ -96,7 +96,7 @@ EXPRESSIONS = st.recursive(
 )
 
 
-@settings(max_examples=20)
+@settings(max_examples=12)
 @given(first=EXPRESSIONS, second=EXPRESSIONS)
 def test_any_arithmetic_is_compiled(first: Any, second: Any) -> None:
     one, other = sympy.sympify(first), sympy.sympify(second)

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.support.plants import Lag, Motor
+from tests.support.plants import Motor
 from twinmatch.dynamics import (
     Drive,
     Equations,
@@ -186,8 +186,3 @@ def test_an_observer_finds_the_state_no_sensor_shows() -> None:
     assert off < 3 * np.sqrt(observer.covariance[1, 1]) < 1.0
     # The mean of 1200 squares of normal numbers is 1 ± 0.04.
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.2)
-
-
-def test_a_plant_needs_no_loop() -> None:
-    assert Lag.loop is None
-    assert Lag.model().parameters()["lag"] == 5.0

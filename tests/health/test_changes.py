@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
+from copy import deepcopy
+from typing import Any
 
 import numpy as np
 import pytest
 
 from tests.support import faulty_rig as rig
+from tests.support.faulty_kit import copied
 from tests.support.plants import Motor
 from twinmatch.dynamics import Controller, Parameter, PlantError, advance, begin, read
 from twinmatch.health import Fault, HealthSettings, Monitor
@@ -88,29 +91,36 @@ def test_the_plant_is_trusted_as_far_as_the_samples_bear() -> None:
     assert rough.level > exact.level
 
 
-def motor(kind: str = "") -> Monitor:
-    """600 s of a motor whose load is measured, changed after 400 s."""
+def motors(*kinds: str) -> list[Monitor]:
+    """Of 600 s of a motor whose load is measured, each changed in another way after 400 s."""
     truth = Motor.model("with friction").parameters(j=4.4e-4, b=1.1e-4, k=0.046)
-    pid, states, random = Controller(Motor.loop), begin(truth, 0.0), np.random.default_rng(7)
-    period = Motor.loop.period
-    monitor = Monitor(HealthSettings.of(Motor, period))
-    for k, reference in enumerate(np.repeat(random.uniform(-150.0, 150.0, 60), 200)):
-        late = k * period >= 400
-        y = read(truth, states) + random.normal(0.0, 0.2)
-        u, load = pid.step(float(reference), y)[0], 0.02 * np.sin(k / 200)
-        monitor.push(Sample(k, k, float(reference), y, u, (load,)))
-        share = 0.75 if late and kind == "weak" else 1.0
-        unseen = 0.005 if late and kind == "load" else 0.0
-        states = advance(truth, states, share * u, period, np.array([load + unseen]))
-    return monitor
+    pid, random, period = Controller(Motor.loop), np.random.default_rng(7), Motor.loop.period
+    monitor, reference = Monitor(HealthSettings.of(Motor, period)), random.uniform(-150.0, 150.0, 60)
+
+    def run(until: float, at: Any, kind: str = "") -> Any:
+        k, states, pid, random, monitor = at
+        while k * period < until:
+            wanted = float(reference[k // 200])
+            y = read(truth, states) + random.normal(0.0, 0.2)
+            u, load = pid.step(wanted, y)[0], 0.02 * np.sin(k / 200)
+            monitor.push(Sample(k, k, wanted, y, u, (load,)))
+            unseen = 0.005 if kind == "load" else 0.0
+            share = 0.75 if kind == "weak" else 1.0
+            states = advance(truth, states, share * u, period, np.array([load + unseen]))
+            k += 1
+        return k, states, pid, random, monitor
+
+    k, states, *rest = run(400.0, (0, begin(truth, 0.0), pid, random, monitor))
+    return [run(600.0, (k, states, *(deepcopy(rest[:2])), copied(rest[2])), kind)[-1] for kind in kinds]
 
 
 def test_another_plant_is_judged_by_what_its_file_says(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Motor, "typical", {"k": 0.05})
-    assert motor().alarms == ()
-    assert Fault.DRIVE_WEAK in {a.fault for a in motor("weak").alarms}
+    same, weak, loaded = motors("", "weak", "load")
+    assert same.alarms == ()
+    assert Fault.DRIVE_WEAK in {a.fault for a in weak.alarms}
     # No parameter has a role, so a load that nobody measures has no name, and gets none.
-    assert {a.fault for a in motor("load").alarms} <= {Fault.DRIFT}
+    assert {a.fault for a in loaded.alarms} <= {Fault.DRIFT}
 
 
 def test_roles_and_the_structure_to_be_followed_are_checked() -> None:

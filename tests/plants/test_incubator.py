@@ -15,7 +15,7 @@ from scipy.integrate import solve_ivp
 from tests.support.incubator import FIRST, SECOND, published_twin, read_run
 from twinmatch.dynamics import Experiment, Parameters, advance, begin, read
 from twinmatch.fitting import Status, StructureFit, fit_structure, match
-from twinmatch.plants import Incubator, find_plant
+from twinmatch.plants import Incubator
 from twinmatch.signals import FloatArray, Window
 from twinmatch.twin.structures import choose_structure
 
@@ -92,10 +92,6 @@ def test_left_alone_all_of_it_comes_to_the_temperature_of_the_room(structure: st
         states = advance(plant, states, 0.0, 60.0, np.array([18.0]))
     np.testing.assert_allclose(states, 18.0, atol=0.05)
     assert read(plant, states) == pytest.approx(18.0, abs=0.05)
-
-
-def test_it_is_known_by_its_name() -> None:
-    assert find_plant("incubator") is Incubator
 
 
 # --- simulated ---

@@ -15,7 +15,6 @@ from tests.support.peltier_oracle import closed_tick, integrated, riccati_arriva
 from twinmatch.dynamics import (
     Controller,
     Parameters,
-    PidGains,
     advance,
     begin,
     quantities,
@@ -164,15 +163,6 @@ def test_the_loop_over_recorded_set_points_is_exact_to_a_micro_kelvin(
     np.testing.assert_allclose(found.input, commands, atol=1e-4, rtol=0)
 
 
-@pytest.mark.parametrize("number", [1, 2, 5, 9, 14, 20, 27])
-def test_the_recorded_commands_are_those_of_the_plants_controller(
-    recorded_hour: Callable[[int], Window], number: int
-) -> None:
-    window, pid = recorded_hour(number), Controller(Peltier.loop)
-    commands = [pid.step(r, y)[0] for r, y in zip(window.reference, window.output, strict=True)]
-    np.testing.assert_allclose(commands, window.input, atol=1e-4)
-
-
 @given(rig=richest, plate=temperatures, sink=temperatures, pwm=pwms)
 def test_energy_balances(rig: Parameters, plate: float, sink: float, pwm: float) -> None:
     flows = quantities(rig, np.array([plate, sink, plate]), pwm)
@@ -257,20 +247,6 @@ def test_ticks_in_python_repeat_the_simulation_to_the_last_bit(rig: Parameters, 
         states = advance(rig, states, pwm, 1.0)
 
 
-@pytest.mark.parametrize("rig", STRUCTURES)
-def test_driven_by_its_own_pwm_the_plant_repeats_the_closed_loop(rig: Parameters) -> None:
-    closed = simulate_closed_loop(rig, STEPS, states=begin(rig, 22.85))
-    again = simulate_driven(rig, closed.input, states=begin(rig, 22.85))
-    np.testing.assert_array_equal(again.output, closed.output)
-    np.testing.assert_array_equal(again.input, closed.input)
-
-
-def test_the_loop_settles_on_its_reference() -> None:
-    rig = PLAIN.parameters()
-    response = simulate_closed_loop(rig, np.full(1500, 60.0), states=begin(rig, 22.85))
-    assert response.output[-1] == pytest.approx(60.0, abs=1e-6)
-
-
 def test_noise_feeds_back_through_the_controller() -> None:
     rig, reference = PLAIN.parameters(), np.full(2000, 40.0)
     sensor = Peltier.sensor.realise(2000, 1.0, 3)
@@ -302,10 +278,3 @@ def test_the_closed_solution_holds_what_it_says(
     assert distance == pytest.approx(run.y[0, -1], rel=1e-9)
     assert riccati_arrival(quadratic, slope, speed, distance) == pytest.approx(time, rel=1e-12)
     assert riccati_arrival(-1.0, 0.0, 1.0, 1.0 + 1e-9) == math.inf
-
-
-def test_the_controller_of_another_period_is_refused_nowhere_silently() -> None:
-    gains = PidGains(3.0, 0.1, 0.0, 1.0, -255.0, 255.0, period=0.5)
-    rig = PLAIN.parameters()
-    response = simulate_closed_loop(rig, np.full(400, 40.0), states=begin(rig, 22.85), gains=gains)
-    assert response.output[-1] == pytest.approx(40.0, abs=0.5)

@@ -16,7 +16,7 @@ from tests.support.plant_files import plant_file
 from tests.support.processes import no_plant_files
 from twinmatch.dynamics import Plant, PlantError, equations
 from twinmatch.dynamics.equations import at_most
-from twinmatch.plants import Peltier, files, find_plant, plant_named, written_name
+from twinmatch.plants import PLANTS, Peltier, files, find_plant, plant_named, written_name
 from twinmatch.plants.files import _declared
 
 
@@ -187,7 +187,7 @@ def test_files_without_a_plant_and_names_that_are_taken_are_refused(tmp_path: Pa
         find_plant(str(empty))
     with pytest.raises(PlantError, match="is called peltier, like one that comes with twinmatch"):
         find_plant(str(plant_file(tmp_path, "peltier")))
-    assert find_plant("peltier") is Peltier
+    assert all(find_plant(name) is plant for name, plant in PLANTS.items())
     find_plant(str(plant_file(tmp_path, "block_twice")))
     (tmp_path / "copy").mkdir()
     with pytest.raises(

@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 from twinmatch.control import Loop
 from twinmatch.dynamics import Parameters, advance, begin, read, simulate_driven
 from twinmatch.fitting import fit_structure, match
-from twinmatch.plants import PLANTS, TCLab
+from twinmatch.plants import TCLab
 from twinmatch.signals import Sample, Window
 
 SIMPLE = TCLab.model("sensor lag")
@@ -72,10 +72,6 @@ def test_a_tick_is_that_of_the_published_balance(
     assert np.abs(reached - exact).max() < 1e-5 + 2e-6 * way
 
 
-def test_the_states_are_in_the_order_in_which_they_are_declared() -> None:
-    assert list(WHOLE.states) == ["heater", "neighbour", "sensor_state"]
-
-
 def test_heat_comes_to_a_balance_that_can_be_worked_out_by_hand() -> None:
     """Without radiation 0.6 W leave over 12 W/(m² K) · 10 cm² at 50 K above the room."""
     kit = SIMPLE.parameters(losses=12.0, heating=0.01, ambient=293.15, sensor_lag=15.0)
@@ -91,10 +87,6 @@ def test_the_second_heater_warms_the_first() -> None:
         states = advance(kit, states, 0.0, 1.0, np.array([80.0]))
     # The published kit shows some 5 to 10 °C for such a step.
     assert 3.0 < read(kit, states) - 20.0 < 12.0
-
-
-def test_it_comes_with_the_package() -> None:
-    assert PLANTS["tclab"] is TCLab
 
 
 @pytest.fixture(scope="module")

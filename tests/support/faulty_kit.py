@@ -138,11 +138,11 @@ _KEPT = 150
 """One is kept after so many samples."""
 
 
-def _copied(monitor: Monitor) -> Monitor:
+def copied(monitor: Monitor) -> Monitor:
     """It shares with the other one what does not change: settings, the model, parameters of past samples."""
-    assert monitor._late is not None
-    model, past = monitor.settings.reference.model, list(monitor._late._past)
-    shared = (monitor.settings, model, model.kernels, *past, *(one.parameters for one in past))
+    past = [] if monitor._late is None else list(monitor._late._past)
+    models = {one.model for one in (monitor.settings.reference, monitor.settings.followed)}
+    shared = (monitor.settings, *models, *(m.kernels for m in models), *past, *(p.parameters for p in past))
     return deepcopy(monitor, {id(one): one for one in shared})
 
 
@@ -156,11 +156,11 @@ def watch(samples: Sequence[Sample]) -> tuple[Alarm, ...]:
     seen = len(samples) // _KEPT * _KEPT
     while seen and samples[:seen] not in _SEEN:
         seen -= _KEPT
-    monitor = _copied(_SEEN[samples[:seen]]) if seen else Monitor(HealthSettings.of(TCLab))
+    monitor = copied(_SEEN[samples[:seen]]) if seen else Monitor(HealthSettings.of(TCLab))
     for count, sample in enumerate(samples[seen:], seen + 1):
         monitor.push(sample)
         if count % _KEPT == 0:
-            _SEEN[samples[:count]] = _copied(monitor)
+            _SEEN[samples[:count]] = copied(monitor)
     return monitor.alarms
 
 
