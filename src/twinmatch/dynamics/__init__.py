@@ -23,7 +23,7 @@ from twinmatch.dynamics.declarations import (
 )
 from twinmatch.dynamics.definition import Equations
 from twinmatch.dynamics.descent import Descended, box_step, descend
-from twinmatch.dynamics.experiment import Experiment, Known, Tangents
+from twinmatch.dynamics.experiment import Experiment, Known
 from twinmatch.dynamics.forecasts import Foresight, LoopForecast, forecast_loop, noise_scores
 from twinmatch.dynamics.laws import LawCode, commands_of
 from twinmatch.dynamics.linear import Linear, Rest, linearised, linearised_at, rest_at
@@ -38,6 +38,7 @@ from twinmatch.dynamics.loop import (
 )
 from twinmatch.dynamics.observer import Observer, ObserverBank, RandomWalk
 from twinmatch.dynamics.plant import Model, Parameters, Plant
+from twinmatch.dynamics.runs import Tangents
 from twinmatch.dynamics.sensor import Sensor, SensorRealisation
 from twinmatch.dynamics.simulation import (
     FROM_PLANT_FILE,

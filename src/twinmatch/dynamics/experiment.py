@@ -13,7 +13,7 @@ from twinmatch.dynamics.declarations import PlantError
 from twinmatch.dynamics.descent import Descended, new_search, search_result
 from twinmatch.dynamics.laws import LawCode
 from twinmatch.dynamics.plant import Parameters
-from twinmatch.dynamics.runs import LeastSquares
+from twinmatch.dynamics.runs import LeastSquares, Tangents
 from twinmatch.dynamics.simulation import (
     FROM_PLANT_FILE,
     SKIPPED,
@@ -37,26 +37,6 @@ class Known(NamedTuple):
     """Expected value, in the parameter's unit."""
     pull: float
     """Weight of its squared distance from that in the cost, in 1/unit²."""
-
-
-class Tangents(NamedTuple):
-    """A run and its derivatives."""
-
-    outputs: FloatArray
-    """y, shape (N, o)."""
-    inputs: FloatArray
-    """u, shape (N, m)."""
-    by: FloatArray
-    """Derivatives of outputs and inputs by the unknowns, shape (o + m, N, n)."""
-    by_state: FloatArray
-    """Derivatives of the states one period later by the states, shape (N, nx, nx)."""
-    by_input: FloatArray
-    """Derivatives of the states one period later by u, shape (N, nx, m)."""
-    around: FloatArray
-    """Derivatives of the controller's commands, and of its state after them, by its state and the readings,
-    shape (N, m + q, q + o)."""
-    seen: FloatArray
-    """Derivatives of the outputs by the states, shape (N, o, nx)."""
 
 
 class Experiment:
@@ -229,12 +209,12 @@ class Experiment:
         """Run with all derivatives."""
         vector, law, states, columns, steps = self._start(values)
         problem = self._problem
-        found: tuple[FloatArray, ...] = self._kernels.run_with_tangents(
+        found: Tangents = self._kernels.run_with_tangents(
             vector, problem.which, states, columns, law, problem.tuned, problem.memory, problem.references,
             problem.disturbances, problem.period, steps, problem.measured, problem.weights, problem.robust,
             True, np.inf,
-        )  # fmt: skip
-        return Tangents(*found[:7])
+        )[0]  # fmt: skip
+        return found
 
     @cached_property
     def start_slope(self) -> FloatArray:

@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from twinmatch.dynamics.declarations import PlantError
-from twinmatch.dynamics.experiment import Experiment, Tangents
+from twinmatch.dynamics.experiment import Experiment
 from twinmatch.dynamics.laws import LawCode
 from twinmatch.dynamics.loop import Law
 from twinmatch.dynamics.plant import Parameters
+from twinmatch.dynamics.runs import Tangents
 from twinmatch.dynamics.simulation import gains_of, law_of, n_references, signal_rows
 from twinmatch.dynamics.variances import BANDED, MEAN, foresee, foresee_each, noise_effects
 from twinmatch.signals import FloatArray, finite
@@ -259,13 +260,8 @@ def noise_scores(
         residual caused by all of them. Noise of the first readings also shifts the twin's start. For a
         driven twin, noise enters only through the readings it is compared with, and its start.
     """
-    return noise_effects(
-        np.ascontiguousarray(tangents.by_state),
-        np.ascontiguousarray(tangents.by_input),
-        np.ascontiguousarray(tangents.around),
-        np.ascontiguousarray(tangents.seen),
-        experiment.start_slope,
-        np.ascontiguousarray(weighed),
-        np.ascontiguousarray(weights, dtype=np.float64),
-        experiment.closed,
-    )
+    effects: tuple[FloatArray, float] = noise_effects(
+        tangents, experiment.start_slope, np.ascontiguousarray(weighed),
+        np.ascontiguousarray(weights, dtype=np.float64), experiment.closed,
+    )  # fmt: skip
+    return effects

@@ -92,6 +92,26 @@ class LeastSquares(NamedTuple):
     """Weight of their squared distance from it in the cost; zero without prior."""
 
 
+class Tangents(NamedTuple):
+    """A run of N samples and its derivatives."""
+
+    outputs: FloatArray
+    """y, shape (N, o)."""
+    inputs: FloatArray
+    """u, shape (N, m)."""
+    by: FloatArray
+    """Derivatives of outputs and inputs by the unknowns, shape (o + m, N, n)."""
+    by_state: FloatArray
+    """Derivatives of the states one period later by the states, shape (N, nx, nx)."""
+    by_input: FloatArray
+    """Derivatives of the states one period later by u, shape (N, nx, m)."""
+    around: FloatArray
+    """Derivatives of the controller's commands, and of its state after them, by its state and the readings,
+    shape (N, m + q, q + o)."""
+    seen: FloatArray
+    """Derivatives of the outputs by the states, shape (N, o, nx)."""
+
+
 @compiled(innermost=True)
 def add_row(normal: FloatArray, rows: FloatArray, s: int, weight: float, robust: bool) -> None:
     """Add one residual, the last entry of row s, and its derivatives to the lower half of the equations."""
@@ -155,58 +175,99 @@ def run(
     return y, u, states
 
 
+@compiled(innermost=True)
+def _output_tangents(
+    shown: FloatArray, which: NDArray[np.int64], columns: FloatArray, dy: FloatArray, n: int, unknown: int
+) -> None:
+    """Derivatives of the outputs by n unknowns, from those of the states and, in `shown`, of the outputs."""
+    outputs, nx = dy.shape[0], columns.shape[0]
+    for o in range(outputs):
+        for j in range(n):
+            slope = shown[outputs * nx + o * unknown + which[j]] if j < which.size else 0.0
+            for i in range(nx):
+                slope += shown[o * nx + i] * columns[i, j]
+            dy[o, j] = slope
+
+
+@compiled(innermost=True)
+def _pid_tangents(law: LawCode, u: float, dy: FloatArray, dz: FloatArray, du: FloatArray, n: int) -> None:
+    """Derivatives of the PID's command u and of its next state, in place."""
+    by_change = law[DERIVATIVE] / law[PERIOD]
+    by_reading = law[PROPORTIONAL] + by_change
+    free = 1.0 if law[LOW] < u < law[HIGH] else 0.0
+    for j in range(n):
+        unlimited = dz[0, j] - by_reading * dy[0, j] - by_change * dz[1, j]
+        du[0, j] = free * unlimited
+        dz[0, j] += law[PERIOD] * (law[BACK] * (du[0, j] - unlimited) - law[INTEGRAL] * dy[0, j])
+        dz[1, j] = -dy[0, j]
+
+
+@compiled(innermost=True)
+def _store(
+    stored: Tangents, k: int, y: FloatArray, u: FloatArray, dy: FloatArray, du: FloatArray,
+    slopes: FloatArray, shown: FloatArray, columns: FloatArray, n: int,
+) -> None:  # fmt: skip
+    """Store what is known of sample k before its tick, whose derivatives by states and inputs begin."""
+    outputs, inputs, nx = y.size, u.size, columns.shape[0]
+    for i in range(slopes.shape[0]):
+        for j in range(slopes.shape[1]):
+            stored.around[k, i, j] = slopes[i, j]
+    for o in range(outputs):
+        stored.outputs[k, o] = y[o]
+        for j in range(n):
+            stored.by[o, k, j] = dy[o, j]
+        for i in range(nx):
+            stored.seen[k, o, i] = shown[o * nx + i]
+    for i in range(inputs):
+        stored.inputs[k, i] = u[i]
+        for j in range(n):
+            stored.by[outputs + i, k, j] = du[i, j]
+        du[i, n + nx + i] = 1.0
+    for i in range(nx):
+        for j in range(nx + inputs):
+            columns[i, n + j] = 1.0 if i == j else 0.0
+
+
 @compiled
 def run_with_tangents(  # noqa: PLR0915 (one pass over the samples)
     code: Code, vector: FloatArray, which: NDArray[np.int64], x: FloatArray, columns: FloatArray,
     law: LawCode, tuned: NDArray[np.int64], memory: FloatArray, references: FloatArray,
     disturbances: FloatArray, period: float, steps: int, measured: FloatArray, weights: FloatArray,
     robust: bool, stored: bool, limit: float,
-) -> tuple[
-    FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray
-]:  # fmt: skip
+) -> tuple[Tangents, FloatArray]:  # fmt: skip
     """The run with its derivatives; either its arrays are stored, or the normal equations are summed.
 
     `columns`, shape (nx, n), are the derivatives of x by the n unknowns: the parameters `which`,
     indices into UNKNOWN, the law's gains `tuned`, and others (initial states) that act only through x.
-    `measured` holds outputs and inputs, shape (s, N), and `weights` the weights of all of them. Returns
-    outputs, shape (N, o), inputs, shape (N, m), the derivatives of both, (s, N, n), those of every tick by
-    state, (N, nx, nx), and input, (N, nx, m), those of the law's step by its state and the readings,
-    (N, m + q, q + o), those of the outputs by state, (N, o, nx), and [J r]ᵀ[J r] of the weighed residuals
-    r = weights·(simulated − measured), shape (n + 1, n + 1); its last entry is the sum of r², or of
-    2(√(1 + r²) − 1) if `robust`, with rows weighted by 1/√(1 + r²). A run ends when its sum exceeds `limit`.
+    `measured` holds outputs and inputs, shape (s, N), and `weights` the weights of all of them. Returns the
+    arrays and [J r]ᵀ[J r] of the weighed residuals r = weights·(simulated − measured), shape (n + 1, n + 1);
+    its last entry is the sum of r², or of 2(√(1 + r²) − 1) if `robust`, with rows weighted by 1/√(1 + r²).
+    A run ends when its sum exceeds `limit`.
     """
-    size, n, nx, q = disturbances.shape[0], columns.shape[1], x.size, memory.size
-    inputs, outputs, unknown = code[N_INPUTS], code[N_OUTPUTS], code[N_UNKNOWN]
-    kind, by_reading, by_change = law[KIND], 0.0, 0.0
-    compared = inputs if kind != GIVEN else 0
-    if kind == PID:
-        by_change = law[DERIVATIVE] / law[PERIOD]
-        by_reading = law[PROPORTIONAL] + by_change
-    kept = size if stored else 0
-    extra = nx + inputs if stored else 0
-    y_all, u_all = np.empty((kept, outputs)), np.empty((kept, inputs))
-    by = np.zeros((outputs + inputs, kept, n))
-    by_state, by_input = np.empty((kept, nx, nx)), np.empty((kept, nx, inputs))
-    around, seen = np.empty((kept, inputs + q, q + outputs)), np.empty((kept, outputs, nx))
-    normal, of_inputs = np.zeros((n + 1, n + 1)), np.zeros((compared, n + 1))
-    dy, dz, moved = np.zeros((outputs, n + 1)), np.zeros((q, n)), np.zeros((q, n))
-    all_columns, du = np.zeros((nx, n + extra)), np.zeros((inputs, n + extra))
+    size, (nx, n), q = disturbances.shape[0], columns.shape, memory.size
+    inputs, outputs, unknown, kind = code[N_INPUTS], code[N_OUTPUTS], code[N_UNKNOWN], law[KIND]
+    compared, kept = inputs if kind != GIVEN else 0, size if stored else 0
+    width = n + (nx + inputs if stored else 0)
+    found = Tangents(
+        np.empty((kept, outputs)), np.empty((kept, inputs)), np.zeros((outputs + inputs, kept, n)),
+        np.empty((kept, nx, nx)), np.empty((kept, nx, inputs)), np.empty((kept, inputs + q, q + outputs)),
+        np.empty((kept, outputs, nx)),
+    )  # fmt: skip
+    by_state, by_input, normal = found.by_state, found.by_input, np.zeros((n + 1, n + 1))
+    dy, of_inputs = np.zeros((outputs, n + 1)), np.zeros((compared, n + 1))
+    dz, moved = np.zeros((q, n)), np.zeros((q, n))
+    all_columns, du = np.zeros((nx, width)), np.zeros((inputs, width))
     all_columns[:, :n] = columns
     slopes, of_gains = np.zeros((inputs + q, q + outputs)), np.zeros((inputs + q, tuned.size))
-    work, at, u = work_for(code, vector), x.copy(), np.zeros(inputs)
-    z, after = memory.copy(), memory.copy()
-    shown, y, d = work.shown, work.seen, np.empty(disturbances.shape[1])
+    at, u, z, after = x.copy(), np.zeros(inputs), memory.copy(), memory.copy()
+    work, d = work_for(code, vector), np.empty(disturbances.shape[1])
+    shown, y = work.shown, work.seen
     for k in range(size):
         for i in range(d.size):
             d[i] = disturbances[k, i]
         call(code[OUTPUTS], at, u, d, work.p, work.b, y)
         call(code[OUTPUT_SLOPES], at, u, d, work.p, work.b, shown)
-        for o in range(outputs):
-            for j in range(n):
-                slope = shown[outputs * nx + o * unknown + which[j]] if j < which.size else 0.0
-                for i in range(nx):
-                    slope += shown[o * nx + i] * all_columns[i, j]
-                dy[o, j] = slope
+        _output_tangents(shown, which, all_columns, dy, n, unknown)
         if kind == GIVEN:
             for i in range(inputs):
                 u[i] = references[k, i]
@@ -215,42 +276,19 @@ def run_with_tangents(  # noqa: PLR0915 (one pass over the samples)
             if stored:
                 law_slopes(law, z, references, k, y, u, slopes)
             z[0], z[1] = after[0], after[1]
-            free = 1.0 if law[LOW] < u[0] < law[HIGH] else 0.0
-            for j in range(n):
-                unlimited = dz[0, j] - by_reading * dy[0, j] - by_change * dz[1, j]
-                du[0, j] = free * unlimited
-                dz[0, j] += law[PERIOD] * (law[BACK] * (du[0, j] - unlimited) - law[INTEGRAL] * dy[0, j])
-                dz[1, j] = -dy[0, j]
+            _pid_tangents(law, u[0], dy, dz, du, n)
         else:
             law_step(law, z, references, k, y, u, after)
             law_slopes(law, z, references, k, y, u, slopes)
             law_tangents(slopes, dy, dz, du, moved, n)
             if tuned.size:
                 gain_slopes(law, z, references, k, y, u, tuned, of_gains)
-                for j in range(tuned.size):
-                    for i in range(inputs):
-                        du[i, which.size + j] += of_gains[i, j]
-                    for i in range(q):
-                        dz[i, which.size + j] += of_gains[inputs + i, j]
+                first, last = which.size, which.size + tuned.size
+                du[:, first:last] += of_gains[:inputs]
+                dz[:, first:last] += of_gains[inputs:]
             z[:] = after
         if stored:
-            for i in range(slopes.shape[0]):
-                for j in range(slopes.shape[1]):
-                    around[k, i, j] = slopes[i, j]
-            for o in range(outputs):
-                y_all[k, o] = y[o]
-                for j in range(n):
-                    by[o, k, j] = dy[o, j]
-                for i in range(nx):
-                    seen[k, o, i] = shown[o * nx + i]
-            for i in range(inputs):
-                u_all[k, i] = u[i]
-                for j in range(n):
-                    by[outputs + i, k, j] = du[i, j]
-                du[i, n + nx + i] = 1.0
-            for i in range(nx):
-                for j in range(extra):
-                    all_columns[i, n + j] = 1.0 if i == j else 0.0
+            _store(found, k, y, u, dy, du, slopes, shown, all_columns, n)
         else:
             for o in range(outputs):
                 dy[o, n] = y[o] - measured[o, k]
@@ -272,7 +310,7 @@ def run_with_tangents(  # noqa: PLR0915 (one pass over the samples)
     for i in range(n + 1):
         for j in range(i):
             normal[j, i] = normal[i, j]
-    return y_all, u_all, by, by_state, by_input, around, seen, normal
+    return found, normal
 
 
 @compiled
@@ -318,7 +356,7 @@ def normal_at(
         code, p, problem.which, x, columns, law, problem.tuned, problem.memory, problem.references,
         problem.disturbances, problem.period, steps, problem.measured, problem.weights, problem.robust, False,
         limit,
-    )[7]  # fmt: skip
+    )[1]  # fmt: skip
     cost, gradient, hessian = normal[n, n], normal[n, :n].copy(), normal[:n, :n].copy()
     for j in range(n):
         if problem.pull[j] > 0.0:

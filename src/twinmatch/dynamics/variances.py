@@ -11,7 +11,7 @@ from twinmatch.compiled import compiled
 from twinmatch.dynamics.filters import predict
 from twinmatch.dynamics.kernels import Code, advance
 from twinmatch.dynamics.laws import LawCode
-from twinmatch.dynamics.runs import run, run_with_tangents
+from twinmatch.dynamics.runs import Tangents, run, run_with_tangents
 from twinmatch.signals import FloatArray
 
 MEAN, BANDED = 1, 2
@@ -75,26 +75,26 @@ def foresee(
         for j in range(size):
             strays[j + 1, i] += (swift * (states[j + 1, i] - states[j, i])) ** 2
     predict(code, vector, x, joint, strays[0], u, disturbances[0], period, steps, which, columns)
-    _, _, by, by_state, by_input, around, seen, _ = run_with_tangents(
+    found, _ = run_with_tangents(
         code, vector, which[0], begun, np.eye(n, k + n, k), law, np.zeros(0, dtype=np.int64), memory,
         references, d, period, steps, compared, compared, False, True, np.inf,
     )  # fmt: skip
-    of_outputs, of_inputs = _variances(joint, by, by_state, by_input, around, seen, noise, strays[1:])
+    of_outputs, of_inputs = _variances(joint, found, noise, strays[1:])
     return outputs, inputs, of_outputs, of_inputs
 
 
 @compiled
 def _variances(
-    joint: FloatArray, by: FloatArray, by_state: FloatArray, by_input: FloatArray, around: FloatArray,
-    seen: FloatArray, noise: FloatArray, strays: FloatArray,
-) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+    joint: FloatArray, loop: Tangents, noise: FloatArray, strays: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """Variances of outputs, shape (N, o), and inputs, shape (N, m).
 
-    `by`, shape (o + m, N, k + n), holds their derivatives by parameters and states at the first sample,
-    `joint` the covariance of states and parameters there, `noise` the variances of the readings, and
-    `strays`, shape (N, n + k), those that each tick adds. Later noise and drift enter the covariance of the
-    loop's own state: those of the plant, then the law's.
+    `loop` has the derivatives by k parameters and n states at the first sample, `joint` is the covariance of
+    states and parameters there, `noise` are the variances of the readings, and `strays`, shape (N, n + k),
+    those that each tick adds. Later noise and drift enter the covariance of the loop's own state: those of
+    the plant, then the law's.
     """
+    _, _, by, by_state, by_input, around, seen = loop
     size, outputs, nx = seen.shape
     inputs = by_input.shape[2]
     both, m = joint.shape[0], nx + around.shape[1] - inputs
@@ -148,15 +148,15 @@ def _form(of: FloatArray, b: FloatArray) -> float:
 
 @compiled
 def noise_effects(
-    by_state: FloatArray, by_input: FloatArray, around: FloatArray, seen: FloatArray, started: FloatArray,
-    weighed: FloatArray, weights: FloatArray, closed: bool,
-) -> tuple[FloatArray, float]:  # fmt: skip
+    loop: Tangents, started: FloatArray, weighed: FloatArray, weights: FloatArray, closed: bool
+) -> tuple[FloatArray, float]:
     """Backwards through the linearised loop, whose state holds those of the plant and the law.
 
     For the readings of each output apart, `ahead` holds the gradients of the sums by the state one sample
     later, `power` the quadratic form of a disturbed state that gives the sum of the squared residuals from
     then on.
     """
+    _, _, _, by_state, by_input, around, seen = loop
     size, outputs, nx = seen.shape
     n, inputs = weighed.shape[2], by_input.shape[2]
     m = nx + around.shape[1] - inputs
@@ -232,8 +232,7 @@ def _around_loop(
 ) -> None:  # fmt: skip
     """Sample k of the linear loop; its state z holds those of the plant and of the law.
 
-    With v, the noise of the readings: u = of_u·z + around·v, next z = a·z + b·v. `around` holds the
-    derivatives of the law's step, `seen` those of the outputs by the plant's states.
+    With v, the noise of the readings: u = of_u·z + around·v, next z = a·z + b·v.
     """
     outputs, nx, inputs = seen.shape[1], seen.shape[2], by_input.shape[2]
     q = around.shape[1] - inputs

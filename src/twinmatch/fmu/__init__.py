@@ -8,6 +8,7 @@ structures. `described_by` reads an FMU's description without executing its code
 
 from twinmatch.fmu.archive import FmuError
 from twinmatch.fmu.mapping import FmuMap, read_maps
-from twinmatch.fmu.structure import adopt_fmus, is_fmu, unmarked
+from twinmatch.fmu.structure import adopt_fmus, unmarked
+from twinmatch.plants.records import is_marked as is_fmu
 
 __all__ = ["FmuError", "FmuMap", "adopt_fmus", "is_fmu", "read_maps", "unmarked"]

@@ -39,10 +39,6 @@ class FmuError(PlantError):
     """An FMU cannot be used, or its map does not fit."""
 
 
-class FmuArchiveError(Exception):
-    """The file is not an FMU, or exceeds a limit."""
-
-
 def digest_of(file: Path) -> str:
     """Hexadecimal SHA-256 of a file."""
     digest = hashlib.sha256()
@@ -56,53 +52,37 @@ def unpack(file: Path, folder: Path, only: str = "") -> list[str]:
     """Unpack an FMU into a folder, or `only` one of its files; returns the names of all files in it.
 
     Raises:
-        FmuArchiveError: it is not a ZIP file, or has suspicious content.
+        FmuError: it is not a ZIP file, or has suspicious content.
     """
     try:
         with zipfile.ZipFile(file) as archive:
-            for info in _checked(archive):
-                if not only or info.filename == only:
-                    _write(archive, info, folder / info.filename)
-            if only and only not in archive.namelist():
-                raise FmuArchiveError(f"is not an FMU: it has no {only}")
-            return archive.namelist()
+            names, infos = archive.namelist(), archive.infolist()
+            _check(infos)
+            if only and only not in names:
+                raise FmuError(f"is not an FMU: it has no {only}")
+            for info in infos:
+                if not only or info.filename == only:  # no more bytes than its stated size are unpacked
+                    Path(archive.extract(info, folder)).chmod(0o700)
+            return names
     except (
         zipfile.BadZipFile, zipfile.LargeZipFile, zlib.error, NotImplementedError, RuntimeError, EOFError,
     ) as error:  # fmt: skip
-        raise FmuArchiveError(f"is not an FMU, or is damaged: {error}") from error
+        raise FmuError(f"is not an FMU, or is damaged: {error}") from error
 
 
-def _checked(archive: zipfile.ZipFile) -> list[zipfile.ZipInfo]:
-    infos = archive.infolist()
+def _check(infos: list[zipfile.ZipInfo]) -> None:
     if len(infos) > MOST_FILES:
-        raise FmuArchiveError(f"has {len(infos)} files; the limit is {MOST_FILES}")
+        raise FmuError(f"has {len(infos)} files; the limit is {MOST_FILES}")
     for info in infos:
         name = PurePosixPath(info.filename)
         if name.is_absolute() or ".." in name.parts or "\\" in info.filename or ":" in info.filename:
-            raise FmuArchiveError(f"has {info.filename!r}, a path outside its folder; it is not unpacked")
+            raise FmuError(f"has {info.filename!r}, a path outside its folder; it is not unpacked")
         if stat.S_ISLNK(info.external_attr >> 16):
-            raise FmuArchiveError(f"has the link {info.filename!r}; it is not unpacked")
+            raise FmuError(f"has the link {info.filename!r}; it is not unpacked")
     total = sum(info.file_size for info in infos)
     if total > MOST_BYTES:
         size, most = total / 2**20, MOST_BYTES // 2**20
-        raise FmuArchiveError(f"has {size:.0f} MiB; the limit is {most} MiB")
-    return infos
-
-
-def _write(archive: zipfile.ZipFile, info: zipfile.ZipInfo, path: Path) -> None:
-    """Unpack one file, up to its stated size."""
-    if info.is_dir():
-        path.mkdir(parents=True, exist_ok=True)
-        return
-    path.parent.mkdir(parents=True, exist_ok=True)
-    left = info.file_size
-    with archive.open(info) as packed, path.open("wb") as file:
-        while block := packed.read(_BLOCK):
-            left -= len(block)
-            if left < 0:
-                raise FmuArchiveError(f"has {info.filename!r}, which is longer than its stated size")
-            file.write(block)
-    path.chmod(0o700)
+        raise FmuError(f"has {size:.0f} MiB; the limit is {most} MiB")
 
 
 @dataclass(frozen=True)

@@ -230,13 +230,13 @@ class FmuProcess:
         os.set_blocking(handle, False)
         left = memoryview(data)
         while left:
-            _wait([], [handle], by)
+            _wait(handle, select.POLLOUT, by)
             left = left[os.write(handle, left[: 1 << 16]) :]
 
     def _read(self, size: int, by: float) -> bytes:
         handle, found = self._process.stdout.fileno(), bytearray()  # type: ignore[union-attr]
         while len(found) < size:
-            _wait([handle], [], by)
+            _wait(handle, select.POLLIN, by)
             part = os.read(handle, min(size - len(found), 1 << 20))
             if not part:
                 raise FmuMessageError("its answer ended early")
@@ -244,13 +244,10 @@ class FmuProcess:
         return bytes(found)
 
 
-def _wait(readable: list[int], writable: list[int], by: float) -> None:
+def _wait(handle: int, event: int, by: float) -> None:
     left = by - time.monotonic()
     poll = select.poll()  # a node may have more open files than select supports
-    for handle in readable:
-        poll.register(handle, select.POLLIN)
-    for handle in writable:
-        poll.register(handle, select.POLLOUT)
+    poll.register(handle, event)
     if left <= 0 or not poll.poll(min(1000.0 * left, 1e9)):  # beyond, poll overflows
         raise TimeoutError
 

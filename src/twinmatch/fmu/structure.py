@@ -40,13 +40,15 @@ from twinmatch.fmu.archive import (
 )
 from twinmatch.fmu.mapping import FmuMap, loading, read_maps, sample_time
 from twinmatch.fmu.process import START, FmuMessageError, FmuProcess, ProcessLostError, tree_of, value_of
-from twinmatch.plants.records import MARK, is_marked
+from twinmatch.plants.records import MARK
 from twinmatch.signals import FloatArray
 
 _SAMPLES = 1000
 """Samples that one FMU's `patience` is for."""
 _FINITE: Final = {"advance", "run", "run_with_tangents", "foresee"}
 """Kernels whose results are refused unless all are finite."""
+_ANSWERED: Final = {f"{runs.Tangents.__module__}:Tangents": runs.Tangents}
+"""Classes of values that an answer may have."""
 SAMPLES = 8
 _STATE = 1e-4
 """Tolerance of a state, in units of its span: a restarted solver chooses other steps."""
@@ -244,7 +246,7 @@ class FmuSource:
             process = self.start()
             try:
                 answer = process.ask(header, arrays, limit=limit)
-                found = value_of(answer.header["found"], answer.arrays, _refuse)
+                found = value_of(answer.header["found"], answer.arrays, _ANSWERED.__getitem__)
                 changed = dict(zip(answer.header["changed"], answer.arrays, strict=False))
                 if any(array.shape != arrays[k].shape for k, array in changed.items()):
                     raise FmuMessageError("an array of another shape")
@@ -272,15 +274,6 @@ class FmuSource:
             process.close()
             raise FmuError(f"{of.place}: {error}") from error
         return process
-
-
-def _refuse(name: str) -> Any:
-    raise FmuMessageError(f"an answer with a value of class {name}")
-
-
-def is_fmu(structure: str) -> bool:
-    """Whether the name of a structure is that of an FMU."""
-    return is_marked(structure)
 
 
 def unmarked(structure: str) -> str:
@@ -345,19 +338,16 @@ def _digest(of: FmuMap) -> str:
 
 def _mark(of: FmuMap, digest: str) -> str:
     """First digits of a hash of the FMU and its map, without the path of the file."""
-    starts = {name: formula.text for name, formula in of.starts.items()}
-    what = (
-        digest, of.kind, _sorted(of.links.items()), _sorted(starts.items()), of.free,
-        _sorted(of.fixed.items()), of.free_starts, _sorted(of.parameters.items()), _sorted(of.states.items()),
+    tables = (
+        of.links, {name: formula.text for name, formula in of.starts.items()}, of.fixed, of.parameters,
+        of.states,
     )  # fmt: skip
+    links, starts, fixed, *own = (sorted((n, repr(v)) for n, v in table.items()) for table in tables)
+    what = digest, of.kind, links, starts, of.free, fixed, of.free_starts, *own
     return hashlib.sha256(repr(what).encode()).hexdigest()[:8]
 
 
-def _sorted(items: Iterable[tuple[str, Any]]) -> list[tuple[str, Any]]:
-    return sorted((name, repr(value)) for name, value in items)
-
-
-def described_by(file: Path, process: FmuProcess, limit: float = START) -> Described:
+def described_by(file: Path, process: FmuProcess) -> Described:
     """Read the description of an FMU, without executing its code.
 
     Raises:
@@ -366,10 +356,8 @@ def described_by(file: Path, process: FmuProcess, limit: float = START) -> Descr
     if not file.is_file():
         raise FmuError(f"{file}: does not exist; give the path of an FMU")
     try:
-        answer = process.ask(
-            {"ask": "describe", "file": str(file.resolve()), "folder": str(process.folder / "description")},
-            limit=limit,
-        )
+        asked = {"file": str(file.resolve()), "folder": str(process.folder / "description")}
+        answer = process.ask({"ask": "describe", **asked}, limit=START)
         return described_from(dict(answer.header["described"]))
     except ProcessLostError as error:
         raise FmuError(f"{file}: its description cannot be read: {error}") from error

@@ -17,6 +17,7 @@ import shutil
 import signal
 import threading
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, BinaryIO, Final
 
@@ -267,25 +268,21 @@ def main() -> None:
     threading.Thread(target=_end_with, args=(os.getppid(), folder), daemon=True).start()
     worker = FmuWorker(answers)
     _limit()
-    while message := _next(questions):
-        # If the parent has ended, nobody else ends an FMU that hangs and lets no other thread run.
-        signal.alarm(math.ceil(min(message.header["limit"], _LONGEST)) + _GRACE)
-        worker.answer(message)
-        signal.alarm(0)
+    with suppress(EOFError):
+        while True:
+            message = unpacked(lambda size: _read(questions, size))
+            # If the parent has ended, nobody else ends an FMU that hangs and lets no other thread run.
+            signal.alarm(math.ceil(min(message.header["limit"], _LONGEST)) + _GRACE)
+            worker.answer(message)
+            signal.alarm(0)
     _leave(folder)
 
 
-def _next(questions: BinaryIO) -> ProcessMessage | None:
-    def read(size: int) -> bytes:
-        found = questions.read(size)
-        if len(found) < size:
-            raise EOFError
-        return found
-
-    try:
-        return unpacked(read)
-    except EOFError:
-        return None
+def _read(questions: BinaryIO, size: int) -> bytes:
+    found = questions.read(size)
+    if len(found) < size:
+        raise EOFError
+    return found
 
 
 def _limit() -> None:
