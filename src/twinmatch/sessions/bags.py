@@ -82,7 +82,6 @@ class Bag:
     """An open bag."""
 
     def __init__(self, path: Path, reader: AnyReader) -> None:
-        """Wrap an open reader."""
         self.path = path
         self._reader = reader
 

@@ -94,7 +94,6 @@ class Rate:
     """The newest intervals between ticks."""
 
     def __init__(self) -> None:
-        """Start without intervals."""
         self._intervals: deque[float] = deque(maxlen=_INTERVALS)
         self._last: int | None = None
 

@@ -87,12 +87,10 @@ class _SessionFile:
 
     @property
     def part(self) -> Part:
-        """The file's entry in the metadata."""
         start, end = self._span or (0, 0)
         return Part(self.path.name, start, end, sum(self.counts.values()))
 
     def add_topic(self, topic: Topic) -> None:
-        """Add a topic that is not in the file yet."""
         schema = self._schemas.get(topic.type)
         if schema is None:
             schema = self._mcap.register_schema(topic.type, "ros2msg", topic.schema.encode())
@@ -102,7 +100,6 @@ class _SessionFile:
         self.counts[topic] = 0
 
     def write(self, topic: Topic, data: bytes, log_time: int, publish_time: int) -> None:
-        """Write one message of an added topic."""
         count = self.counts[topic]
         self._mcap.add_message(self._channels[topic.name], log_time, data, publish_time, sequence=count)
         start, end = self._span or (log_time, log_time)
@@ -110,11 +107,9 @@ class _SessionFile:
         self.counts[topic] = count + 1
 
     def add_record(self, name: str, values: Mapping[str, str]) -> None:
-        """Write a metadata record, after the messages so far."""
         self._mcap.add_metadata(name, dict(values))
 
     def flush(self) -> None:
-        """Write everything so far to the disk."""
         self._mcap.flush()  # type: ignore[no-untyped-call]
         os.fsync(self._file.fileno())
 
