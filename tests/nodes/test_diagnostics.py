@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 
 import pytest
 
@@ -10,7 +11,7 @@ from tests.support.waiting import wait_for
 from twinmatch.errors import TwinmatchError
 from twinmatch.nodes.health import Level, NodeHealth, Report, status_message
 from twinmatch.nodes.node import Worker
-from twinmatch.nodes.samples import SampleWatch
+from twinmatch.nodes.samples import SampleWatch, Standstill
 from twinmatch.showing.page.health import NodeReport, NodeReports, PlayerState
 
 
@@ -138,3 +139,33 @@ def test_worker_reports_its_backlog() -> None:
     assert not worker.close(timeout=0.01)
     gate.set()
     assert worker.close()
+
+
+# After a standstill nothing is published until the readers are back.
+
+
+def test_a_process_that_beats_never_waits() -> None:
+    still = Standstill()
+    for k in range(40):
+        still.beat(k * Standstill.LONG)
+        assert still.remaining(k * Standstill.LONG + 0.5 * Standstill.LONG) == 0.0
+
+
+def test_after_a_standstill_the_first_to_look_waits_whether_or_not_the_heart_has_beaten() -> None:
+    for heart_first in (True, False):
+        still = Standstill()
+        still.beat(0.0)
+        woken = 10.0
+        if heart_first:
+            still.beat(woken)
+        assert still.remaining(woken) == Standstill.REDISCOVERY
+        assert still.remaining(woken + 0.5 * Standstill.REDISCOVERY) == 0.5 * Standstill.REDISCOVERY
+        assert still.remaining(woken + Standstill.REDISCOVERY) == 0.0
+
+
+def test_an_end_lets_go_of_who_waits() -> None:
+    still = Standstill()
+    still.beat(time.monotonic() - 2 * Standstill.LONG)
+    still.close()
+    still.wait()
+    assert still.remaining(time.monotonic()) > 0.0

@@ -6,6 +6,7 @@ import os
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from typing import Any
 
 import pytest
@@ -101,18 +102,16 @@ class Bench:
 def bench(request: pytest.FixtureRequest) -> Iterator[Bench]:
     board = boards.make(request.param)
     board.run(SLOWLY)
-    made = Bench(board).start()
-    yield made
-    made.close()
+    with closing(Bench(board).start()) as made:
+        yield made
 
 
 @pytest.fixture
 def stand_in() -> Iterator[Bench]:
     board = StandInArduino()
     board.run(SLOWLY)
-    made = Bench(board, LinkSettings(timeout=0.5, retries=1)).start()
-    yield made
-    made.close()
+    with closing(Bench(board, LinkSettings(timeout=0.5, retries=1)).start()) as made:
+        yield made
 
 
 def test_a_command_is_repeated_and_its_effect_reported(bench: Bench) -> None:
@@ -233,15 +232,12 @@ def test_a_board_that_had_tripped_on_its_driver_is_not_cleared_by_itself() -> No
         board.set_fault(True)
         wait_for(lambda: link.query().flags & Flags.DRIVER, "the board's trip")
     board.set_fault(False)
-    bench = Bench(board).start()
-    try:
+    with closing(Bench(board).start()) as bench:
         bench.pwm = 50.0
         bench.until(lambda: bench.kind() is FaultKind.DRIVER)
         bench.stays_at_zero()
         bench.clear()
         bench.drive(50.0)
-    finally:
-        bench.close()
 
 
 def test_a_board_that_does_something_else_than_it_was_sent_is_a_fault(
@@ -286,9 +282,6 @@ def test_what_trips_while_the_board_is_woken_is_heeded(
 def test_answers_slower_than_the_deadline_allows_are_warned_of() -> None:
     board = StandInArduino()
     board.run(SLOWLY)
-    bench = Bench(board, LinkSettings(timeout=0.4, retries=2)).start()
-    try:
+    with closing(Bench(board, LinkSettings(timeout=0.4, retries=2)).start()) as bench:
         bench.until(lambda: bench.health.report().level is Level.WARN)
         assert "an answer may take 1.3 s, but the board's deadline is 1 s" in bench.health.report().message
-    finally:
-        bench.close()
