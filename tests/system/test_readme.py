@@ -246,7 +246,7 @@ def test_it_runs_as_it_stands_there(
 def test_the_demo_ends_with_a_report(folder: Path, processes: Processes) -> None:
     """Once up and down instead of through all its set-points: beyond the first match."""
     given = (PROJECT / "config" / "demo.yaml").read_text("utf-8")
-    for name, values in (("levels", "[30.0, 50.0, 40.0]"), ("holds", "[40.0, 100.0, 80.0]")):
+    for name, values in (("levels", "[30.0, 50.0, 40.0]"), ("holds", "[40.0, 100.0, 40.0]")):
         given, replaced = re.subn(rf"(profile\.{name}: ).*", rf"\g<1>{values}", given)
         assert replaced == 1
     (folder / "demo.yaml").write_text(given, "utf-8")
