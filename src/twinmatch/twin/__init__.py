@@ -9,11 +9,11 @@ verdicts.
 """
 
 from twinmatch.twin.engine import Discriminator, Outcome, Step, Twin
-from twinmatch.twin.forecaster import Forecaster, ForecastSettings, Snapshot
+from twinmatch.twin.forecaster import Forecaster, Snapshot
 from twinmatch.twin.matcher import MatchReport, MatchRequest, carry_out
 from twinmatch.twin.mirror import Mirror, MirrorState, Residuals, nrmse, residuals, response_on, window_fit
 from twinmatch.twin.schedule import Schedule, ScheduleError, ScheduleSettings, Trigger
-from twinmatch.twin.settings import TrustLimits, TwinError, TwinSettings
+from twinmatch.twin.settings import ForecastSettings, TrustLimits, TwinError, TwinSettings
 from twinmatch.twin.structure_fits import StructureFits, watched
 from twinmatch.twin.structures import StructureChoice, StructureScore, choose_structure
 

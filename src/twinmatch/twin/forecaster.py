@@ -17,7 +17,6 @@ from twinmatch.dynamics import Foresight, Law, Plant, PlantError
 from twinmatch.dynamics.forecasts import TwinsNow
 from twinmatch.dynamics.variances import BANDED, MEAN
 from twinmatch.forecasting import (
-    HORIZONS,
     Arx,
     ArxForecast,
     Calibration,
@@ -29,8 +28,8 @@ from twinmatch.forecasting import (
     leads_of,
 )
 from twinmatch.forecasting.outlook import deviations, foresight_of
-from twinmatch.settings import setting
 from twinmatch.signals import FloatArray, Sample, finite
+from twinmatch.twin.settings import ForecastSettings
 from twinmatch.twin.trust import BandCheck, LeaderConfidence, check_band
 
 _RUN_IN: Final = (60.0, 300.0)
@@ -38,47 +37,8 @@ _RUN_IN: Final = (60.0, 300.0)
 the hidden ones have to be estimated. It scales with the time between two forecasts."""
 _SKILLS: Final = tuple(f"{name}_skill" for name in BASELINES)
 """Fields of `ForecastScore`."""
-_CLOSEST: Final = 10
-"""Least number of samples between two forecasts."""
 _OTHERS_EVERY: Final = 3
 """The bands of candidates that do not lead learn from every third forecast only."""
-
-
-@dataclass(frozen=True)
-class ForecastSettings:
-    """Horizons and intervals at which the candidates' forecasts are scored.
-
-    Raises:
-        ForecastError: a value is not positive.
-    """
-
-    horizons: tuple[float, ...] = setting(HORIZONS, "Horizons at which forecasts are scored.", "s", 1e-6, 1e9)
-    every: float = setting(30.0, "Time between two forecasts of all candidates.", "s", 1e-6, 1e9)
-    """The stretches by which new candidates and structures are compared scale with it."""
-    memory: float = setting(
-        1800.0, "Time after which the weight of a forecast has fallen to 1/e.", "s", 1e-6, 1e9
-    )
-
-    @classmethod
-    def of(cls, scale: float, period: float) -> ForecastSettings:
-        """Settings with times multiplied by `scale`, horizons in whole samples of `period` s, and forecasts
-        at least ten samples apart: at each, all candidates are simulated."""
-        often = max(scale, _CLOSEST * period / cls.every)
-        whole = tuple(max(round(horizon * scale / period), 1) * period for horizon in HORIZONS)
-        horizons = HORIZONS if scale == 1.0 else tuple(float(f"{h:.12g}") for h in whole)
-        return cls(horizons, cls.every * often, cls.memory * often)
-
-    @property
-    def scale(self) -> float:
-        """Factor on other times that are meant for the rig."""
-        return self.every / type(self).every
-
-    def __post_init__(self) -> None:
-        if not self.horizons:
-            raise ForecastError("forecasts: there is no horizon; give at least one, in seconds")
-        for name, value in (("horizons", min(self.horizons)), ("every", self.every), ("memory", self.memory)):
-            if not value > 0:
-                raise ForecastError(f"forecasts: {name} is {value} s; it must be positive")
 
 
 class Snapshot(NamedTuple):
@@ -248,7 +208,7 @@ class Forecaster:
     def push(self, sample: Sample) -> None:
         """Take one sample: correct every twin, and learn from the forecasts whose horizon it completes.
 
-        Twins whose equations are not external take it with the next samples, before they are used.
+        Twins whose equations are not external take it later, with the next ones, before they are used.
         """
         if self._recent and sample.index != self._recent[-1].index + 1:
             self._begin()
@@ -258,6 +218,8 @@ class Forecaster:
         for name in self._external:
             with self._removing_lost(name):
                 self._twins[name].state_filter.push(sample)
+        if len(self._waiting) >= self._stride:
+            self._catch_up()
         if self._twins and sample.index % self._stride == 0:
             self._departures[sample.index] = self._departure()
         for place, ahead in enumerate(self.horizons):

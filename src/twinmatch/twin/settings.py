@@ -19,18 +19,57 @@ from twinmatch.dynamics import (
 from twinmatch.dynamics.pace import plant_scale
 from twinmatch.errors import TwinmatchError
 from twinmatch.fitting import Noise
+from twinmatch.forecasting import HORIZONS, ForecastError
 from twinmatch.health import HealthSettings
 from twinmatch.plants import Peltier
 from twinmatch.settings import setting
-from twinmatch.twin.forecaster import ForecastSettings
 from twinmatch.twin.schedule import ScheduleSettings
 
+_CLOSEST: Final = 10
+"""Least number of samples between two forecasts."""
 _REGIME: Final = 100.0
 """Width of a regime, in units of the output's noise."""
 
 
 class TwinError(TwinmatchError):
     """Settings or data that the twin cannot work with."""
+
+
+@dataclass(frozen=True)
+class ForecastSettings:
+    """Horizons and intervals at which the candidates' forecasts are scored.
+
+    Raises:
+        ForecastError: a value is not positive.
+    """
+
+    horizons: tuple[float, ...] = setting(HORIZONS, "Horizons at which forecasts are scored.", "s", 1e-6, 1e9)
+    every: float = setting(30.0, "Time between two forecasts of all candidates.", "s", 1e-6, 1e9)
+    """The stretches by which new candidates and structures are compared scale with it."""
+    memory: float = setting(
+        1800.0, "Time after which the weight of a forecast has fallen to 1/e.", "s", 1e-6, 1e9
+    )
+
+    @classmethod
+    def of(cls, scale: float, period: float) -> ForecastSettings:
+        """Settings with times multiplied by `scale`, horizons in whole samples of `period` s, and forecasts
+        at least ten samples apart: at each, all candidates are simulated."""
+        often = max(scale, _CLOSEST * period / cls.every)
+        whole = tuple(max(round(horizon * scale / period), 1) * period for horizon in HORIZONS)
+        horizons = HORIZONS if scale == 1.0 else tuple(float(f"{h:.12g}") for h in whole)
+        return cls(horizons, cls.every * often, cls.memory * often)
+
+    @property
+    def scale(self) -> float:
+        """Factor on other times that are meant for the rig."""
+        return self.every / type(self).every
+
+    def __post_init__(self) -> None:
+        if not self.horizons:
+            raise ForecastError("forecasts: there is no horizon; give at least one, in seconds")
+        for name, value in (("horizons", min(self.horizons)), ("every", self.every), ("memory", self.memory)):
+            if not value > 0:
+                raise ForecastError(f"forecasts: {name} is {value} s; it must be positive")
 
 
 @dataclass(frozen=True)
