@@ -177,22 +177,20 @@ def test_disturbances_act_and_are_checked() -> None:
 
 
 def test_what_cannot_be_run_is_refused() -> None:
-    p = MOTOR.parameters()
-    with pytest.raises(PlantError, match="reference is nan at sample 1"):
-        simulate_closed_loop(p, [40.0, math.nan], states=begin(p, 0.0))
-    with pytest.raises(PlantError, match=r"input has shape \(1, 2\); give one value per sample"):
-        simulate_driven(p, [[40.0, 1.0]], states=begin(p, 0.0))
-    with pytest.raises(PlantError, match="the period is 0 s"):
-        simulate_driven(p, [4.0], states=begin(p, 0.0), period=0)
-    with pytest.raises(PlantError, match="the input is inf"):
-        advance(p, np.array([0.0]), math.inf, 0.05)
-    with pytest.raises(PlantError, match="the reading is nan"):
-        begin(p, math.nan)
-    with pytest.raises(PlantError, match="no state 'sink'; it has omega"):
-        begin(p, 0.0, starts={"sink": 1.0})
-    with pytest.raises(PlantError, match="sensor is realised for 2 samples; realise it for 3"):
-        simulate_closed_loop(p, [1.0, 2.0, 3.0], states=begin(p, 0.0), sensor=Sensor().realise(2, 0.05, 1))
-    with pytest.raises(PlantError, match="time constant is too short for a period of 10000 s"):
-        advance(p, np.array([0.0]), 0.0, 1e4)
-    with pytest.raises(PlantError, match="plant lag: its controller is not known"):
-        simulate_closed_loop(Lag.model().parameters(), [1.0], states=np.zeros(1))
+    p, still = MOTOR.parameters(), np.zeros(1)
+    short = Sensor().realise(2, 0.05, 1)
+    for message, run in (
+        ("reference is nan at sample 1", lambda: simulate_closed_loop(p, [40.0, math.nan], states=still)),
+        ("input has shape .1, 2.; give one value", lambda: simulate_driven(p, [[40.0, 1.0]], states=still)),
+        ("the period is 0 s", lambda: simulate_driven(p, [4.0], states=still, period=0)),
+        ("the input is inf", lambda: advance(p, still, math.inf, 0.05)),
+        ("the reading is nan", lambda: begin(p, math.nan)),
+        ("no state 'sink'; it has omega", lambda: begin(p, 0.0, starts={"sink": 1.0})),
+        ("realised for 2 samples; realise it for 3",
+         lambda: simulate_closed_loop(p, [1.0, 2.0, 3.0], states=still, sensor=short)),
+        ("time constant is too short for a period of 10000 s", lambda: advance(p, still, 0.0, 1e4)),
+        ("plant lag: its controller is not known",
+         lambda: simulate_closed_loop(Lag.model().parameters(), [1.0], states=still)),
+    ):  # fmt: skip
+        with pytest.raises(PlantError, match=message):
+            run()

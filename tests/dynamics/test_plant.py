@@ -46,33 +46,23 @@ def test_parameters_are_a_mapping_with_units() -> None:
     np.testing.assert_array_equal(p.vector, [p[name] for name in p.model.names])
 
 
-def test_impossible_parameters_are_refused_in_words() -> None:
-    model = Motor.model()
-    with pytest.raises(
-        PlantError, match=r"DC motor, without friction: no parameter 'dry' in this structure; it has k, r"
+def test_impossible_parameters_and_unknown_names_are_refused_in_words() -> None:
+    motor, rig = Motor.model(), Peltier.model()
+    for message, make in (
+        (
+            "without friction: no parameter 'dry' in this structure; it has k, r",
+            lambda: motor.parameters(dry=1),
+        ),
+        ("j is 0 kg m²; it must be finite and positive", lambda: motor.parameters(j=0.0)),
+        ("b is -1 N m s/rad; it must be finite and at least 0", lambda: motor.parameters(b=-1.0)),
+        ("k is nan", lambda: motor.parameters(k=float("nan"))),
+        (r"drive_ripple is 1\.5 ; .* at least 0 and at most 1", lambda: rig.parameters(drive_ripple=1.5)),
+        ("ambient is 23 K; it must be finite and at least 150", lambda: rig.parameters(ambient=23.0)),
+        ("motor: no structure 'x'; it has without friction, with friction", lambda: Motor.model("x")),
+        ("plant 'pump': not known; choose from peltier", lambda: find_plant("pump")),
     ):
-        model.parameters(dry=1.0)
-    with pytest.raises(PlantError, match="j is 0 kg m²; it must be finite and positive"):
-        model.parameters(j=0.0)
-    with pytest.raises(PlantError, match="b is -1 N m s/rad; it must be finite and at least 0"):
-        model.parameters(b=-1.0)
-    with pytest.raises(PlantError, match="k is nan"):
-        model.parameters(k=float("nan"))
-    with pytest.raises(
-        PlantError, match=r"drive_ripple is 1\.5 ; it must be finite and at least 0 and at most 1"
-    ):
-        Peltier.model().parameters(drive_ripple=1.5)
-    with pytest.raises(PlantError, match="ambient is 23 K; it must be finite and at least 150"):
-        Peltier.model().parameters(ambient=23.0)
-
-
-def test_unknown_names_are_refused() -> None:
-    with pytest.raises(
-        PlantError, match="plant motor: no structure 'x'; it has without friction, with friction"
-    ):
-        Motor.model("x")
-    with pytest.raises(PlantError, match="plant 'pump': not known; choose from peltier"):
-        find_plant("pump")
+        with pytest.raises(PlantError, match=message):
+            make()
 
 
 class _Parts:
