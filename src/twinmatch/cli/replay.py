@@ -58,8 +58,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Judge and show; returns the exit code."""
     check_writable(options.json, options.figure)
-    asked = (options.jobs, options.out, options.scheduler)
-    if not is_single(options.sessions) or any(option is not None for option in asked):
+    many = (options.jobs, options.out, options.scheduler) != (None, None, None)
+    if many or not is_single(options.sessions):
         return _replay_many(options)
     with held_interrupts():
         _replay_one(options.sessions[0], options)
@@ -76,7 +76,7 @@ def _replay_one(path: Path, options: argparse.Namespace) -> None:
         judgement = judge(session, terms, beside=shown.advance)
     verdicts = judgement.verdicts
     for line in closing_lines(judgement.summary, verdicts[-1] if verdicts else None):
-        shown.say(line)
+        shown.view.say(line)
     write_json(options.json, lambda: document(judgement.name, verdicts, judgement.summary, judgement.matches))
     if options.figure is not None:
         from twinmatch.showing.figures.session import draw_verdict  # noqa: PLC0415 — matplotlib is slow
@@ -90,35 +90,32 @@ class _Display:
     def __init__(self, session: Session) -> None:
         self._done, self._total = 0, len(session.samples)
         self._screen = redraws(sys.stdout)
-        self._view: Screen | Lines = Lines(session.period)
+        self.view: Screen | Lines = Lines(session.period)
         if self._screen:
             from rich.console import Console  # noqa: PLC0415 — only a terminal needs it
 
             from twinmatch.showing.terminal import Screen  # noqa: PLC0415
 
-            self._view = Screen(Console(highlight=False), session.name, session.period, self._total)
+            self.view = Screen(Console(highlight=False), session.name, session.period, self._total)
         self._bar = Progress()
 
     def __enter__(self) -> _Display:
         if not self._screen:
             self._bar.__enter__()
-        self._view.open()
+        self.view.open()
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        self._view.close(wipe=kind is not None and issubclass(kind, TwinmatchError))
+        self.view.close(wipe=kind is not None and issubclass(kind, TwinmatchError))
         self._bar.__exit__()
-
-    def say(self, line: str) -> None:
-        self._view.say(line)
 
     def advance(self, _twin: Twin, _sample: Sample, outcome: Outcome) -> None:
         self._done += 1
         if outcome.match is not None:
-            self._view.take_match(outcome.match)
+            self.view.take_match(outcome.match)
         for verdict in outcome.verdicts:
-            self._view.take_verdict(verdict)
-        self._view.advance(self._done)
+            self.view.take_verdict(verdict)
+        self.view.advance(self._done)
         if self._done % 50 == 0:
             self._bar.advance(self._done, self._total)
 
@@ -131,17 +128,13 @@ def _replay_many(options: argparse.Namespace) -> int:
     if options.figure is not None:
         raise ArchiveError("--figure: draws one session, but several were given; give one")
     with Progress() as progress:
+        names = ("config", "plant", "candidates", "out", "jobs", "scheduler")
         archive = judge_archive(
             options.sessions,
             document=document,
-            config=options.config,
-            plant=options.plant,
-            candidates=options.candidates,
-            out=options.out,
-            jobs=options.jobs,
-            scheduler=options.scheduler,
             watch=progress.advance,
             on_skip=lambda failure: print(f"twinmatch: skipped {failure.reason}", file=sys.stderr),
+            **{name: getattr(options, name) for name in names},
         )
     _print(archive)
     write_json(options.json, archive.document)

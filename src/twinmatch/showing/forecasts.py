@@ -131,12 +131,11 @@ def _arrival(part: Forecast, plant: type[Plant], *, only: bool) -> str:
     if reached.expected == held.expected == part.time[0]:
         further = "" if held.latest == held.expected else ", though the band reaches further"
         return f"{goal}: all the time{further}"
-    first = f"{goal}: first after {reached.expected:g} s{_range(reached)}"
-    if held.expected is None:
-        return f"{first}, but it does not stay there"
-    if held.expected == reached.expected:
-        return f"{first}, and it stays there"
-    return f"{first}, permanently after {held.expected:g} s{_range(held)}"
+    then = "but it does not stay there"
+    if held.expected is not None:
+        stays = held.expected == reached.expected
+        then = "and it stays there" if stays else f"permanently after {held.expected:g} s{_range(held)}"
+    return f"{goal}: first after {reached.expected:g} s{_range(reached)}, {then}"
 
 
 def _largest(forecast: Forecast, plant: type[Plant]) -> str:
@@ -246,6 +245,6 @@ def _compared(theirs: float, ours: float) -> str:
     ratio = theirs / ours
     if ratio >= 1.05:
         return f"had {number(ratio, 1)} times the error"
-    if ratio <= 0.95:
-        return f"had a smaller error, {number(ratio, 2)} times as large"
-    return "had the same error"
+    return (
+        f"had a smaller error, {number(ratio, 2)} times as large" if ratio <= 0.95 else "had the same error"
+    )

@@ -256,8 +256,7 @@ def nodes(reports: NodeReports, now: float) -> str:
     """Every reporting node with its report."""
     shown = []
     for name in sorted(reports.reports):
-        rest = reports.at_rest(name)
-        level = reports.level(name, now)
+        rest, level = reports.at_rest(name), reports.level(name, now)
         colour = LEVELS[TrustLevel.UNKNOWN if rest else NODE_LEVELS[level]]
         shown.append(
             f'<div><span class="dot" style="background:{colour}"></span><b>'
@@ -279,10 +278,8 @@ def what_if(answer: WhatIfAnswer | None) -> str:
 
 def notice(state: DashboardState) -> str:
     """The result of the last request."""
-    if state.notice is None:
-        return ""
-    kind = "good" if state.notice.done else "bad"
-    return f'<p class="{kind}">{escape(state.notice.text)}</p>'
+    said = state.notice
+    return f'<p class="{"good" if said.done else "bad"}">{escape(said.text)}</p>' if said else ""
 
 
 def _more(verdict: Verdict) -> list[str]:

@@ -225,10 +225,9 @@ def order_table(verdict: Verdict) -> ReportTable | None:
     names = [o.order for o in verdict.modelled[0].orders]
     rows = []
     for c in verdict.modelled:
-        best = max(o.weight for o in c.orders)
-        weights = (Cell(number(o.weight, 3), best=o.weight == best) for o in c.orders)
-        differences = (Cell(number(o.aic_difference, 1), best=o.weight == best) for o in c.orders)
-        rows.append((_head(c.name), *weights, *differences))
+        best = [o.weight == max(o.weight for o in c.orders) for o in c.orders]
+        texts = [number(o.weight, 3) for o in c.orders] + [number(o.aic_difference, 1) for o in c.orders]
+        rows.append((_head(c.name), *map(Cell, texts, best + best)))
     called = ("candidate", *(f"weight {n}" for n in names), *(f"ΔAIC {n}" for n in names))
     return ReportTable("Akaike weights of the orders", called, tuple(rows))
 

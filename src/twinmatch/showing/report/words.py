@@ -85,8 +85,7 @@ def _what(judgement: Judgement) -> str:
             f"For {_duration(judgement)} the {signals.output} of a plant ({plant.title}), its "
             f"{control}{beside} {recorded}; its controller is not known."
         )
-    low, high = _ends(s.reference for s in samples)
-    unit = signals.output_unit
+    (low, high), unit = _ends(s.reference for s in samples), signals.output_unit
     levels = f"set-points from {low:g} to {high:g} {unit}" if high > low else f"a set-point of {low:g} {unit}"
     return (
         f"For {_duration(judgement)} a plant ({plant.title}) was controlled to {levels}; its "
