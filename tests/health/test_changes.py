@@ -92,7 +92,7 @@ def test_the_plant_is_trusted_as_far_as_the_samples_bear() -> None:
 
 
 def motors(*kinds: str) -> list[Monitor]:
-    """Of 600 s of a motor whose load is measured, each changed in another way after 400 s."""
+    """Of 500 s of a motor whose load is measured, each changed in another way after 400 s."""
     truth = Motor.model("with friction").parameters(j=4.4e-4, b=1.1e-4, k=0.046)
     pid, random, period = Controller(Motor.loop), np.random.default_rng(7), Motor.loop.period
     monitor, reference = Monitor(HealthSettings.of(Motor, period)), random.uniform(-150.0, 150.0, 60)
@@ -111,7 +111,7 @@ def motors(*kinds: str) -> list[Monitor]:
         return k, states, pid, random, monitor
 
     k, states, *rest = run(400.0, (0, begin(truth, 0.0), pid, random, monitor))
-    return [run(600.0, (k, states, *(deepcopy(rest[:2])), copied(rest[2])), kind)[-1] for kind in kinds]
+    return [run(500.0, (k, states, *(deepcopy(rest[:2])), copied(rest[2])), kind)[-1] for kind in kinds]
 
 
 def test_another_plant_is_judged_by_what_its_file_says(monkeypatch: pytest.MonkeyPatch) -> None:
