@@ -199,6 +199,15 @@ def test_processes_are_restarted_and_without_the_rig_the_output_is_off(
     assert verify_session(run.session).identical
 
 
+@pytest.mark.slow
+def test_without_the_virtual_rig_the_run_ends_and_says_so(live_run: Callable[..., LiveRun]) -> None:
+    run = live_run()
+    run.wait_until_driving()
+    run.shoot("virtual_rig")
+    assert run.process.wait() == 3, run.text
+    assert "virtual_rig was lost" in run.text
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [
