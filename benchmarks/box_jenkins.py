@@ -16,6 +16,7 @@ import json
 import math
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -97,7 +98,7 @@ def _ladder(name: str, u: FloatArray, y: FloatArray, quick: bool) -> list[Row]:
         NO_HOPS: lambda: _own_ladder(u, y, hops=0),
     }
     for peer, program in programs.items():
-        cases[peer] = lambda p=program: _peer_ladder(p, u, y)
+        cases[peer] = partial(_peer_ladder, program, u, y)
     timings = measure_side_by_side(cases, 3 if quick else 5, patience=2.0)
     notes = {peer: _note(t.result) for peer, t in timings.items() if isinstance(t.result, Ladder)}
     case = f"ladder, {name}"
@@ -114,7 +115,8 @@ def _peer_ladder(
     program: Callable[[FloatArray, FloatArray, str], Fit], u: FloatArray, y: FloatArray
 ) -> Ladder:
     begin = time.perf_counter()
-    losses, best = {}, {}
+    losses: dict[str, float] = {}
+    best: dict[str, float] = {}
     for order in ORDERS:
         if time.perf_counter() - begin > LIMIT:
             return Ladder(losses, best, True)

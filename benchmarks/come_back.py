@@ -16,6 +16,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from statistics import median
 
@@ -81,6 +82,9 @@ class Graph:
             if time.monotonic() > end:
                 raise TimeoutError("come_back: the twin or the player does not answer")
 
+    def newer(self, topic: str, index: int) -> bool:
+        return self.newest[topic] > index
+
     def close(self) -> None:
         for process in reversed(self._processes):
             process.terminate()
@@ -122,7 +126,7 @@ def run(quick: bool) -> list[Row]:
                 known, begin = dict(graph.newest), time.monotonic()
                 graph.kill_and_restart()
                 for topic, index in known.items():
-                    graph.until(lambda topic=topic, index=index: graph.newest[topic] > index)
+                    graph.until(partial(graph.newer, topic, index))
                     times.setdefault(topic, []).append(time.monotonic() - begin)
                     spent.setdefault(topic, []).append(graph.processor_time)
     return [

@@ -97,7 +97,7 @@ def _observer(quick: bool) -> list[Row]:
     def compiled() -> Array:
         ours.correct(30.1)
         ours.predict(10.0)
-        return ours.states
+        return np.asarray(ours.states)
 
     def numpy() -> Array:
         states, covariance = held["states"], held["covariance"]
@@ -173,7 +173,7 @@ def _casadi_tangents(casadi: Any, experiment: Experiment, values: Array) -> Any:
     state, reference, free = casadi.SX.sym("x", nx + 2), casadi.SX.sym("r"), casadi.SX.sym("p", n)
     known = {name: float(RIG[name]) for name in RIG} | {m: free[j] for j, m in enumerate(experiment.free)}
     parameters = [known[str(s)] for s in derived.parameters]
-    gains = experiment.gains
+    gains = Peltier.loop
     output = state[0] - 273.15
     error = reference - output
     wanted = gains.proportional * error + state[nx] + gains.derivative * (error - state[nx + 1])
@@ -200,8 +200,7 @@ def _casadi_tangents(casadi: Any, experiment: Experiment, values: Array) -> Any:
     first = casadi.vertcat(
         experiment.measured[0, 0] + 273.15,
         ambient,
-        experiment.controller.integral,
-        experiment.controller.previous,
+        *experiment.controller.tolist(),
     )
     _, found = tick.mapaccum("loop", size)(
         first, experiment.window.reference[2:].reshape(1, -1), casadi.repmat(unknown, 1, size)
@@ -220,18 +219,20 @@ def _solve_ivp(experiment: Experiment) -> Array:
     import sympy  # noqa: PLC0415
 
     equations = Peltier().equations(MODEL.structure.parts)
-    symbols = [*written.states, written.drive, *written.parameters]
+    symbols = [*written.states, *written.inputs, *written.parameters]
     rates = sympy.lambdify(symbols, [equations.rates[s] for s in written.states], "math")
     parameters = [RIG[str(s)] for s in written.parameters]
     pid = Controller(Peltier.loop, Peltier.loop.state(experiment.window))
     states = begin(RIG, float(experiment.measured[0, 0]))
     output = []
+
+    def rate(_time: float, states: Array, u: float) -> Any:
+        return rates(*states, u, *parameters)
+
     for reference in experiment.window.reference[2:].tolist():
         output.append(states[0] - 273.15)
         u = pid.step(reference, output[-1])[0]
-        done = solve_ivp(
-            lambda _t, x, u=u: rates(*x, u, *parameters), (0.0, 1.0), states, rtol=1e-8, atol=1e-8
-        )
+        done = solve_ivp(rate, (0.0, 1.0), states, args=(u,), rtol=1e-8, atol=1e-8)
         states = done.y[:, -1]
     return np.array(output)
 

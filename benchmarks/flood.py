@@ -56,7 +56,8 @@ TOPICS = {
 
 def forged(kind: str, begun: int) -> Iterator[Any]:
     """Messages of a kind, without end, each in line with the one before; `begun`: plant time, ns."""
-    window = Window(*(np.full(300, 30.0) for _ in range(3)))
+    steady = np.full(300, 30.0)
+    window = Window(steady, steady, steady)
     asked = MatchRequest(299, 30.0, window, Peltier.model().parameters(), None)
     request = request_message(asked, begun)
     score = ModelScore(level=ModelScore.UNKNOWN, level_name="unknown", decimals=2)

@@ -10,6 +10,7 @@ all should agree.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numba
@@ -115,9 +116,7 @@ def _whole_match(repeats: int) -> list[Row]:
     rows = []
     for samples in (300, 720):
         window = record(samples)
-        timings = measure_side_by_side(
-            {"twinmatch": lambda window=window: match(window, start=START)}, repeats
-        )
+        timings = measure_side_by_side({"twinmatch": partial(match, window, start=START)}, repeats)
         case = f"a match with intervals and suggestion, {samples} samples"
         rows += rows_of("matching", case, timings, targets={"twinmatch": 20e-3})
     return rows
@@ -152,7 +151,6 @@ def _by_differences(problem: Problem, outputs: Callable[[Problem, Array], tuple[
 
 
 def _numba_outputs(problem: Problem, values: Array) -> tuple[Array, Array]:
-    state = problem.experiment.controller
     return _runge_kutta_loop(
         values,
         np.array([RESISTANCE, LOOP_RESISTANCE, CURRENT_LIMIT, AMBIENT]),
@@ -160,8 +158,7 @@ def _numba_outputs(problem: Problem, values: Array) -> tuple[Array, Array]:
         VOLTS_PER_COUNT,
         problem.window.reference[2:],
         float(problem.window.output[2]) + KELVIN,
-        state.integral,
-        state.previous,
+        *problem.experiment.controller.tolist(),
     )
 
 
@@ -206,7 +203,7 @@ def _runge_kutta_loop(  # noqa: PLR0917
 
 def _solve_ivp_outputs(problem: Problem, values: Array) -> tuple[Array, Array]:
     a, k, c = values.tolist()
-    integral, previous = problem.experiment.controller.integral, problem.experiment.controller.previous
+    integral, previous = problem.experiment.controller.tolist()
     plate = float(problem.window.output[2]) + KELVIN
     temperature, pwm = [], []
 
@@ -259,8 +256,8 @@ def _casadi_residuals(casadi: Any, problem: Problem) -> Callable[[Array], tuple[
     size = problem.measured.shape[1]
     loop = tick.mapaccum("loop", size)
     free = casadi.MX.sym("p", 3)
-    known = problem.experiment.controller
-    start = casadi.DM([float(problem.window.output[2]) + KELVIN, known.integral, known.previous])
+    integral, previous = problem.experiment.controller.tolist()
+    start = casadi.DM([float(problem.window.output[2]) + KELVIN, integral, previous])
     _, simulated = loop(start, problem.window.reference[2:].reshape(1, -1), casadi.repmat(free, 1, size))
     measured = problem.measured * problem.weights
     left = casadi.vec(casadi.DM(measured) - simulated)

@@ -149,7 +149,7 @@ def _winding_holds(exact: list[list[list[Any]]]) -> bool:
         for i, x in enumerate(first):
             for j, y in enumerate(second):
                 total[i + j] += x * y
-    return sum(abs(r) < 1 for r in mp.polyroots(total, maxsteps=500, extraprec=300)) == len(d1) - 1
+    return bool(sum(abs(r) < 1 for r in mp.polyroots(total, maxsteps=500, extraprec=300)) == len(d1) - 1)
 
 
 if __name__ == "__main__":

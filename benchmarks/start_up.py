@@ -12,6 +12,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from statistics import median
 
@@ -30,7 +31,7 @@ def run(quick: bool) -> list[Row]:
         quiet = write_session(Path(folder) / "quiet", recorded(250))
         short = write_session(Path(folder) / "short", recorded(700))
         hour = write_session(Path(folder) / "hour", recorded(700 if quick else 3600))
-        cases: dict[str, Callable[[], None]] = {
+        cases: dict[str, Callable[[], object]] = {
             "python -c pass": _python("-c", "pass"),
             "import twinmatch.offline.judging": _python("-c", "import twinmatch.offline.judging"),
             "replay, no match": _python("-m", "twinmatch.cli", "replay", quiet),
@@ -47,9 +48,9 @@ def run(quick: bool) -> list[Row]:
     return [*rows, loading]
 
 
-def _python(*arguments: object) -> Callable[[], None]:
+def _python(*arguments: object) -> Callable[[], object]:
     command = [sys.executable, *map(str, arguments)]
-    return lambda: subprocess.run(command, check=True, capture_output=True, env=_environment()) and None
+    return partial(subprocess.run, command, check=True, capture_output=True, env=_environment())
 
 
 def _environment() -> dict[str, str]:

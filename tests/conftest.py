@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import gc
 import os
 import signal
 import tempfile
@@ -23,7 +24,7 @@ from twinmatch.signals import Window
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # how a shell starts what runs in the background
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
-FIRST = ("system", "test_golden.py", "nodes", "emulation", "showing", "camera_server")
+FIRST = ("system", "test_golden.py", "docs", "showing", "nodes", "packaging", "emulation", "fmu", "twin")
 """Whose tests wait for other processes or compute longest; they begin first, so that none is the last."""
 APART = ("tests/test_golden.py", "tests/docs/test_examples.py")
 """Files whose tests share nothing and take long: each is run by whichever worker is free."""
@@ -50,6 +51,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """What waits begins first; the order within a folder stays."""
     folders = {name: place for place, name in enumerate(FIRST)}
     items.sort(key=lambda item: folders.get(item.path.relative_to(TESTS).parts[0], len(FIRST)))
+
+
+def pytest_collection_finish() -> None:
+    """What is imported and collected stays to the end; a search for garbage passes over it."""
+    gc.collect()
+    gc.freeze()
 
 
 class ByFile(LoadFileScheduling):

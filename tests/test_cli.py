@@ -183,7 +183,7 @@ def test_a_terminal_shows_the_run_and_ends_with_the_sentence(replayed: Replayed)
     header = next(line for line in lines if line.startswith("candidate"))
     assert header.split() == [
         *("candidate", "°C", "mV/K", "W/K", "J/K", "order", "characters", "nAIC", "BIC", "°C²+PWM²"),
-        *("sum", "interval", "nominal", "b(P,", "C)"),
+        *["Σ", "ν-gap", "90", "%", "of", "Σ", "P(nominal)", "ν-gap", "now", "margin"],
     ]
     assert lines[-1].startswith("Leader: ")
     assert "trust it between" in lines[-1]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from zlib import crc32
 
@@ -68,11 +69,8 @@ class Twice(Plant, name="twice"):
 )
 def test_what_no_data_can_tell_apart_is_named(structure: str, message: str) -> None:
     found = [finding.what for finding in inseparable(Twice.model(structure))]
-    if not message:
-        assert found == []
-    else:
-        assert len(found) == 1
-        assert found[0].endswith(message)
+    assert len(found) == bool(message)
+    assert all(what.endswith(message) for what in found)
 
 
 def test_time_constants_are_those_of_the_equations() -> None:
@@ -97,7 +95,7 @@ def test_how_far_an_angle_goes_is_not_a_contradiction() -> None:
         angle = Output(unit="deg", noise=0.06, span=(-180.0, 180.0))
         phi = State(unit="deg", span=(-180.0, 180.0))
 
-    assert not ranges(Narrow.model("free"))
+    assert not [*ranges(Narrow.model("free"))]
 
     class Slow(Servo, name="slow_servo"):
         omega = State(unit="deg/s", span=(-10.0, 10.0))
@@ -155,8 +153,6 @@ HOT = ('gain = Parameter(unit="W/%", default=0.5', 'gain = Parameter(unit="W/%",
 def test_what_is_wrong_is_reported(
     tmp_path: Path, changes: list[tuple[str, str]], period: float | None, message: str
 ) -> None:
-    import re
-
     name = f"checked_{crc32(repr((changes, message)).encode())}"
     checked = checked_file(tmp_path, name, *changes, period=period)
     assert checked.exit_code == 1
@@ -220,18 +216,17 @@ def test_a_file_whose_units_are_right_passes(tmp_path: Path) -> None:
     assert told(find_plant(str(plant_file(tmp_path, "units_right")))) == []
 
 
+SINK = "self.loss * (self.block - self.room)"
+
+
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        (
-            'gain = Parameter(unit="W/%"',
-            'gain = Parameter(unit="V/%"',
-            "the rate of block: .* added to .* in V",
-        ),
+        ('gain = Parameter(unit="W/%"', 'gain = Parameter(unit="V/%"', "rate of block: .* added to .* in V"),
         (
             'unit="J/K", default=100',
             'unit="J", default=100',
-            "the rate of block: has the unit s.*, but needs °C per second",
+            "rate of block: .* unit s.*, but needs °C per second",
         ),
         (
             'loss = Parameter(unit="W/K"',
@@ -244,25 +239,15 @@ def test_a_file_whose_units_are_right_passes(tmp_path: Path) -> None:
             "has 0.001 times the unit °C per",
         ),
         ('State(unit="°C"', 'State(unit="K"', "block is in K and room in °C|room is in °C and block in K"),
-        (
-            "start={self.block: self.temperature}",
-            "start={self.block: self.temperature**2}",
-            "the start of block",
-        ),
+        ("self.block: self.temperature}", "self.block: self.temperature**2}", "the start of block"),
         ("self.gain * self.heater", "self.gain * self.room**100000", "added to or compared"),
         ("output=self.block", "output=self.block * self.loss", "the output: has the unit W, but needs °C"),
-        ("self.loss * (self.block - self.room)", "self.loss * (self.block**4 - self.room**4)", "a power of"),
-        (
-            "self.loss * (self.block - self.room)",
-            "self.loss * (self.block - self.room) * __import__('sympy').exp(self.block)",
-            "has the unit K",
-        ),
+        (SINK, "self.loss * (self.block**4 - self.room**4)", "a power of"),
+        (SINK, f"{SINK} * __import__('sympy').exp(self.block)", "has the unit K"),
     ],
 )
 def test_units_that_are_wrong_are_reported(tmp_path: Path, old: str, new: str, message: str) -> None:
     name = f"units_wrong_{crc32(repr((old, new)).encode())}"
-    import re
-
     found = told(find_plant(str(plant_file(tmp_path, name, (old, new)))))
     assert any(re.search(message, what) for what in found), found
 

@@ -14,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 
+from tests.support.places import SHIPPED
 from tests.support.plant_files import plant_file
 from tests.support.plants import Exchanger, Lag, Motor
 from tests.support.processes import Process, run_twinmatch
@@ -135,9 +136,11 @@ def written(folder: Path, held: Proposal, name: str) -> list[Path]:
     return paths
 
 
-def passes(folder: Path, *words: object) -> None:
-    done = Process(sys.executable, "-m", *words, output=folder / "said.txt", folder=folder, forked=True)
-    assert done.wait() == 0, done.text
+def own_tests_pass(path: Path) -> None:
+    tests = [test for name, test in runpy.run_path(str(path)).items() if name.startswith("test_")]
+    assert len(tests) == 2
+    for test in tests:
+        test()
 
 
 def test_what_is_written_passes_its_own_test_and_the_house_style(tmp_path: Path) -> None:
@@ -148,10 +151,10 @@ def test_what_is_written_passes_its_own_test_and_the_house_style(tmp_path: Path)
         *("my_kiln.py", "test_my_kiln.py", "my_kiln.yaml", "my_kiln_map.yaml")
     ]
     assert yaml.safe_load((tmp_path / "my_kiln_map.yaml").read_text())["columns"]["room"] == "Room"
-    for name, test in runpy.run_path(str(paths[1])).items():
-        if name.startswith("test_"):
-            test()
-    passes(tmp_path, "ruff", "format", "--check", "--line-length", "110", *paths[:2])
+    own_tests_pass(paths[1])
+    style = (sys.executable, "-m", "ruff", "format", "--check", "--line-length", "110", *paths[:2])
+    done = Process(*style, output=tmp_path / "said.txt", folder=tmp_path, forked=True)
+    assert done.wait() == 0, done.text
 
 
 def test_a_disturbance_of_another_kind_is_left_to_the_reader(tmp_path: Path) -> None:
@@ -175,7 +178,7 @@ def test_the_example_passes_its_own_test(tmp_path: Path) -> None:
     done = run_twinmatch("new-plant", "my_block", "-o", tmp_path)
     assert done.returncode == 0, done.stderr
     assert "twinmatch check-plant" in done.stdout
-    passes(tmp_path, "pytest", "-q", "-p", "no:cacheprovider", "test_my_block.py")
+    own_tests_pass(tmp_path / "test_my_block.py")
     again = run_twinmatch("new-plant", "my_block", "-o", tmp_path)
     assert again.returncode == 2
     assert "exists already" in again.stderr
@@ -205,7 +208,6 @@ def test_a_fault_that_keeps_every_window_out_is_named(tmp_path: Path, stuck: boo
 
 
 GAINS = PidGains(0.15, 0.6, 0.0, 20.0, low=-24.0, high=24.0, period=0.05)
-SHIPPED = Path(__file__).parents[2] / "bags" / "four_setpoints"
 
 
 def driven_by(gains: PidGains, *, has_reference: bool = True) -> Session:
@@ -220,8 +222,8 @@ def driven_by(gains: PidGains, *, has_reference: bool = True) -> Session:
 
 def test_the_loop_that_ran_the_plant_is_not_a_finding() -> None:
     """Even if the controller saw other readings than the recorded ones, by their noise."""
-    assert loop_findings(driven_by(GAINS), Motor, GAINS) == []
-    assert loop_findings(driven_by(GAINS), Motor, None) == []
+    assert not [*loop_findings(driven_by(GAINS), Motor, GAINS)]
+    assert not [*loop_findings(driven_by(GAINS), Motor, None)]
 
 
 @pytest.mark.parametrize(
@@ -233,15 +235,15 @@ def test_another_loop_is_a_finding(wrong: dict[str, float]) -> None:
     (found,) = loop_findings(driven_by(GAINS), Motor, replace(GAINS, **wrong))
     assert "does not give the recorded input" in found.what
     assert "back_calculation" in found.todo
-    assert loop_findings(driven_by(GAINS, has_reference=False), Motor, replace(GAINS, **wrong)) == []
+    assert not [*loop_findings(driven_by(GAINS, has_reference=False), Motor, replace(GAINS, **wrong))]
 
 
 def test_the_rig_was_run_by_the_loop_in_its_file() -> None:
     session = open_any(SHIPPED)
     from twinmatch.plants import Peltier
 
-    assert loop_findings(session, Peltier, Peltier.loop) == []
-    assert loop_findings(session, Peltier, replace(Peltier.loop, integral=3.0))
+    assert not [*loop_findings(session, Peltier, Peltier.loop)]
+    assert [*loop_findings(session, Peltier, replace(Peltier.loop, integral=3.0))]
 
 
 DRIVEN = TwinSettings.of(Exchanger, "without", gains=None)

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from tests.support.waiting import PATIENCE, wait_for
 from twinmatch import shipped
-from twinmatch.dynamics import begin, simulate_driven
+from twinmatch.dynamics import Controller, begin, simulate_driven
 from twinmatch.emulation import arduino_virtual, virtual_camera
 from twinmatch.emulation.arduino import ArduinoError, PinDrive
 from twinmatch.emulation.arduino_virtual import make_board, virtual_tools
@@ -108,6 +108,16 @@ def test_the_plant_is_that_of_the_plant_room() -> None:
         RICH_RIG, [100.0, 0.0], states=begin(RICH_RIG, RICH_RIG["ambient"] - KELVIN), period=10.0
     ).output[1]
     assert plant.plate == pytest.approx(exact, abs=1e-5)
+
+
+def test_the_loop_settles_on_its_reference() -> None:
+    """Once the heat sink has: its time constant is a minute or two."""
+    plant, law, drive = VirtualPlant(), Controller(Peltier.loop), PinDrive(0.0, 0.0, enabled=True)
+    for _ in range(1500):
+        plant.advance(drive, 1.0)
+        drive = drive._replace(pwm=law.step(60.0, plant.seen)[0])
+    assert plant.seen == pytest.approx(60.0, abs=1e-3)
+    assert 0.0 < drive.pwm < 255.0
 
 
 @pytest.mark.parametrize("broken", [False, True])

@@ -80,7 +80,7 @@ F = np.array([1.0, -1.5, 0.7])
 @pytest.fixture
 def model() -> BoxJenkins:
     order = Order(2, 2, 2, 2, 1)
-    return BoxJenkins(order, B, C, D, F, 0.01, np.zeros((8, 8)), np.zeros(4), 100, period=0.5)
+    return BoxJenkins(order, B, C, D, F, 0.01, np.zeros(4), 100, period=0.5)
 
 
 @pytest.fixture

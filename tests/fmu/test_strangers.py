@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 import zipfile
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -185,6 +186,19 @@ def test_a_bomb_is_not_unpacked(exchange_fmu: Path, tmp_path: Path) -> None:
         opened.filelist[-1].file_size = 1 + archive.MOST_BYTES  # as its directory says
     with pytest.raises(FmuError, match="the limit is 512 MiB"):
         adopt_fmus(write_map(tmp_path, fmu))
+
+
+def test_no_more_is_unpacked_than_the_archive_states(tmp_path: Path) -> None:
+    """Its directory says ten bytes, of a mebibyte or of the first ten."""
+    for named, length, refused in (("long", 1 << 20, True), ("cut", 10, False)):
+        fmu, content = tmp_path / f"{named}.fmu", bytes(1 << 20)
+        with zipfile.ZipFile(fmu, "w", zipfile.ZIP_DEFLATED) as opened:
+            opened.writestr("zeros", content)
+            opened.filelist[0].file_size, opened.filelist[0].CRC = 10, zlib.crc32(content[:length])
+        words = "is not an FMU, or is damaged: Bad CRC-32 for file 'zeros'"
+        with pytest.raises(FmuError, match=words) if refused else contextlib.nullcontext():
+            archive.unpack(fmu, tmp_path / named)
+        assert (tmp_path / named / "zeros").stat().st_size <= 10
 
 
 @pytest.mark.parametrize(

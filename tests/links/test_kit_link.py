@@ -46,12 +46,18 @@ def keeper(link: KitLink) -> int:
     return link._process.pid
 
 
-def test_it_sets_heaters_and_reads_sensors_while_somebody_commands(kit: BenchKit, link: KitLink) -> None:
+def test_it_sets_heaters_and_reads_sensors_whatever_stands_between_while_somebody_commands(
+    kit: BenchKit, link: KitLink
+) -> None:
     """Until its end of the pipe closes, as the kernel does for a process that is killed."""
     assert link.firmware.startswith("TCLab Firmware")
     kit.shown = {1: 41.25, 2: 30.5}
     assert link.drive(37.5, 12.0) == (41.25, 30.5, 37.5, 12.0)
     assert kit.heaters == [37.5, 12.0]
+    for _ in range(5):  # rubbish between two questions
+        kit.say(b"\xff\x00 99.9\r\n12")
+        time.sleep(0.02)
+        assert link.drive(40.0, 0.0) == (41.25, 30.5, 40.0, 0.0)
     assert link._process is not None
     assert link._process.stdin is not None
     link._process.stdin.close()
@@ -80,7 +86,9 @@ def test_an_invalid_command_never_reaches_it(kit: BenchKit, link: KitLink) -> No
     assert kit.highest == 50.0
 
 
-def test_who_holds_the_port_is_killed_and_the_next_one_begins_with_zero(kit: BenchKit, link: KitLink) -> None:
+def test_who_holds_the_port_is_killed_and_the_next_one_begins_with_zero_and_ends_when_asked(
+    kit: BenchKit, link: KitLink
+) -> None:
     link.drive(80.0, 0.0)
     os.kill(keeper(link), signal.SIGKILL)
     with pytest.raises(KitError, match="process that holds its port"):
@@ -89,9 +97,6 @@ def test_who_holds_the_port_is_killed_and_the_next_one_begins_with_zero(kit: Ben
     assert kit.heaters[0] == 80.0  # the firmware has no deadline: somebody has to say it
     link.open()
     assert kit.heaters == [0.0, 0.0]
-
-
-def test_it_is_asked_to_end(kit: BenchKit, link: KitLink) -> None:
     link.drive(80.0, 0.0)
     os.kill(keeper(link), signal.SIGTERM)
     off(kit)
@@ -124,13 +129,6 @@ def test_who_holds_the_port_checks_commands_and_a_port_that_is_gone_is_an_error_
     for _ in range(2):
         with pytest.raises(OSError):  # noqa: PT011 (the words are the system's)
             board.off()
-
-
-def test_rubbish_between_two_questions_is_skipped(kit: BenchKit, link: KitLink) -> None:
-    for _ in range(5):
-        kit.say(b"\xff\x00 99.9\r\n12")
-        time.sleep(0.02)
-        assert link.drive(40.0, 0.0) == (25.0, 24.0, 40.0, 0.0)
 
 
 def test_a_kit_that_answers_rubbish_is_switched_off(kit: BenchKit, link: KitLink) -> None:

@@ -17,6 +17,7 @@ pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; r
 from tests.support.processes import Process, Processes, Start
 from tests.support.ros import Inside, Listener, listening
 from tests.support.steps import quarter_of_an_hour
+from twinmatch.nodes import node
 from twinmatch.nodes.runner import EXIT_DEFECT
 from twinmatch.sessions import write_session
 from twinmatch.signals import Sample
@@ -26,6 +27,14 @@ from twinmatch.twin import Outcome, Twin, TwinSettings
 @pytest.fixture(scope="session", autouse=True)
 def _environment(ros: None) -> None:
     """Every test here is in the domain of this worker."""
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _reports() -> Iterator[None]:
+    """Nodes in this process report five times a second, so that nobody waits for what they say."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(node, "PERIOD", 0.2)
+        yield
 
 
 @pytest.fixture

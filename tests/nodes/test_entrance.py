@@ -31,7 +31,7 @@ from twinmatch.launching.live import Live, _LiveRun
 from twinmatch.launching.plan import LivePlan
 from twinmatch.launching.watch import Settled, Watch
 from twinmatch.nodes.entrance import MOST_KINDS, Course
-from twinmatch.nodes.expected import CHECKS, FOLLOWS, READ, check
+from twinmatch.nodes.expected import MESSAGES, check
 from twinmatch.nodes.fields import MessageError
 from twinmatch.nodes.messages import message_of, request_message, sample_message
 from twinmatch.nodes.topics import EVERYTHING
@@ -92,7 +92,7 @@ SOUND: dict[str, Callable[[], Any]] = {
 def test_sound_messages_pass(name: str) -> None:
     message = SOUND[name]()
     check(message, Peltier)
-    READ.get(type(message), lambda m: m)(message)
+    MESSAGES[type(message)].read(message)
 
 
 @pytest.mark.parametrize(
@@ -179,7 +179,7 @@ def publishers() -> Publishers:
 
 @pytest.fixture
 def course(publishers: Publishers) -> Course:
-    return Course(FOLLOWS[messages.LoopSample], publishers)
+    return Course(MESSAGES[messages.LoopSample].departs, publishers)
 
 
 def test_samples_that_go_back_are_refused(course: Course) -> None:
@@ -209,7 +209,7 @@ def test_another_publisher_begins_another_session(course: Course, publishers: Pu
 
 
 def test_a_clock_that_goes_back_is_refused() -> None:
-    course = Course(FOLLOWS[Clock], Publishers())
+    course = Course(MESSAGES[Clock].departs, Publishers())
     back = Clock()
     for seconds in (5, 5, 6):
         forth = Clock()
@@ -302,8 +302,8 @@ def test_nonsense_on_every_topic_and_service_ends_nothing(program: Inside, liste
     topics, services, drawn = receiving(program), serving(program), Nonsense(18)
     assert topics
     assert services
-    assert {kind for kind in topics.values() if kind not in CHECKS} == set()
-    assert {kind.Request for kind in services.values()} <= CHECKS.keys() | ANYTHING
+    assert {kind for kind in topics.values() if kind not in MESSAGES} == set()
+    assert {kind.Request for kind in services.values()} <= MESSAGES.keys() | ANYTHING
     qos = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     writers = {name: listener.node.create_publisher(kind, name, qos) for name, kind in topics.items()}
     clients = [listener.node.create_client(kind, name) for name, kind in services.items()]
@@ -419,7 +419,7 @@ def test_a_keeper_keeps_no_more_verdicts_than_there_are_samples(
         scores.publish(message_of(verdict(TrustLevel.TRUSTED, sample=300 + k), 0))
     key = "twin/model_score: more than samples"
     listener.spin_until(lambda: keeper.health.report().values.get(key) == "50", "the count")
-    assert len(keeper._messages["twin/model_score"]) == 100
+    assert len(keeper._store.messages[messages.ModelScore]) == 100
 
 
 def test_samples_beyond_what_memory_should_hold_are_left_to_be_fetched(

@@ -2,23 +2,41 @@
 
 from __future__ import annotations
 
-import math
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from rclpy.serialization import serialize_message
+from rclpy.serialization import deserialize_message, serialize_message
 
+from twinmatch.nodes import keeper
 from twinmatch.nodes.expected import check
 from twinmatch.nodes.fields import MessageError
-from twinmatch.nodes.past import Copies, Fetched, InOrder, Stream, samples_of_answer, values_of
+from twinmatch.nodes.keeper import Store
+from twinmatch.nodes.past import Copies, RecorderPast, Stream, samples_of_answer, values_of
+from twinmatch.sessions.messages import encode_sample
 from twinmatch.signals import Sample
-from twinmatch_msgs.msg import ModelScore
+from twinmatch_msgs.msg import Match, ModelScore
 from twinmatch_msgs.srv import Past
 
 
 def sample(index: int) -> Sample:
     return Sample(index, index * 10**9, 0.0, 0.0, 0.0)
+
+
+@contextmanager
+def kept(samples: int = 2000, messages: int = 20) -> Iterator[Store]:
+    """A store that gives so many at a time."""
+    with pytest.MonkeyPatch.context() as patch, closing(Store()) as store:
+        patch.setattr(keeper, "MOST_SAMPLES", samples)
+        patch.setattr(keeper, "MOST_MESSAGES", messages)
+        yield store
+
+
+def answered(stream: Stream, store: Store) -> bool:
+    wanted = stream.wanted()
+    return wanted is not None and stream.answered(store.answer(wanted))
 
 
 def test_an_answer_holds_any_number_of_signals() -> None:
@@ -36,19 +54,6 @@ def test_an_answer_holds_any_number_of_signals() -> None:
         check(answer)
 
 
-class Keeper:
-    """Knows all samples that were made; answers when the test lets it, some at a time."""
-
-    def __init__(self, most: int) -> None:
-        self.made: list[int] = []
-        self.most = most
-
-    def answer(self, stream: Stream) -> bool:
-        assert stream.missing is not None
-        found = [k for k in self.made if k in stream.missing][: self.most]
-        return stream.fetched([sample(k) for k in found], self.made[-1] + 1 if self.made else 0)
-
-
 @given(
     st.lists(st.tuples(st.integers(1, 4), st.booleans(), st.integers(0, 3)), min_size=1, max_size=60),
     st.integers(1, 7),
@@ -56,36 +61,34 @@ class Keeper:
 def test_every_sample_comes_once_and_in_order(ticks: list[tuple[int, bool, int]], most: int) -> None:
     """Ticks may be missed by the rig (steps > 1), samples lost on the way, answers come late."""
     out: list[int] = []
-    stream, keeper = Stream(lambda s: out.append(s.index)), Keeper(most)
-    index = -1
-    for step, arrives, answers in ticks:
-        index += step
-        keeper.made.append(index)
-        if arrives:
-            stream.push(sample(index))
-        for _ in range(answers):
-            if stream.missing is not None:
-                keeper.answer(stream)
-    index += 1
-    keeper.made.append(index)
-    stream.push(sample(index))
-    while stream.missing is not None:
-        assert keeper.answer(stream)
-    assert out == keeper.made
+    made: list[int] = []
+    stream = Stream(lambda s: out.append(s.index))
+    with kept(most) as store:
+        for step, arrives, answers in [*ticks, (1, True, 0)]:
+            made.append(made[-1] + step if made else step - 1)
+            store.samples.push(sample(made[-1]))
+            if arrives:
+                stream.push(sample(made[-1]))
+            for _ in range(answers):
+                answered(stream, store)
+        while stream.missing is not None:
+            assert answered(stream, store)
+    assert out == made
 
 
 def test_a_keeper_that_lags_is_asked_again() -> None:
     out: list[int] = []
-    stream, keeper = Stream(lambda s: out.append(s.index)), Keeper(10)
+    stream = Stream(lambda s: out.append(s.index))
     stream.push(sample(2))
     assert stream.missing == range(2)
-    assert not keeper.answer(stream)  # it has received nothing yet
-    keeper.made = [0]
-    assert keeper.answer(stream)
-    assert stream.missing == range(1, 2)
-    assert not keeper.answer(stream)
-    keeper.made = [0, 1, 2]
-    assert keeper.answer(stream)
+    with kept() as store:
+        assert not answered(stream, store)  # it has received nothing yet
+        store.samples.push(sample(0))
+        assert answered(stream, store)
+        assert stream.missing == range(1, 2)
+        assert not answered(stream, store)
+        store.samples.push(sample(1))
+        assert answered(stream, store)
     assert out == [0, 1, 2]
 
 
@@ -109,45 +112,53 @@ def test_another_session_begins_where_it_begins() -> None:
     assert out == [0, 1, 2, 0, 1]
 
 
-SAMPLE, KINDS = "samples", ("matches", "verdicts")
-
-
-def about(samples: list[int]) -> list[Fetched]:
-    return [Fetched(sample, b"", sample) for sample in samples]
+KINDS = Match, ModelScore
+NAMES = "sample", "match", "score"
 
 
 @given(
-    gone=st.sets(st.integers(0, 29), max_size=20),
-    said=st.fixed_dictionaries({name: st.lists(st.integers(0, 29), max_size=20) for name in KINDS}),
-    sizes=st.lists(st.tuples(*[st.integers(1, 12)] * 3), min_size=30, max_size=30),
+    made=st.sets(st.integers(0, 29)).map(lambda found: found | {30}),
+    about=st.tuples(*[st.lists(st.integers(0, 29), max_size=20)] * 2),
+    begin=st.integers(1, 30),
+    live=st.tuples(*[st.integers(0, 20)] * 2),
+    most=st.tuples(*[st.integers(1, 12)] * 2),
 )
-def test_what_is_written_never_lacks_a_message_about_a_sample_before_its_last(
-    gone: set[int], said: dict[str, list[int]], sizes: list[tuple[int, int, int]]
+def test_a_session_holds_everything_once_and_may_be_cut_off_anywhere(
+    made: set[int], about: tuple[list[int], ...], begin: int, live: tuple[int, int], most: tuple[int, int]
 ) -> None:
-    samples = about([index for index in range(30) if index not in gone])
-    messages = {name: about(sorted(set(found) - gone)) for name, found in said.items()}
-    written: list[tuple[str, Fetched]] = []
-    order = InOrder(lambda name, message: written.append((name, message)), (SAMPLE, *KINDS))
-    taken = 0
-    for count, *counts in sizes:
-        order.add(SAMPLE, samples[taken : taken + count])
-        taken += count
-        for name, most in zip(KINDS, counts, strict=True):
-            known = order.counts[name]
-            order.add(name, messages[name][known : known + most], len(messages[name]))
-        order.write()
-    assert order.waiting == 0
-    order.write(math.inf)
-    assert [message for name, message in written if name == SAMPLE] == samples
-    for kind in KINDS:
-        assert [message for name, message in written if name == kind] == messages[kind]
-    for end in range(1, len(written)):
-        cut = written[:end]
-        last = max((message.sample for name, message in cut if name == SAMPLE), default=-1)
-        for kind in KINDS:
-            found = [message for name, message in cut if name == kind]
-            assert found[: len(messages[kind])] == messages[kind][: len(found)]
-            assert len(found) >= sum(message.sample < last for message in messages[kind] if last >= 0)
+    """It never lacks a message about a sample before its last, whatever arrived live, and how late."""
+    written: list[tuple[str, bytes]] = []
+    past = RecorderPast(NAMES, lambda name, data, _: written.append((name, data)))
+    samples = [sample(index) for index in sorted(made)]
+    said = [
+        [
+            serialize_message(kind(sample=index, reason=str(n)))
+            for n, index in enumerate(sorted(set(found) & made))
+        ]
+        for kind, found in zip(KINDS, about, strict=True)
+    ]
+    with kept(*most) as store:
+        for one in samples:
+            store.samples.push(one)
+        for kind, found in zip(KINDS, said, strict=True):
+            for data in found:
+                assert store.push(kind, data)
+        for name, found, first in zip(NAMES[1:], said, live, strict=True):
+            for data in found[first:]:
+                past.take(name, data, 0)
+        for one in samples:
+            if one.index >= begin:
+                past.take("sample", encode_sample(one), one.stamp)
+        while past.stream.missing is not None:
+            assert answered(past.stream, store)
+    expected = dict(zip(NAMES, ([encode_sample(one) for one in samples], *said), strict=True))
+    for name in NAMES:
+        assert [data for topic, data in written if topic == name] == expected[name]
+    indices = {data: one.index for data, one in zip(expected["sample"], samples, strict=True)}
+    for kind, name in zip(KINDS, NAMES[1:], strict=True):
+        indices |= {data: deserialize_message(data, kind).sample for data in expected[name]}
+    order = [(indices[data], topic != "sample") for topic, data in written]
+    assert order == sorted(order)
 
 
 @given(messages=st.integers(1, 30), data=st.data())

@@ -79,7 +79,6 @@ class Rig(HeaterRig):
         self.until(lambda: self.fault, kind)
         assert self.fault.startswith(f"{kind}: ")
         self.until(lambda: board.drive().pwm == 0, "zero")
-        self.stays_at_zero(board)
 
     def stays_at_zero(self, board: Any) -> None:
         seen = len(self.applied)
@@ -216,6 +215,7 @@ def test_a_runaway_is_zero(
     rig.drive(pwm, board)
     rig.reference = reference
     rig.wait_for_fault("runaway", board)
+    rig.stays_at_zero(board)
 
 
 def test_stop_is_a_fault_that_is_asked_for(start: Start, rig: Rig, board: StandInArduino) -> None:
@@ -223,6 +223,7 @@ def test_stop_is_a_fault_that_is_asked_for(start: Start, rig: Rig, board: StandI
     rig.drive(120.0, board)
     assert rig.call("stop").success
     rig.wait_for_fault("stopped", board)
+    rig.stays_at_zero(board)
     assert rig.call("clear_fault").success
     rig.drive(120.0, board)
 
@@ -238,6 +239,7 @@ def test_a_cable_pulled_and_put_back(start: Start, rig: Rig, any_board: Any) -> 
     assert "not connected" in refused.message
     any_board.plug()
     rig.wait_for_fault("link", any_board)
+    rig.stays_at_zero(any_board)
     rig.until(lambda: rig.applied[-1].pwm == 0, "knowing again")
     assert rig.call("clear_fault").success
     rig.drive(120.0, any_board)
@@ -308,6 +310,7 @@ def test_a_simulated_clock_that_jumps_back_extends_no_deadline(
     rig.pwm = None  # the controller has fallen silent …
     simulated.now -= 900.0  # … and the clock will not be back there for a quarter of an hour
     rig.wait_for_fault("command_silent", board)
+    rig.stays_at_zero(board)
     assert simulated.now < 200.0
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.support.plants import Motor
+from tests.support.plants import Lag, Motor
 from tests.support.steps import drive_lost
 from twinmatch.dynamics import Sensor, begin, simulate_closed_loop
 from twinmatch.forecasting import Forecast, ForecastError
@@ -190,6 +190,16 @@ def test_a_rehearsal_matches_judges_and_forecasts_once(
     assert len(last.candidates) >= 2
     assert last.nu_gap
     assert last.forecasts
+
+
+def test_a_plant_needs_no_loop() -> None:
+    """It is judged under its inputs, and every structure has its parameters."""
+    assert Lag.loop is None
+    assert Lag.model().parameters()["lag"] == 5.0
+    level = np.full(30, 20.0)
+    judged = judge_samples("still", samples_of(Window(level, level, level)), TwinSettings.of(Lag))
+    assert judged.settings.gains is None
+    assert not judged.summary.closed
 
 
 def test_a_plant_without_a_loop_is_not_rehearsed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -62,13 +62,16 @@ def record(samples: list[Sample], outcomes: list[Outcome], tmp_path: Path) -> Ca
     return write
 
 
-def test_a_recorded_session_is_identical(record: Callable[..., Path], capsys: Any) -> None:
+def test_a_recorded_session_is_identical(
+    record: Callable[..., Path], capsys: Any, request: pytest.FixtureRequest
+) -> None:
     folder = record()
     found = verify_session(folder)
     assert found.identical
     assert (found.samples, found.notes) == (920, ())
     assert found.verdicts > 10
     assert found.matches == 3
+    request.getfixturevalue("judged")
     assert main(["verify", str(folder)]) == 0
     assert "identical, bit for bit" in capsys.readouterr().out
 

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-PROJECT = Path(__file__).resolve().parents[2]
+from tests.support.places import PROJECT
+
 TOOLS = Path(sys.executable).parent
 
 

@@ -19,9 +19,9 @@ import check_machine
 import pytest
 
 import twinmatch
+from tests.support.places import PROJECT
 from twinmatch.nodes.__main__ import PROGRAMS, nodes_of
 
-PROJECT = Path(__file__).resolve().parents[2]
 SCRIPTS = re.findall(
     r'^(\w+) = "(twinmatch\.\S+):main"', (PROJECT / "pyproject.toml").read_text(), re.MULTILINE
 )

@@ -7,7 +7,6 @@ import math
 import re
 import struct
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,6 +14,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.support.places import PROJECT
 from twinmatch.comparing import (
     CandidateScore,
     Criteria,
@@ -40,7 +40,6 @@ from twinmatch.record.fields import values_name
 from twinmatch.signals import Window
 from twinmatch.twin import MatchReport
 
-PROJECT = Path(__file__).resolve().parents[2]
 METHOD = (PROJECT / "docs" / "method.md").read_text()
 RECORDS = {
     "ModelScore": Verdict,
@@ -120,9 +119,7 @@ def test_the_message_has_the_fields_of_the_record(name: str) -> None:
     assert told - OF_THE_MESSAGE == entries(RECORDS[name])
 
 
-@pytest.mark.parametrize(
-    "name", ["ModelScore", "Candidate", "ForecastScore", "OrderScore", "Criteria", "Match"]
-)
+@pytest.mark.parametrize("name", RECORDS)
 def test_the_method_says_how_to_read_every_field(name: str) -> None:
     said = set(re.findall(r"`(\w+)`", METHOD))
     missing = {entry.removesuffix("_name") for entry in entries(RECORDS[name])} - said
@@ -142,13 +139,8 @@ def test_what_is_absent_is_null_in_json() -> None:
     first, second = entry["candidates"]
     assert entry["level"] == "doubtful"
     assert entry["nu_gap"] == [[0.0, 0.5], [0.5, 0.0]]
-    assert (entry["order"], entry["closed_rms_u"], first["newest"], first["margin"]) == (
-        None,
-        None,
-        None,
-        None,
-    )
-    assert first["orders"][0]["aic_difference"] is None
+    absent = (entry["order"], entry["closed_rms_u"], first["newest"], first["margin"])
+    assert {*absent, first["orders"][0]["aic_difference"]} == {None}
     assert second["newest"]["gain"] == 10
     match = document_of(report())
     assert (match["first"], match["last"], match["fit_y"]) == (0, 8, None)

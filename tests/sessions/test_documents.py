@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
 import sys
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from tests.support.limits import within
+from tests.support.places import PROJECT
 from tests.support.rig import rig
 from tests.support.schemas import bare
 from twinmatch.cli import main
@@ -28,8 +30,6 @@ from twinmatch.sessions.candidates import CandidateFileError, parse_candidates, 
 from twinmatch.sessions.documents import MOST_BYTES, DocumentError, parse_json, parse_yaml, read_yaml
 from twinmatch.sessions.messages import PLANT_TOPICS, SAMPLE, Qos, Topic, fields_of, schema_of
 from twinmatch.sessions.metadata import files_listed, parse_qos
-
-PROJECT = Path(__file__).resolve().parents[2]
 
 texts = st.text(
     st.characters(exclude_categories=("Cs", "Cc"), exclude_characters="\ufeff\ufffe\uffff"), max_size=12
@@ -141,8 +141,7 @@ def test_what_would_do_harm_is_refused_in_one_line(name: str) -> None:
     assert words.startswith("file: ")
     assert "\n" not in words
     assert len(words) < 300
-    with pytest.raises(DocumentError, match=message):
-        parse_yaml(text, "file")
+    assert re.search(message, words)
 
 
 @pytest.mark.parametrize(

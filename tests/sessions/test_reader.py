@@ -307,7 +307,7 @@ def test_every_cut_gives_the_messages_before_it(tmp_path, whole):
         with pytest.raises(SessionError, match="is not a session"):
             scan(tmp_path / "x.mcap", whole[:cut])
     # A stride that meets every place within a record, for their length is not a multiple of it.
-    for cut in range(len(MAGIC), len(whole), 11):
+    for cut in range(len(MAGIC), len(whole), 29):
         count, fault = scan(tmp_path / "x.mcap", whole[:cut])
         assert count == sum(end <= cut for end in ends)
         assert fault.startswith("the file is truncated")
@@ -326,6 +326,12 @@ def with_a_wrong_bit(whole: bytes) -> bytes:
     return whole[:at] + bytes([whole[at] ^ 1]) + whole[at + 1 :]
 
 
+def stating(messages: int):
+    """Change the number of messages in the statistics."""
+    told = struct.Struct("<BQQ")
+    return lambda whole: whole.replace(told.pack(11, 56, COUNT), told.pack(11, 56, messages))
+
+
 @pytest.mark.parametrize(
     ("spoil", "count", "fault"),
     [
@@ -334,6 +340,9 @@ def with_a_wrong_bit(whole: bytes) -> bytes:
         (taken_for_something_else, 40, LOST),
         (with_a_wrong_bit, 40, "the file is damaged: the checksum of a chunk is wrong"),
         (lambda whole: MAGIC + struct.pack("<BQ", 6, 2**63) + whole[8:], 0, "the file is truncated"),
+        (stating(COUNT + 1), COUNT, "the file is damaged: only 60 of 61 messages are left"),
+        (stating(COUNT - 1), COUNT, "the file is damaged: it has 60 messages, but states 59"),
+        (lambda whole: whole + b"more", COUNT, "the file is damaged: bytes follow its end"),
     ],
 )
 def test_what_comes_before_the_damage_is_read(tmp_path, whole, spoil, count, fault):

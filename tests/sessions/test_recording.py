@@ -5,12 +5,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
-import os
 import resource
-import signal
-import subprocess
-import sys
-import textwrap
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +18,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability, QosReliability
 from rosbags.rosbag2 import Reader
 
+from tests.support.processes import kill_once_it_says
 from twinmatch.sessions import EPOCH, SessionError, SessionWriter, read_session, samples_of, write_session
 from twinmatch.sessions.messages import PLANT_TOPICS, SAMPLE, encode_sample
 from twinmatch.sessions.recording import DiskFullError, Recording, RecordingLimits
@@ -228,13 +224,7 @@ def test_a_kill_while_writing_leaves_no_session(tmp_path):
         recording.write_session(sys.argv[1], [Sample(k, k, 1.0, 2.0, 3.0) for k in range(3000)])
     """
     folder = tmp_path / "run"
-    with subprocess.Popen(
-        [sys.executable, "-c", textwrap.dedent(program), str(folder)], stdout=subprocess.PIPE
-    ) as process:
-        assert process.stdout is not None
-        assert process.stdout.readline() == b"writing\n"
-        os.kill(process.pid, signal.SIGKILL)
-    assert process.returncode == -signal.SIGKILL
+    kill_once_it_says("writing", program, folder)
     assert not folder.exists()
     write_session(folder, hour(5))
     assert len(read_session(folder).samples) == 5

@@ -79,14 +79,17 @@ def test_a_whole_session_is_left_alone_also_by_a_second_repair(tmp_path, finish)
     assert content(folder) == before
 
 
-@settings(max_examples=30)
+@pytest.fixture(scope="module")
+def killed(tmp_path_factory):
+    return (record(tmp_path_factory.mktemp("killed") / "run") / "run_0.mcap").read_bytes()
+
+
+@settings(max_examples=20)
 @given(cut=st.integers(1, 8000))
-def test_whatever_can_be_read_of_a_torn_file_is_kept(tmp_path_factory, cut):
-    folder = record(tmp_path_factory.mktemp("cut") / "run")
-    file = folder / "run_0.mcap"
-    size = max(1, file.stat().st_size - cut)
-    with file.open("r+b") as stream:
-        stream.truncate(size)
+def test_whatever_can_be_read_of_a_torn_file_is_kept(tmp_path_factory, killed, cut):
+    folder = tmp_path_factory.mktemp("cut") / "run"
+    folder.mkdir()
+    (folder / "run_0.mcap").write_bytes(killed[: max(1, len(killed) - cut)])
     try:
         readable = indices(folder)
     except SessionError:

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import os
 import resource
-import signal
-import subprocess
-import sys
-import textwrap
 from pathlib import Path
 
 import pytest
 import yaml
 from mcap.reader import make_reader
 
+from tests.support.processes import kill_once_it_says
 from twinmatch.sessions import Qos, SessionError, SessionWriter, Topic, read_session
 from twinmatch.sessions.messages import PLANT_TOPICS, SAMPLE, encode_sample
 from twinmatch.signals import Sample
@@ -184,12 +180,7 @@ def test_a_killed_recorder_loses_nothing_that_was_flushed(tmp_path):
         time.sleep(60)
     """
     folder = tmp_path / "live"
-    with subprocess.Popen(
-        [sys.executable, "-c", textwrap.dedent(program), str(folder)], stdout=subprocess.PIPE
-    ) as process:
-        assert process.stdout is not None
-        assert process.stdout.readline() == b"flushed\n"
-        os.kill(process.pid, signal.SIGKILL)
+    kill_once_it_says("flushed", program, folder)
     session = read_session(folder)
     assert [s.index for s in session.samples] == list(range(1234))
     assert session.notes == [

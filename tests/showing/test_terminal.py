@@ -13,6 +13,7 @@ from tests.support.steps import drive_lost
 from twinmatch.offline.judging import Judgement, judge_samples
 from twinmatch.offline.summary import nominal_score
 from twinmatch.plants import Peltier
+from twinmatch.showing.family import FIGURES
 from twinmatch.showing.lines import Lines
 from twinmatch.showing.quantities import number, parameter_format
 from twinmatch.showing.terminal import Screen, view_on
@@ -82,9 +83,7 @@ def test_a_wide_terminal_shows_every_figure_of_every_candidate(judged: Judgement
             number(total.bic, 1),
             number(total.mdl, 4),
             number(score.nu_gap_sum, 3),
-            f"{number(score.nu_gap_sum_low, 2)}…{number(score.nu_gap_sum_high, 2)}",
-            number(score.nominal_probability, 2),
-            number(score.margin, 3),
+            *(column.text(score) for column in FIGURES[1:]),
         ]
     text = "\n".join(screen)
     for unit in ("mV/K", "W/K", "J/K", "characters", "°C²+PWM²"):

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import os
 import random
 from collections.abc import Iterator
+from typing import Final
 
 from twinmatch.links.pwm_protocol import seal
+
+FUZZ: Final = int(os.environ.get("TWINMATCH_FUZZ", "20000"))
+"""How many are damaged in each test of a codec."""
 
 
 def _flip(rng: random.Random, data: bytearray) -> None:

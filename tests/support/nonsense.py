@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from twinmatch.errors import TwinmatchError
-from twinmatch.nodes.expected import READ, check
+from twinmatch.nodes.expected import MESSAGES, Kind, check
 from twinmatch.nodes.topics import _field, message_class
 from twinmatch.plants import Peltier
 
@@ -99,7 +99,7 @@ def is_sound(message: Any) -> bool:
     """Whether the nodes of a Peltier rig take a message."""
     try:
         check(message, Peltier)
-        READ.get(type(message), lambda m: m)(message)
+        MESSAGES.get(type(message), Kind()).read(message)
     except TwinmatchError:
         return False
     return True

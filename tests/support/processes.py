@@ -9,6 +9,7 @@ import re
 import signal
 import subprocess
 import sys
+import textwrap
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
 from pathlib import Path
@@ -167,6 +168,17 @@ class Process:
         self.killed = True
         self._process.kill()
         self._process.wait()
+
+
+def kill_once_it_says(word: str, program: str, folder: Path) -> None:
+    """Run a Python program, which is given a folder, and kill it when it has printed a line with a word."""
+    script = folder.with_suffix(".py")
+    script.write_text(textwrap.dedent(program))
+    process = Process(sys.executable, script, folder, output=folder.with_suffix(".txt"), forked=True)
+    try:
+        process.said(word)
+    finally:
+        process.kill()
 
 
 OUR_SCRIPTS = frozenset(LAUNCH_SCRIPTS.glob("*.py"))

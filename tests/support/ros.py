@@ -12,7 +12,6 @@ from typing import Any, TypeVar
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
@@ -23,7 +22,7 @@ from twinmatch.errors import EXIT_USER_ERROR, TwinmatchError
 from twinmatch.nodes.__main__ import nodes_of
 from twinmatch.nodes.messages import sample_message
 from twinmatch.nodes.node import TwinmatchNode
-from twinmatch.nodes.runner import EXIT_DEFECT, Nodes
+from twinmatch.nodes.runner import EXIT_DEFECT, Nodes, executor_of
 from twinmatch.nodes.topics import EVERYTHING
 from twinmatch.signals import Sample
 from twinmatch_msgs.msg import LoopSample
@@ -36,7 +35,7 @@ class Listener:
 
     def __init__(self, context: Context) -> None:
         self.node = Node("listener", context=context)
-        self._executor = SingleThreadedExecutor(context=context)
+        self._executor = executor_of(context)
         self._executor.add_node(self.node)
 
     def hear(self, kind: Any, topic: str, qos: Any) -> list[Any]:

@@ -11,6 +11,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -20,8 +21,8 @@ pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; r
 
 from rclpy.serialization import deserialize_message
 
-from tests.support.places import PROJECT
-from tests.support.processes import Process, run_twinmatch
+from tests.support.places import LAUNCH_SCRIPTS, PROJECT
+from tests.support.processes import Process, Processes, run_twinmatch
 from tests.support.recorded import wait_for_recorded
 from tests.support.waiting import PATIENCE, wait_for
 from twinmatch.emulation.faults import tell
@@ -30,25 +31,23 @@ from twinmatch.sessions import read_session
 from twinmatch.sessions.recording import repair_session
 from twinmatch_msgs.msg import Forecast
 
-LIVE = PROJECT / "launch_scripts" / "live.py"
+LIVE = LAUNCH_SCRIPTS / "live.py"
 CHILDREN = ("rig", "twin", "recorder", "plant_clock", "virtual_rig")
 
 
 class LiveRun:
     """live.py in a process of its own."""
 
-    def __init__(self, folder: Path, *options: str, ends: bool = True) -> None:
-        self.folder = folder
-        self.session = folder / "run"
-        self.output = folder / "live.txt"
+    def __init__(self, processes: Processes, folder: Path, *options: str, ends: bool = True) -> None:
+        self.folder, self.session = folder, folder / "run"
         config = folder / "rig.yaml"
         config.write_text(
             "controller:\n  ros__parameters:\n"
             "    profile.levels: [30.0, 45.0, 30.0]\n    profile.holds: [40.0, 90.0, 40.0]\n"
             f"    profile.repeat: {str(not ends).lower()}\n    exit_at_end: {str(ends).lower()}\n"
         )
-        command = [sys.executable, LIVE, "--virtual", "--speed", "max", "--config", config]
-        self.process = Process(*command, "--session", self.session, *options, output=self.output, forked=True)
+        words = ("--virtual", "--speed", "max", "--config", config, "--session", self.session)
+        self.process = processes.python(LIVE, *words, *options)
 
     @property
     def text(self) -> str:
@@ -90,21 +89,10 @@ class LiveRun:
         self.process.said(f"{name} ended with code -9; restarting it")
         self.wait_until(lambda: self.child(name) not in (None, victim), f"another {name}")
 
-    def end(self) -> int:
-        return self.process.end(signal.SIGINT)
-
 
 @pytest.fixture
-def live_run(tmp_path: Path) -> Iterator[Callable[..., LiveRun]]:
-    runs: list[LiveRun] = []
-
-    def start(*options: str, ends: bool = True) -> LiveRun:
-        runs.append(LiveRun(tmp_path, *options, ends=ends))
-        return runs[-1]
-
-    yield start
-    for run in runs:
-        run.end()
+def live_run(processes: Processes, tmp_path: Path) -> Callable[..., LiveRun]:
+    return partial(LiveRun, processes, tmp_path)
 
 
 @contextmanager
@@ -160,7 +148,7 @@ def test_a_busy_machine_and_suspended_processes_cost_nothing_but_time(
 
 @pytest.mark.slow
 def test_processes_are_restarted_and_without_the_rig_the_output_is_off(
-    live_run: Callable[..., LiveRun],
+    live_run: Callable[..., LiveRun], processes: Processes
 ) -> None:
     """All in one run, whose profile does not end; a second graph beside it is refused.
 
@@ -168,9 +156,7 @@ def test_processes_are_restarted_and_without_the_rig_the_output_is_off(
     """
     run = live_run("--speed", "8", ends=False)
     run.wait_until_driving()
-    second = Process(
-        *(sys.executable, LIVE, "--virtual", "--no-record"), output=run.folder / "second.txt", forked=True
-    )
+    second = processes.python(LIVE, "--virtual", "--no-record")
     assert second.wait() == 2
     assert "/plant/sample already has a publisher" in second.text
     assert run.state()["pwm"] != 0

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import re
-import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -14,7 +12,7 @@ pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; r
 pytest.importorskip("tclab", reason="pip install 'twinmatch[tclab]'")
 
 from tests.support.places import LAUNCH_SCRIPTS
-from tests.support.processes import Process, run_twinmatch
+from tests.support.processes import Processes, run_twinmatch
 from tests.support.waiting import PATIENCE
 from twinmatch.offline.verification import verify_session
 from twinmatch.sessions import read_session
@@ -22,17 +20,9 @@ from twinmatch.sessions import read_session
 LIVE = LAUNCH_SCRIPTS / "live.py"
 
 
-@pytest.fixture
-def running() -> Iterator[list[Process]]:
-    made: list[Process] = []
-    yield made
-    for process in made:
-        process.end()
-
-
 @pytest.mark.slow
 def test_a_heater_that_is_lost_is_reported_and_the_session_verifies(
-    tmp_path: Path, running: list[Process]
+    processes: Processes, tmp_path: Path
 ) -> None:
     config = tmp_path / "kit.yaml"
     config.write_text(
@@ -45,8 +35,7 @@ def test_a_heater_that_is_lost_is_reported_and_the_session_verifies(
     twin.write_text(f"/**:\n  ros__parameters:\n    plant: tclab\n    schedule: {schedule}\n")
     words = ("--plant", "tclab", "--virtual", "--speed", "max", "--config", config, "--twin-config", twin)
     words += ("--session", session, "--fault", "drive-lost@140")
-    process = Process(sys.executable, LIVE, *words, output=tmp_path / "live.txt", forked=True)
-    running.append(process)
+    process = processes.python(LIVE, *words)
     assert process.wait(6 * PATIENCE) == 0, process.text
     found = verify_session(session)
     assert found.identical, found.difference
@@ -62,12 +51,8 @@ def test_a_heater_that_is_lost_is_reported_and_the_session_verifies(
     assert samples[0].disturbances == (0.0,)
 
 
-def test_what_a_process_of_the_run_refuses_is_one_line_and_exit_code_two(
-    tmp_path: Path, running: list[Process]
-) -> None:
-    command = (sys.executable, LIVE, "--plant", "tclab", "--no-record", "--port", "/dev/null")
-    process = Process(*command, output=tmp_path / "live.txt", forked=True)
-    running.append(process)
+def test_what_a_process_of_the_run_refuses_is_one_line_and_exit_code_two(processes: Processes) -> None:
+    process = processes.python(LIVE, "--plant", "tclab", "--no-record", "--port", "/dev/null")
     assert process.wait() == 2, process.text
     assert "kit at /dev/null: the port cannot be opened" in process.text
     assert "Traceback" not in process.text

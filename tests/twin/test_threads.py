@@ -6,13 +6,13 @@ import hashlib
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
+from tests.support.places import PROJECT
+
 pytestmark = pytest.mark.slow
 
-PROJECT = Path(__file__).resolve().parents[2]
 SCRIPT = """
 import sys
 from pathlib import Path

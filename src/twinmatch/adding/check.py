@@ -6,6 +6,7 @@ Equations, declarations, and behaviour at its defaults and within the bounds of 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
+from itertools import combinations
 from typing import Any, Final
 
 import numpy as np
@@ -54,13 +55,13 @@ def check_plant(
 
 def _steps(
     plant: type[Plant], period: float | None, show: Shown
-) -> Iterator[tuple[list[Finding], list[str]]]:
+) -> Iterator[tuple[Iterable[Finding], list[str]]]:
     total = len(plant.structures) + 1
     show("checking declarations and units", 0, total)
     dimensions = Dimensions(plant)
     for parts in dict.fromkeys(structure.parts for structure in plant.structures.values()):
         dimensions.check(parts)
-    yield list(dimensions.findings.values()), _unit_notes(dimensions)
+    yield dimensions.findings.values(), _unit_notes(dimensions)
     yield unreached(plant), [f"disturbance {n}: in no equation" for n in idle_disturbances(plant)]
     yield coarse(plant), []
     yield _unused(plant), []
@@ -87,38 +88,31 @@ def _unit_notes(dimensions: Dimensions) -> list[str]:
     return notes
 
 
-def _unused(plant: type[Plant]) -> list[Finding]:
+def _unused(plant: type[Plant]) -> Iterator[Finding]:
     models: list[Model] = [plant.model(name) for name in plant.structures]
     used = {name for model in models for name in (*model.declared, *model.states)}
     parts = {part for structure in plant.structures.values() for part in structure.parts}
-    kinds = (
+    for what, todo, declared, known in (
         ("parameter {}: no structure depends on it", "use it in the equations", plant.parameters, used),
         ("state {}: no structure gives it a rate", "give it a rate and a start", plant.states, used),
         ("part {!r}: no structure has it", "add a structure with it", plant.parts, parts),
-    )
-    return [
-        Finding(what.format(name), f"remove it, or {todo}")
-        for what, todo, declared, known in kinds
-        for name in declared
-        if name not in known
-    ]
+    ):
+        yield from (Finding(what.format(n), f"remove it, or {todo}") for n in declared if n not in known)
 
 
-def unreached(plant: type[Plant]) -> list[Finding]:
+def unreached(plant: type[Plant]) -> Iterator[Finding]:
     """Drive and states that do not act on the output, and parts that change nothing."""
     equations = _equations(plant)
-    found = []
     for name, written in equations.items():
         place = f"structure {name!r}"
         seen, drive = _acting(written), plant.drive.name
         if drive not in _names(rate for state, rate in written.rates.items() if str(state) in seen):
             what = f"{place}: the drive {drive} does not act on the output"
-            found.append(Finding(what, f"use self.{drive} in the rate of a state that the output depends on"))
-        todo = "remove it, or use it in the output or in another rate"
+            yield Finding(what, f"use self.{drive} in the rate of a state that the output depends on")
         for state in (str(state) for state in written.rates if str(state) not in seen):
             what = f"{place}: state {state} does not act on the output, so no recording can show it"
-            found.append(Finding(what, todo))
-    return [*found, *_same(plant, equations)]
+            yield Finding(what, "remove it, or use it in the output or in another rate")
+    yield from _same(plant, equations)
 
 
 def idle_disturbances(plant: type[Plant]) -> list[str]:
@@ -144,17 +138,14 @@ def _acting(written: Equations) -> set[str]:
     return seen
 
 
-def _same(plant: type[Plant], equations: dict[str, Equations]) -> list[Finding]:
+def _same(plant: type[Plant], equations: dict[str, Equations]) -> Iterator[Finding]:
     """Structures with other parts but the same equations."""
-    found, held = [], list(equations.items())
-    for k, (name, one) in enumerate(held):
-        for other, before in held[:k]:
-            parts = plant.structures[name].parts ^ plant.structures[other].parts
-            if parts and (one.rates, one.output, one.start) == (before.rates, before.output, before.start):
-                listed = " and ".join(sorted(parts))
-                what = f"structures {other!r} and {name!r} have the same equations: {listed} changes nothing"
-                found.append(Finding(what, "use the part in `equations`, or remove one of the structures"))
-    return found
+    for (other, before), (name, one) in combinations(equations.items(), 2):
+        parts = plant.structures[name].parts ^ plant.structures[other].parts
+        if parts and (one.rates, one.output, one.start) == (before.rates, before.output, before.start):
+            listed = " and ".join(sorted(parts))
+            what = f"structures {other!r} and {name!r} have the same equations: {listed} changes nothing"
+            yield Finding(what, "use the part in `equations`, or remove one of the structures")
 
 
 def _names(expressions: Iterable[Any]) -> set[str]:
@@ -173,43 +164,38 @@ _GROWS: Final = 1e-6
 """Growth rates below this share of the plant's fastest rate are rounding."""
 
 
-def coarse(plant: type[Plant]) -> list[Finding]:
+def coarse(plant: type[Plant]) -> Iterator[Finding]:
     """Whether steps that stand out from the output's noise fit into its span."""
     y = plant.output
     low, high = y.span
-    if y.least_step <= high - low:
-        return []
-    step = f"a step that stands out is {y.least_step:g} {y.unit}, more than its span {low:g} to {high:g}"
-    what = f"{y.name}: with a noise of {y.noise:g} {y.unit}, {step}"
-    return [Finding(what, "correct `noise`, the scatter of a reading at rest, or `span`")]
+    if y.least_step > high - low:
+        step = f"a step that stands out is {y.least_step:g} {y.unit}, more than its span {low:g} to {high:g}"
+        what = f"{y.name}: with a noise of {y.noise:g} {y.unit}, {step}"
+        yield Finding(what, "correct `noise`, the scatter of a reading at rest, or `span`")
 
 
-def misdeclared(model: Model) -> list[Finding]:
+def misdeclared(model: Model) -> Iterator[Finding]:
     """Contradictory declarations of one structure."""
-    found = []
     place = f"structure {model.structure_name!r}"
     for name in model.structure.free:
         if name not in model.declared:
             what = f"{place}: {name} is free, but does not occur in the equations with the structure's parts"
-            found.append(Finding(what, f"remove {name} from `free`, or add the part that uses it to `parts`"))
+            yield Finding(what, f"remove {name} from `free`, or add the part that uses it to `parts`")
             continue
         (low, high), value = model.declared[name].bounds, model.defaults[name]
         if not low <= value <= high:
             what = f"{place}: the default of {name}, {value:g}, is outside its bounds {low:g} to {high:g}"
-            found.append(Finding(what, "widen the bounds, or correct the default (or `fixed`)"))
-    return found
+            yield Finding(what, "widen the bounds, or correct the default (or `fixed`)")
 
 
-def ranges(model: Model) -> list[Finding]:
+def ranges(model: Model) -> Iterator[Finding]:
     """Whether output and states stay within their spans, at the defaults.
 
     Not asked where nothing pulls a state back, as at a motor's angle: how far it goes depends on the time.
     """
-    parameters = model.parameters()
+    parameters, y = model.parameters(), model.plant.output
     trial = trial_for(parameters)
     run, _ = run_trial(parameters, trial)
-    y = model.plant.output
-    found = []
     states = begin(parameters, trial.output, input=float(trial.input[0]))
     _, by_state, _, _, seen, _ = model.kernels.slopes_at(
         parameters.vector, states, trial.input[:1], model.disturbances
@@ -217,12 +203,11 @@ def ranges(model: Model) -> list[Finding]:
     integrates = ~by_state.any(axis=0)
     low, high = float(run.output.min()), float(run.output.max())
     if (low < y.span[0] or high > y.span[1]) and not seen[:, integrates].any():
-        what = (
+        yield Finding(
             f"{model.title}: with the defaults, over the drive's range, the output goes from {low:.4g} to "
-            f"{high:.4g} {y.unit}, beyond its span {y.span[0]:g} to {y.span[1]:g}"
+            f"{high:.4g} {y.unit}, beyond its span {y.span[0]:g} to {y.span[1]:g}",
+            "widen `span` of the output, or check default values and units of the parameters",
         )
-        todo = "widen `span` of the output, or check default values and units of the parameters"
-        found.append(Finding(what, todo))
     least, most = states.copy(), states.copy()
     for u, row in zip(trial.input, trial.disturbances, strict=True):
         states = advance(parameters, states, float(u), trial.period, row)
@@ -230,12 +215,11 @@ def ranges(model: Model) -> list[Finding]:
     for k, name in enumerate(model.states):
         span = model.plant.states[name].span
         if (least[k] < span[0] or most[k] > span[1]) and not integrates[k]:
-            what = (
+            yield Finding(
                 f"{model.title}: state {name} goes from {least[k]:.4g} to {most[k]:.4g}, beyond its span "
-                f"{span[0]:g} to {span[1]:g}"
+                f"{span[0]:g} to {span[1]:g}",
+                "widen `span` of the state: it determines the simulation's step",
             )
-            found.append(Finding(what, "widen `span` of the state: it determines the simulation's step"))
-    return found
 
 
 def pace(model: Model, period: float | None) -> tuple[list[Finding], list[str]]:
@@ -245,7 +229,7 @@ def pace(model: Model, period: float | None) -> tuple[list[Finding], list[str]]:
     place = f"structure {model.structure_name!r}"
     if not lags.size:
         return [], ["there is no finite time constant (an integrator)"]
-    found = _growing(place, parameters)
+    found = [*_growing(place, parameters)]
     listed = ", ".join(f"{lag:.3g} s" for lag in lags)
     notes = [f"time constants at the defaults: {listed}"]
     if period is None:
@@ -255,70 +239,63 @@ def pace(model: Model, period: float | None) -> tuple[list[Finding], list[str]]:
     except PlantError as error:
         todo = "replace the fast state by its steady-state value, or sample faster"
         return [*found, Finding(f"{place}: {error}", todo)], notes
-    if steps > _SLOW_STEPS:
-        what = (
-            f"{place}: a sample of {period:g} s takes {steps} simulation steps; its shortest time constant "
-            f"is {lags[0]:.3g} s"
-        )
-        if steps > _MANY_STEPS:
-            todo = "replace the fast state by its steady-state value, or narrow the spans of the states"
-            found.append(Finding(what, todo))
-        else:
-            notes.append(f"{what}: fits are slow")
+    what = (
+        f"{place}: a sample of {period:g} s takes {steps} simulation steps; its shortest time constant "
+        f"is {lags[0]:.3g} s"
+    )
+    if steps > _MANY_STEPS:
+        todo = "replace the fast state by its steady-state value, or narrow the spans of the states"
+        found.append(Finding(what, todo))
+    elif steps > _SLOW_STEPS:
+        notes.append(f"{what}: fits are slow")
+    slowest = f"{place}: its slowest time constant, {lags[-1]:.3g} s, is"
     if lags[-1] < period:
-        what = f"{place}: its slowest time constant, {lags[-1]:.3g} s, is below the period of {period:g} s"
-        found.append(Finding(what, "sample faster, or check the units of the parameters (s, not min)"))
+        todo = "sample faster, or check the units of the parameters (s, not min)"
+        found.append(Finding(f"{slowest} below the period of {period:g} s", todo))
     if lags[-1] > _MANY_SAMPLES * period:
-        what = (
-            f"{place}: its slowest time constant, {lags[-1]:.3g} s, is {lags[-1] / period:.2g} periods of "
-            f"{period:g} s: no window can show it"
+        many = f"{lags[-1] / period:.2g} periods of {period:g} s: no window can show it"
+        found.append(
+            Finding(f"{slowest} {many}", "sample less often, hold that state, or check units (s, not h)")
         )
-        found.append(Finding(what, "sample less often, hold that state, or check units (s, not h)"))
     return found, notes
 
 
-def _growing(place: str, parameters: Parameters) -> list[Finding]:
+def _growing(place: str, parameters: Parameters) -> Iterator[Finding]:
     """Modes that grow by themselves in the middle of the plant's range."""
     found = modes(parameters)
     growth = float(found.real.max(initial=0.0))
-    if growth <= _GROWS * float(np.abs(found).max(initial=0.0)):
-        return []
-    what = f"{place}: it is unstable at its defaults: deviations grow by e in {1 / growth:.3g} s"
-    return [Finding(what, "look for a wrong sign in the rates; an unstable plant needs a known `loop`")]
+    if growth > _GROWS * float(np.abs(found).max(initial=0.0)):
+        what = f"{place}: it is unstable at its defaults: deviations grow by e in {1 / growth:.3g} s"
+        yield Finding(what, "look for a wrong sign in the rates; an unstable plant needs a known `loop`")
 
 
-def in_bounds(model: Model) -> list[Finding]:
+def in_bounds(model: Model) -> Iterator[Finding]:
     """Whether the plant can be simulated within the bounds, at points spread over them."""
     from scipy.stats import qmc  # noqa: PLC0415 (takes half a second, used only here)
 
     free = [name for name in model.structure.free if name in model.declared]
     if not free:
-        return []
+        return
     try:
         trial = trial_for(model.parameters())
     except PlantError:
-        return []
-    bad: list[tuple[str, str]] = []
+        return
+    bad: list[str] = []
     for row in qmc.Halton(len(free), seed=5).random(_POINTS):
         values = {n: _within(model, n, float(part)) for n, part in zip(free, row, strict=True)}
-        point: Parameters = model.parameters(**values)
         where = ", ".join(f"{n} = {v:.3g}" for n, v in values.items())
         try:
-            run, _ = run_trial(point, trial)
+            run, _ = run_trial(model.parameters(**values), trial)
         except PlantError as error:
-            bad.append((where, str(error).removeprefix(f"{model.title}: ")))
+            bad.append(f"{where}: {str(error).removeprefix(f'{model.title}: ')}")
             continue
         most = float(np.abs(run.output).max())
         if most > 1e4 * np.ptp(model.plant.output.span):
-            bad.append((where, f"its output diverges to {most:.2g}"))
-    if not bad:
-        return []
-    where, why = bad[0]
-    what = (
-        f"structure {model.structure_name!r}: cannot be simulated at {len(bad)} of {_POINTS} points within "
-        f"the bounds, such as {where}: {why}"
-    )
-    return [Finding(what, "narrow the bounds to values that are physically possible")]
+            bad.append(f"{where}: its output diverges to {most:.2g}")
+    if bad:
+        what = f"structure {model.structure_name!r}: cannot be simulated at {len(bad)} of {_POINTS} points"
+        todo = "narrow the bounds to values that are physically possible"
+        yield Finding(f"{what} within the bounds, such as {bad[0]}", todo)
 
 
 def _within(model: Model, name: str, part: float) -> float:

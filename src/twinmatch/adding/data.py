@@ -105,35 +105,30 @@ def check_data(session: Session, plant: type[Plant], show: Shown = lambda *_: No
     return CheckedPlant(f"{plant.title} on {session.name}", tuple(findings), tuple(notes))
 
 
-def _of_what_is_left(least: float, output: Output) -> list[Finding]:
+def _of_what_is_left(least: float, output: Output) -> Iterator[Finding]:
     """Advice for equations that no measurement noise explains, but that may be good enough."""
-    if not least > _UNEXPLAINED * output.noise:
-        return []
-    what = f"over the whole recording, the best of the structures leaves {least:.2g} {output.unit}".rstrip()
-    todo = (
-        f"if errors of that size are good enough for you, declare noise={float(f'{least / _PART:.1g}'):g}: "
-        "errors of fits and forecasts are judged in units of the noise"
-    )
-    return [Finding(what, todo)]
+    if least > _UNEXPLAINED * output.noise:
+        what = f"over the whole recording, the best of the structures leaves {least:.2g} {output.unit}"
+        yield Finding(
+            what.rstrip(),
+            "if errors of that size are good enough for you, declare "
+            f"noise={float(f'{least / _PART:.1g}'):g}: errors of fits and forecasts are judged in units of "
+            "the noise",
+        )
 
 
-def _of_matches(matches: tuple[MatchReport, ...], faults: Sequence[str]) -> list[Finding]:
+def _of_matches(matches: tuple[MatchReport, ...], faults: Sequence[str]) -> Iterator[Finding]:
     if not matches and faults:
         what = f"no window could be matched, because the plant seemed to be at fault: {faults[0]}"
-        return [Finding(what, _FAULTY)]
-    if not matches:
+        yield Finding(what, _FAULTY)
+    elif not matches:
         what = "no window could be matched: the signals did not move far enough, or not for long enough"
-        return [Finding(what, _TODO[Status.NO_EXCITATION])]
-    if any(report.match.accepted for report in matches):
-        return []
-    counted = Counter(report.match.status for report in matches)
-    findings = []
-    for status, number in counted.most_common(2):
-        first = next(report.match for report in matches if report.match.status is status)
-        what = f"{number} of {len(matches)} matches were refused as {status.value}: {first.reason}"
-        todo = f"{first.suggestion} " if first.suggestion else ""
-        findings.append(Finding(what, f"{todo}{_TODO.get(status, '')}".strip()))
-    return findings
+        yield Finding(what, _TODO[Status.NO_EXCITATION])
+    elif not any(report.match.accepted for report in matches):
+        for status, number in Counter(report.match.status for report in matches).most_common(2):
+            first = next(report.match for report in matches if report.match.status is status)
+            what = f"{number} of {len(matches)} matches were refused as {status.value}: {first.reason}"
+            yield Finding(what, f"{first.suggestion or ''} {_TODO.get(status, '')}".strip())
 
 
 def _accepted(matches: tuple[MatchReport, ...]) -> list[str]:
@@ -160,26 +155,22 @@ _SHARE: Final = 0.1
 """RMS error of the input, in standard deviations of the input, from which the loop is another one."""
 
 
-def loop_findings(session: Session, plant: type[Plant], gains: Law | None) -> list[Finding]:
+def loop_findings(session: Session, plant: type[Plant], gains: Law | None) -> Iterator[Finding]:
     """A finding if the declared controller does not give the recorded input from set-points and outputs."""
     if gains is None or not session.has_reference:
-        return []
+        return
     rms = root_mean_square(
         [off for run in _runs(session.samples, gains.period) for off in _errors(run, gains)]
     )
-    usual = float(np.std([sample.input for sample in session.samples]))
-    if not rms > max(_SHARE * usual, plant.drive.noise):  # or there is no such run
-        return []
-    unit = plant.drive.unit
-    what = (
-        f"the loop in the file does not give the recorded input: run on the recorded set-points and outputs, "
-        f"it is {rms:.2g} {unit} off (RMS; the input's own standard deviation is {usual:.2g} {unit})"
-    )
-    todo = (
-        "correct gains, limits, anti-windup (`back_calculation`) or derivative of `loop`; if the controller "
-        "is of another form, remove `loop`: the recorded input then drives the twin"
-    )
-    return [Finding(what, todo)]
+    usual, unit = float(np.std([sample.input for sample in session.samples])), plant.drive.unit
+    if rms > max(_SHARE * usual, plant.drive.noise):  # not a number without such a run
+        yield Finding(
+            "the loop in the file does not give the recorded input: run on the recorded set-points and "
+            f"outputs, it is {rms:.2g} {unit} off (RMS; the input's own standard deviation is {usual:.2g} "
+            f"{unit})",
+            "correct gains, limits, anti-windup (`back_calculation`) or derivative of `loop`; if the "
+            "controller is of another form, remove `loop`: the recorded input then drives the twin",
+        )
 
 
 def _runs(samples: Sequence[Sample], period: float) -> Iterator[Window]:

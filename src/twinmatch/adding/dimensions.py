@@ -8,6 +8,7 @@ or simple fraction in a product is dimensionless (½, 2). Any other number in a 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from contextlib import suppress
 from fractions import Fraction
@@ -80,8 +81,7 @@ class Dimensions:
             what = f"{place}: has the unit {_words(found)}, but needs {words}"
             todo = "look for a missing or duplicate factor, and for a wrong unit in a declaration"
             self._add(what, todo)
-        elif _scaled(found, wanted):
-            ratio = (found.factor or 1.0) / (wanted.factor or 1.0)
+        elif ratio := _ratio(found, wanted):
             what = f"{place}: has {ratio:g} times the unit {words}"
             self._add(what, "declare units of one scale (s, not min; W, not kW), or multiply")
 
@@ -156,8 +156,7 @@ class Dimensions:
                     f"{_short(first)} in {_words(other)}"
                 )
                 self._add(what, "look for a missing factor in one of the two, and check their units")
-            elif _scaled(unit, other):
-                ratio = (unit.factor or 1.0) / (other.factor or 1.0)
+            elif ratio := _ratio(unit, other):
                 what = f"{place}: {_short(part)} has {ratio:g} times the unit of {_short(first)}, in one sum"
                 self._add(what, "declare both in units of one scale, or multiply one of them")
         return known[0][1] if known else None
@@ -199,10 +198,11 @@ def _alike(one: _Unit, other: _Unit) -> bool:
     return dict(one.powers) == dict(other.powers)
 
 
-def _scaled(one: _Unit, other: _Unit) -> bool:
-    if one.factor is None or other.factor is None:
-        return False
-    return abs(one.factor - other.factor) > _SAME * abs(other.factor)
+def _ratio(one: _Unit, other: _Unit) -> float | None:
+    """How much larger one unit is; None where they are equal, or a number may have changed them."""
+    if one.factor is None or other.factor is None or math.isclose(one.factor, other.factor, rel_tol=_SAME):
+        return None
+    return one.factor / other.factor
 
 
 def _plain(number: Any) -> bool:

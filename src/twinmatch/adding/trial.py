@@ -10,6 +10,7 @@ proves the opposite (local structural identifiability; Walter & Pronzato, Identi
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
@@ -151,19 +152,13 @@ class _Combination(NamedTuple):
 def inseparable(model: Model) -> list[Finding]:
     """Combinations of the structure's free parameters that no data can determine."""
     free = tuple(name for name in model.structure.free if name in model.declared)
-    if not free:
-        return []
-    found: list[_Combination] | None = None
-    for point in _points(model, free):
-        try:
-            here = _combinations(point, free)
-        except PlantError:
-            continue  # reported by the check of the bounds
-        if found is None or len(here) < len(found):
-            found = here
-        if not found:
-            return []
-    return [_finding(model, combination) for combination in found or []]
+    found: list[list[_Combination]] = []
+    for point in _points(model, free) if free else ():
+        with suppress(PlantError):  # reported by the check of the bounds
+            found.append(_combinations(point, free))
+        if found and not found[-1]:
+            break
+    return [_finding(model, combination) for combination in min(found, key=len, default=[])]
 
 
 def _points(model: Model, free: tuple[str, ...]) -> list[Parameters]:

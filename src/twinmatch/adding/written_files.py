@@ -63,33 +63,23 @@ def _require_name(name: str) -> None:
 
 
 def _plant(name: str, held: Proposal) -> dict[str, Any]:
-    y, u = held.output, held.input
+    y, u, around = held.output, held.input, held.around
     title = "".join(part.capitalize() for part in name.split("_"))
-    around = held.around
     free = ["gain", "lag", *([] if around else ["rest"])]
     low, high = sorted((held.gain / _WIDE, held.gain * _WIDE))
+    middles = [d._asdict() | {"middle": rounded((d.low + d.high) / 2, 4)} for d in held.disturbances]
     return {
+        **{"y": y, "u": u, "noise": held.noise, "gain": held.gain, "lag": held.lag, "rest": held.rest},
         "title": f"{title}Plant" if title in _TAKEN else title,
-        "y": y,
-        "u": u,
-        "noise": held.noise,
         "absolute": _ABSOLUTE.get(y.unit),
         "drive_rest": min(max(0.0, u.low), u.high),
         "drive_noise": rounded((u.high - u.low) / 100),
-        "disturbances": [
-            d._asdict() | {"middle": rounded((d.low + d.high) / 2, 4)} for d in held.disturbances
-        ],
+        "disturbances": middles,
         "gain_unit": _per(y.unit, u.unit),
-        "gain": held.gain,
-        "gain_low": rounded(low),
-        "gain_high": rounded(high),
-        "lag": held.lag,
-        "lag_low": rounded(held.lag / _WIDE),
-        "lag_high": rounded(held.lag * _WIDE),
-        "rest": held.rest,
+        **{"gain_low": rounded(low), "gain_high": rounded(high)},
+        **{"lag_low": rounded(held.lag / _WIDE), "lag_high": rounded(held.lag * _WIDE)},
         "rest_scale": rounded((y.high - y.low) / 10),
-        "sensor_lag": rounded(held.lag / 10),
-        "sensor_low": rounded(held.lag / 500),
+        **{"sensor_lag": rounded(held.lag / 10), "sensor_low": rounded(held.lag / 500)},
         "free": ", ".join(f'"{name}"' for name in free),
         "around": around.name if around else "rest",
     }

@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 import math
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,6 +27,7 @@ from twinmatch.offline.judging import judge, terms_from_files
 from twinmatch.offline.processes import held_interrupts
 from twinmatch.plants import plant_named
 from twinmatch.sessions import Session
+from twinmatch.showing.family import GAIN, GAP_NOW, GAP_SUM
 from twinmatch.showing.lines import Lines, redraws
 from twinmatch.showing.quantities import number, parameter_format, percent
 from twinmatch.showing.summary import closing_lines, document
@@ -72,11 +74,11 @@ def _replay_one(path: Path, options: argparse.Namespace) -> None:
 
     session = open_shown(path, options.plant)
     terms = terms_from_files(session, options.config, options.candidates)
-    with _Display(session) as shown:
-        judgement = judge(session, terms, beside=shown.advance)
+    with _display(session) as (view, advance):
+        judgement = judge(session, terms, beside=advance)
     verdicts = judgement.verdicts
     for line in closing_lines(judgement.summary, verdicts[-1] if verdicts else None):
-        shown.view.say(line)
+        view.say(line)
     write_json(options.json, lambda: document(judgement.name, verdicts, judgement.summary, judgement.matches))
     if options.figure is not None:
         from twinmatch.showing.figures.session import draw_verdict  # noqa: PLC0415 — matplotlib is slow
@@ -84,40 +86,39 @@ def _replay_one(path: Path, options: argparse.Namespace) -> None:
         draw_verdict(judgement.samples, verdicts, judgement.settings, options.figure)
 
 
-class _Display:
+@contextmanager
+def _display(session: Session) -> Iterator[tuple[Screen | Lines, Callable[[Twin, Sample, Outcome], None]]]:
     """A screen on a terminal; elsewhere lines, with a progress bar on standard error."""
+    done, total, redrawn = 0, len(session.samples), redraws(sys.stdout)
+    view: Screen | Lines = Lines(session.period)
+    if redrawn:
+        from rich.console import Console  # noqa: PLC0415 — only a terminal needs it
 
-    def __init__(self, session: Session) -> None:
-        self._done, self._total = 0, len(session.samples)
-        self._screen = redraws(sys.stdout)
-        self.view: Screen | Lines = Lines(session.period)
-        if self._screen:
-            from rich.console import Console  # noqa: PLC0415 — only a terminal needs it
+        from twinmatch.showing.terminal import Screen  # noqa: PLC0415
 
-            from twinmatch.showing.terminal import Screen  # noqa: PLC0415
+        view = Screen(Console(highlight=False), session.name, session.period, total)
 
-            self.view = Screen(Console(highlight=False), session.name, session.period, self._total)
-        self._bar = Progress()
-
-    def __enter__(self) -> _Display:
-        if not self._screen:
-            self._bar.__enter__()
-        self.view.open()
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        self.view.close(wipe=kind is not None and issubclass(kind, TwinmatchError))
-        self._bar.__exit__()
-
-    def advance(self, _twin: Twin, _sample: Sample, outcome: Outcome) -> None:
-        self._done += 1
+    def advance(_twin: Twin, _sample: Sample, outcome: Outcome) -> None:
+        nonlocal done
+        done += 1
         if outcome.match is not None:
-            self.view.take_match(outcome.match)
+            view.take_match(outcome.match)
         for verdict in outcome.verdicts:
-            self.view.take_verdict(verdict)
-        self.view.advance(self._done)
-        if self._done % 50 == 0:
-            self._bar.advance(self._done, self._total)
+            view.take_verdict(verdict)
+        view.advance(done)
+        if bar is not None and done % 50 == 0:
+            bar.advance(done, total)
+
+    bar = None if redrawn else Progress()
+    with bar or nullcontext():
+        view.open()
+        try:
+            yield view, advance
+        except TwinmatchError:
+            view.close(wipe=True)
+            raise
+        finally:
+            view.close()
 
 
 def _replay_many(options: argparse.Namespace) -> int:
@@ -170,9 +171,8 @@ def _table(archive: Archive) -> Table:
         ("candidate", lambda row: f"{row['name']}{' *' if row['nominal'] else ''}"),
         *((q.label, lambda row, q=q: q.text(row["parameters"].get(q.name, math.nan))) for q in matched),
         ("order", lambda row: row["chosen_order"]),
-        ("gain", lambda row: number(row["criteria"]["gain"], 0)),
-        ("Σ ν-gap", lambda row: number(row["nu_gap_sum"], 3)),
-        ("ν-gap now", lambda row: number(row["nu_gap_to_plant"], 3)),
+        (GAIN.name, lambda row: GAIN.text(row["criteria"])),
+        *((c.name, lambda row, c=c: c.text(row)) for c in (GAP_SUM, GAP_NOW)),
         ("fit y", lambda row: _fit(row["fit"]["y"])),
         ("fit u", lambda row: _fit(row["fit"]["u"])),
     ]

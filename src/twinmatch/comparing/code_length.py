@@ -20,9 +20,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from twinmatch.comparing.polynomials import DiscriminationError
+from twinmatch.compiled import compiled
+from twinmatch.signals import FloatArray
 
 TRIVIAL_PROGRAM = 15
 """Length of the program that only prints the table (paper, section IV)."""
@@ -32,7 +34,6 @@ MODEL_PROGRAM = 176
 
 MOST_DECIMALS = 15
 
-_POWERS = np.array([10**k for k in range(1, 19)], dtype=np.int64)
 _EXACT = 2.0**52  # below this a scaled value still resolves halves
 
 
@@ -68,24 +69,14 @@ def code_length(values: ArrayLike, decimals: int) -> int:
     """
     if not 0 <= decimals <= MOST_DECIMALS:
         raise DiscriminationError(f"code length: {decimals} decimals; give 0 to {MOST_DECIMALS}")
-    table = np.asarray(values, dtype=np.float64).ravel()
+    table = np.array(values, dtype=np.float64).ravel()
     bad = np.flatnonzero(~np.isfinite(table))
     if bad.size:
         raise DiscriminationError(
             f"code length: entry {bad[0]} of the table is {table[bad[0]]}; only finite values can be written"
         )
-    if not table.size:
-        return 0
-    scale = 10.0**decimals
-    with np.errstate(over="ignore"):  # an overflow is above the limit of exact arithmetic, too
-        scaled = np.abs(table) * scale
-    scaled = np.where(scaled < _EXACT, scaled, 0.5)
-    nearest = np.rint(scaled)
-    # A product that rounds to a half may be a little more or less: these are formatted, like large values.
-    plain = np.abs(scaled - nearest) != 0.5
-    digits = nearest[plain].astype(np.int64)
-    written = [len(_written(v, decimals)) for v in table[~plain].tolist()]
-    return int(_lengths(digits, decimals).sum()) + sum(written)
+    plain, others = _characters(table, decimals, 10.0**decimals)
+    return plain + sum(len(_written(table[place], decimals)) for place in others)
 
 
 def information_gain(
@@ -155,16 +146,26 @@ def two_part_length(model_length: float, parameters: int, samples: int) -> float
     return model_length + parameters * (1 + 0.5 * math.log10(samples))
 
 
-def _lengths(digits: NDArray[np.int64], decimals: int) -> NDArray[np.int64]:
-    """Characters of sign and digits; `digits` are absolute values times 10^decimals, below 2^52."""
-    count: NDArray[np.int64] = np.searchsorted(_POWERS, digits, side="right") + 2
-    trailing = digits != 0
-    for power in _POWERS[:decimals]:
-        trailing &= digits % power == 0
-        if not trailing.any():
-            break
-        count -= trailing
-    return count
+@compiled
+def _characters(table: FloatArray, decimals: int, scale: float) -> tuple[int, list[int]]:
+    """Characters of the numbers that exact arithmetic can round, and the places of the others."""
+    total, others = 0, [0][:0]
+    for place in range(table.size):
+        scaled = abs(table[place]) * scale
+        nearest = np.rint(scaled)
+        # A product that rounds to a half may be a little more or less.
+        if not scaled < _EXACT or abs(scaled - nearest) == 0.5:
+            others.append(place)
+            continue
+        digits, after = int(nearest), decimals
+        while after > 0 and digits > 0 and digits % 10 == 0:
+            digits //= 10
+            after -= 1
+        total += 2
+        while digits > 9:
+            digits //= 10
+            total += 1
+    return total, others
 
 
 def _written(value: float, decimals: int) -> str:

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -137,6 +138,11 @@ def nu_gap(p1: Any, p2: Any) -> float:
     """
     g1, g2 = graph_symbol(p1), graph_symbol(p2)
     common_period(g1, g2)
+    return _between(g1, g2)
+
+
+@lru_cache(maxsize=8192)  # candidates stay in the family for many verdicts
+def _between(g1: GraphSymbol, g2: GraphSymbol) -> float:
     if g1.column == g2.column:
         return 0.0
     largest, half_turns = _compare(

@@ -187,15 +187,10 @@ def plant_gaps(twins: Sequence[Parameters], points: Sequence[float], loop: LoopC
     for matrix, symbols in zip(at, rows, strict=True):
         for i in range(n):
             for j in range(i):
-                matrix[i, j] = matrix[j, i] = _gap(symbols[j], symbols[i])
+                matrix[i, j] = matrix[j, i] = nu_gap(symbols[j], symbols[i])
     return PlantGaps(tuple(shared), at if rows else (1.0 - np.eye(n))[None], tuple(left_out))
 
 
 def plant_gap(one: Parameters, other: Parameters, points: Sequence[float], loop: LoopConditions) -> float:
     """The largest ν-gap between the plants of two twins over some operating points."""
     return float(plant_gaps((one, other), points, loop).matrix[0, 1])
-
-
-@lru_cache(maxsize=8192)
-def _gap(one: GraphSymbol, other: GraphSymbol) -> float:
-    return nu_gap(one, other)

@@ -24,6 +24,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -261,9 +262,11 @@ def family_uncertainty(
         raise DiscriminationError(msg)
     family = _Family.of(twins, gaps, loop, seed)
     low, high = np.zeros((n, n)), np.zeros((n, n))
-    for p, (i, j) in enumerate(zip(family.first, family.second, strict=True)):
-        low[i, j], high[i, j] = low[j, i], high[j, i] = family.interval(p)
-    lows, highs, draws = map(np.array, zip(*map(family.sum_of, range(n)), strict=True))
+    with ThreadPoolExecutor(1) as other:  # the sums are compiled code, which releases the GIL
+        sums = other.submit(lambda: [family.sum_of(k) for k in range(n)])
+        for p, (i, j) in enumerate(zip(family.first, family.second, strict=True)):
+            low[i, j], high[i, j] = low[j, i], high[j, i] = family.interval(p)
+    lows, highs, draws = map(np.array, zip(*sums.result(), strict=True))
     shares = _shares(draws)
     if n == 2:
         shares = np.full(2, 0.5) if plant is None else _nearer(twins, plant, gaps.points, loop, seed)

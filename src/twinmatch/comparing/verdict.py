@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
+from functools import lru_cache
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -263,16 +264,16 @@ def judge_uncertainty(
     plant: Parameters | None = None,
     seed: int = SEED,
 ) -> Certainty:
-    """Add intervals, probabilities and margins to the scores of a family.
+    """Add intervals and probabilities to the scores of a family, and margins to all candidates.
 
     A candidate that cannot be held at its operating point has no margin, and the reason for the first point
     at which one cannot be linearised is reported; neither is an error.
 
     Args:
-        candidates: scores of the family.
-        twins: the same candidates.
+        candidates: scores of the family, and after them of candidates beside it.
+        twins: the family.
         gaps: ν-gaps between their plants.
-        nominal: name of the chosen candidate.
+        nominal: name of the candidate of the family that was chosen.
         loop: the loop in which they are held; its controller, if known, gives the margins.
         plant: the plant as it is now, if known; it decides between two candidates.
         seed: of the random draws.
@@ -282,6 +283,7 @@ def judge_uncertainty(
         return Certainty(tuple(candidates), "")
     chosen = names.index(nominal)
     uncertainty = family_uncertainty(twins, gaps, loop, plant=plant, seed=seed)
+    every = with_margins(candidates, chosen, loop.gains)
     scored = tuple(
         replace(
             c,
@@ -291,12 +293,12 @@ def judge_uncertainty(
             nu_gap_sum_high=float(uncertainty.sum_high[k]),
             nominal_probability=float(uncertainty.nominal_probability[k]),
         )
-        for k, c in enumerate(with_margins(candidates, chosen, loop.gains))
+        for k, c in enumerate(every[: len(twins)])
     )
     sentences = [_choice(scored, chosen)]
     sentences += [_reach(scored, chosen)] if loop.gains is not None else []
     sentences += [f"not compared everywhere: {reason}" for reason in gaps.left_out[:1]]
-    return Certainty(scored, "; ".join(sentences))
+    return Certainty((*scored, *every[len(twins) :]), "; ".join(sentences))
 
 
 def with_margins(
@@ -317,11 +319,14 @@ def with_margins(
     return tuple(
         replace(
             c,
-            margin=None if p is None else stability_margin(p, controller),
+            margin=None if p is None else _margin(p, controller),
             plant_gap_to_nominal=None if p is None or centre is None else nu_gap(p, centre),
         )
         for c, p in zip(candidates, plants, strict=True)
     )
+
+
+_margin = lru_cache(maxsize=64)(stability_margin)
 
 
 def _plant(candidate: CandidateScore, gains: PidGains) -> GraphSymbol | None:

@@ -241,11 +241,8 @@ class VirtualPlantTime(ABC):
             watch()
 
     def _listen(self, seconds: float = 0.0) -> float:
-        """Listen to the readers of the clock, at most this long, until one speaks.
-
-        Returns:
-            The time, ns, at which the plant has to wait for them; up to real time it never waits.
-        """
+        """The time, ns, at which the plant has to wait for the readers of its clock; up to real time it never
+        waits. Listens at most this long, until one speaks."""
         speed = self.settings.speed
         if speed <= 1:
             return math.inf
@@ -276,11 +273,7 @@ class VirtualPlantTime(ABC):
         return fault
 
     def _obey(self, line: str) -> str:
-        """Execute one line from the control socket.
-
-        Raises:
-            FaultError: it is not a command.
-        """
+        """Execute one line from the control socket; returns the answer."""
         if line == "state":
             return json.dumps(self.state())
         if line == "stop":

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -59,7 +60,7 @@ SPARE = 10
 """Samples a window must have beyond the number of unknowns."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class BoxJenkins:
     """y(t) = B(q)/F(q) u(t) + C(q)/D(q) e(t), polynomials in q⁻¹, one sample per `period`."""
 
@@ -75,8 +76,6 @@ class BoxJenkins:
     """Monic denominator, shape (nf + 1,)."""
     variance: float
     """V, mean squared one-step prediction error of the data it was estimated on; NaN when unknown."""
-    covariance: FloatArray
-    """Covariance of the coefficients in the order B (without its zeros), C, D, F (without their ones)."""
     initial_state: FloatArray
     """Initial conditions of the predictor on those data: m of C F e = D F y − D B u + Σ mⱼ δ(t−j)."""
     n_samples: int
@@ -87,9 +86,11 @@ class BoxJenkins:
     """Whether the search converged."""
     iterations: int = 0
     """Steps taken by the best search."""
+    found: tuple[Task, Place] | None = None
+    """Where the search ended; None for a model that was not estimated."""
 
     def __post_init__(self) -> None:
-        for name in ("B", "C", "D", "F", "covariance", "initial_state"):
+        for name in ("B", "C", "D", "F", "initial_state"):
             values = np.array(getattr(self, name), dtype=np.float64)
             values.flags.writeable = False
             object.__setattr__(self, name, values)
@@ -130,7 +131,6 @@ class BoxJenkins:
             D=np.asarray(D, dtype=np.float64),
             F=denominator / denominator[0],
             variance=variance,
-            covariance=np.full((order.coefficients, order.coefficients), math.nan),
             initial_state=np.zeros(order.predictor_state),
             n_samples=0,
             period=1.0 if system.dt is True else float(system.dt),
@@ -150,6 +150,25 @@ class BoxJenkins:
     def n_parameters(self) -> int:
         """Number of coefficients; initial conditions are not counted."""
         return self.order.coefficients
+
+    @cached_property
+    def covariance(self) -> FloatArray:
+        """Covariance of the coefficients in the order B (without its zeros), C, D, F (without their ones);
+        NaN for a model that was not estimated.
+
+        It is σ² (JᵀJ)⁺, with the initial conditions as further unknowns.
+        """
+        if self.found is None:
+            return np.full((self.n_parameters, self.n_parameters), math.nan)
+        task, place = self.found
+        size = unknowns(task)
+        R = linearise(task, place, True)[:size, :size]
+        norms = np.sqrt(np.sum(R**2, axis=0))
+        norms[norms == 0.0] = 1.0
+        inverse = np.linalg.pinv(R / norms, rcond=1e-10) / norms[:, np.newaxis]
+        noise = place.cost / (task.y.size - size)
+        inverse = np.delete(inverse, slice(self.order.nb, linear_size(task)), axis=0)
+        return np.asarray(noise * (inverse @ inverse.T))
 
     @property
     def standard_errors(self) -> FloatArray:
@@ -344,22 +363,10 @@ def _model(task: Task, order: Order, outcome: Outcome, period: float) -> BoxJenk
         D=place.model.D,
         F=place.model.F,
         variance=float(np.mean(place.errors**2)),
-        covariance=_covariance(task, place),
         initial_state=place.x[order.nb :],
         n_samples=task.y.size,
         period=period,
         converged=converged,
         iterations=steps,
+        found=(task, place),
     )
-
-
-def _covariance(task: Task, place: Place) -> FloatArray:
-    """σ² (JᵀJ)⁺ of the coefficients, with the initial conditions as further unknowns."""
-    size = unknowns(task)
-    R = linearise(task, place, True)[:size, :size]
-    norms = np.sqrt(np.sum(R**2, axis=0))
-    norms[norms == 0.0] = 1.0
-    inverse = np.linalg.pinv(R / norms, rcond=1e-10) / norms[:, np.newaxis]
-    noise = place.cost / (task.y.size - size)
-    inverse = np.delete(inverse, slice(int(task.counts[0]), linear_size(task)), axis=0)
-    return np.asarray(noise * (inverse @ inverse.T))

@@ -16,6 +16,8 @@ same data give the same model.
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -188,7 +190,10 @@ class Hops:
         """Begin the sequence for an order; it is always the same."""
         self._degrees = (order.nc, order.nd, order.nf)
         self._movable = [k for k, degree in enumerate(self._degrees) if degree > 0]
-        self._draws = np.random.Generator(np.random.PCG64(SEED))
+
+    @cached_property
+    def _draws(self) -> np.random.Generator:
+        return np.random.Generator(np.random.PCG64(SEED))
 
     @property
     def possible(self) -> bool:

@@ -97,12 +97,7 @@ class Kit(tclab.TCLab):
         self.drive(0.0, 0.0)
 
     def _asked(self, words: str, kind: Callable[[str], Any] = str) -> Any:
-        """The answer to a request, which is retried once.
-
-        Raises:
-            KitError: there is no valid answer.
-            OSError: the port is gone.
-        """
+        """The answer to a request, which is retried once."""
         for _ in range(_TRIES):
             try:
                 self.sp.reset_input_buffer()  # drop late answers and those to other programs

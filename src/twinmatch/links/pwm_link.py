@@ -328,13 +328,7 @@ class PwmLink:
         return reply
 
     def _ask(self, verb: Verb, pwm: int = 0) -> Reply:
-        """Send a request and return its reply, with retries under the same sequence number.
-
-        Raises:
-            PwmPortLostError: the port is not open, or was lost and is closed now.
-            PwmTimeoutError, PwmCorruptReplyError, PwmStaleReplyError, PwmRejectedError: there was no valid
-                reply.
-        """
+        """Send a request and return its reply, with retries under the same sequence number."""
         if self._wire is None:
             msg = f"PWM link: {self.port} is not open; open() or reopen() it"
             raise PwmPortLostError(msg)

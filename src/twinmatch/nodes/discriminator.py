@@ -176,8 +176,9 @@ class DiscriminatorNode(SampleNode):
 
     def learn(self, said: Past.Response) -> None:
         """Take the results of a discriminator before this one, which are not published again."""
-        self._published_before = said.scores_heard
-        self._forecasts.heard = said.forecasts_heard
+        if not self._stream.begun:
+            self._published_before = said.scores_heard
+            self._forecasts.heard = said.forecasts_heard
         self._answers += map(record_of, said.match)
 
     def _answer(self, request: twin.MatchRequest) -> MatchReport | None:

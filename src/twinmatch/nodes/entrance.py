@@ -18,7 +18,7 @@ from rclpy.node import Node
 from rclpy.serialization import deserialize_message
 
 from twinmatch.errors import TwinmatchError
-from twinmatch.nodes.expected import CHECKS, FOLLOWS, READ, check
+from twinmatch.nodes.expected import MESSAGES, check
 from twinmatch.nodes.fields import Expected, MessageError
 from twinmatch.nodes.health import Level, NodeHealth
 
@@ -62,15 +62,14 @@ class Entrance:
         self._senders: dict[str, tuple[float, str]] = {}
 
     def before(self, kind: Any, topic: str, take: Take, *, raw: bool = False) -> Take:
-        """What a subscription calls in place of `take`, which gets what `READ` makes of a message.
+        """What a subscription calls in place of `take`, which gets what `MESSAGES` makes of a message.
 
         Of a raw subscription it gets the bytes as they came.
         """
-        if kind not in CHECKS:
+        if kind not in MESSAGES:
             return take
-        departs = FOLLOWS.get(kind)
+        _, read, departs = MESSAGES[kind]
         course = None if departs is None else Course(departs, lambda: self._publishers(topic))
-        read = READ.get(kind, lambda message: message)
 
         def receive(came: Any) -> None:
             try:

@@ -1,14 +1,14 @@
-"""What is expected of every message that a node reads: one table, from the type to its check.
+"""What is expected of every message that a node reads: one table, by its type.
 
-A check raises `MessageError` with a sentence. What turns a message into an object of the core is beside it.
+A check raises `MessageError` with a sentence.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import chain, pairwise
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
@@ -39,10 +39,10 @@ def check(message: Any, plant: Expected = None) -> None:
     Raises:
         MessageError: it is not what is expected.
     """
-    found = CHECKS.get(type(message))
-    if found is not None:
+    kind = MESSAGES.get(type(message))
+    if kind is not None:
         check_fields(message, plant)
-        found(message)
+        kind.check(message)
     if plant is not None and isinstance(message, ours.LoopSample):
         _check_signals(message, plant)
 
@@ -54,22 +54,25 @@ def _sized(message: Any, size: int, *names: str, of: str, empty: bool = False) -
             raise MessageError(f"{name} has {found} values for {of}; expected {size}")
 
 
-def _finite(message: Any, *names: str) -> None:
-    """Numbers, or lists of numbers, that are finite and not absurdly large."""
+def _numbers(message: Any, names: Iterable[str]) -> Iterator[tuple[str, float]]:
+    """The numbers in fields that hold one or several, by the name of the field."""
     for name in names:
         value = getattr(message, name)
-        for one in (value,) if isinstance(value, float | int) else value:
-            if not abs(one) <= LARGEST:  # true for NaN too
-                raise MessageError(f"{name} is {one}; expected a finite number")
+        yield from ((name, one) for one in ((value,) if isinstance(value, float | int) else value))
+
+
+def _finite(message: Any, *names: str) -> None:
+    """Numbers, or lists of numbers, that are finite and not absurdly large."""
+    for name, one in _numbers(message, names):
+        if not abs(one) <= LARGEST:  # true for NaN too
+            raise MessageError(f"{name} is {one}; expected a finite number")
 
 
 def _within(message: Any, low: float, high: float, *names: str, absent: bool = True) -> None:
     """Numbers, or lists of numbers, in a range or, if absent, NaN."""
-    for name in names:
-        value = getattr(message, name)
-        for one in (value,) if isinstance(value, float | int) else value:
-            if not (low <= one <= high or (absent and math.isnan(one))):
-                raise MessageError(f"{name} is {one:g}; expected {low:g} to {high:g}")
+    for name, one in _numbers(message, names):
+        if not (low <= one <= high or (absent and math.isnan(one))):
+            raise MessageError(f"{name} is {one:g}; expected {low:g} to {high:g}")
 
 
 def _rising(message: Any, name: str) -> None:
@@ -214,13 +217,16 @@ def _check_candidate(candidate: Any) -> None:
     _among([candidate.chosen_order], [one.order for one in candidate.orders], "chosen_order")
     _within(candidate, 0.0, 1.0 + 1e-9, "nominal_probability", "margin", "plant_gap_to_nominal")
     _sized(candidate, len(candidate.nu_gap_low), "nu_gap_high", of="the lower ends")
-    if not candidate.name or not candidate.parameters.names:
-        raise MessageError("a candidate has no name or no parameters")
+    _check_named(candidate)
 
 
 def _check_score(score: Any) -> None:
     _within(score, 0.0, math.inf, "forecasts")
-    if not score.name or not score.parameters.names:
+    _check_named(score)
+
+
+def _check_named(candidate: Any) -> None:
+    if not candidate.name or not candidate.parameters.names:
         raise MessageError("a candidate has no name or no parameters")
 
 
@@ -276,8 +282,8 @@ def _check_past(answer: Any) -> None:
     if any(stamp < 0 for stamp in answer.stamp):
         raise MessageError("stamp is negative")
     for part in chain(answer.match, answer.score):
-        CHECKS[type(part)](part)
-        READ[type(part)](part)
+        MESSAGES[type(part)].check(part)
+        MESSAGES[type(part)].read(part)
 
 
 def _check_answer(answer: Any) -> None:
@@ -301,46 +307,6 @@ def _check_values(answer: Any) -> None:
     for value in answer.values:
         if value.type > ParameterType.PARAMETER_STRING_ARRAY:
             raise MessageError(f"a parameter has type {value.type}; expected 0 to 9")
-
-
-def _nothing(message: Any) -> None:
-    """Nothing more is checked: ranges are judged where the plant is known."""
-
-
-CHECKS: Final[dict[Any, Callable[[Any], None]]] = {
-    ours.LoopSample: _check_sample,
-    ours.TwinState: _check_state,
-    ours.Forecast: _check_forecast,
-    ours.Match: _check_match,
-    ours.MatchRequest: _check_request,
-    ours.ModelScore: _check_verdict,
-    ours.Candidate: _check_candidate,
-    ours.ForecastScore: _check_score,
-    ours.PlantDescription: _check_description,
-    Image: _check_image,
-    DiagnosticArray: _check_health,
-    Past.Response: _check_past,
-    WhatIf.Response: _check_answer,
-    GetParameters.Request: _check_names,
-    GetParameters.Response: _check_values,
-    SetParameters.Request: _check_parameter_values,
-    SetParametersAtomically.Request: _check_parameter_values,
-    # A value that is out of range is a fault of the plant's, which the guard latches: it must see it.
-    **dict.fromkeys((ours.PlantReading, ours.PlantCommand, ours.PwmCommand, Temperature), _nothing),
-    **dict.fromkeys((ours.PlantApplied, ours.PwmApplied, Float64, Clock), _nothing),
-    **dict.fromkeys((Past.Request, WhatIf.Request, ListParameters.Request), _nothing),
-}
-"""The check of each type, after what is checked for all."""
-
-READ: Final[dict[Any, Callable[[Any], Any]]] = {
-    ours.LoopSample: sample_from,
-    ours.Match: converted.record_of,
-    ours.MatchRequest: _request,
-    ours.ModelScore: converted.record_of,
-    ours.Forecast: converted.forecast_from,
-    ours.ForecastScore: converted.record_of,
-}
-"""What subscribers get in place of a message of these types."""
 
 
 SHORTEST: Final = 1_000_000
@@ -368,8 +334,40 @@ def _clock_departs(before: Any, message: Any) -> str:
     return f"the time goes back by {back:g} s" if back > 0 else ""
 
 
-FOLLOWS: Final[dict[Any, Callable[[Any, Any], str]]] = {
-    ours.LoopSample: _sample_departs,
-    Clock: _clock_departs,
+class Kind(NamedTuple):
+    """What is expected of the messages of a type."""
+
+    check: Callable[[Any], object] = lambda _: None
+    """After what is checked for all types."""
+    read: Callable[[Any], Any] = lambda message: message
+    """What subscribers get in place of a message."""
+    departs: Callable[[Any, Any], str] | None = None
+    """Why a message does not follow the one before it; empty if it does."""
+
+
+MESSAGES: Final[dict[Any, Kind]] = {
+    ours.LoopSample: Kind(_check_sample, sample_from, _sample_departs),
+    ours.TwinState: Kind(_check_state),
+    ours.Forecast: Kind(_check_forecast, converted.forecast_from),
+    ours.Match: Kind(_check_match, converted.record_of),
+    ours.MatchRequest: Kind(_check_request, _request),
+    ours.ModelScore: Kind(_check_verdict, converted.record_of),
+    ours.Candidate: Kind(_check_candidate),
+    ours.ForecastScore: Kind(_check_score, converted.record_of),
+    ours.PlantDescription: Kind(_check_description),
+    Clock: Kind(departs=_clock_departs),
+    Image: Kind(_check_image),
+    DiagnosticArray: Kind(_check_health),
+    Past.Response: Kind(_check_past),
+    WhatIf.Response: Kind(_check_answer),
+    GetParameters.Request: Kind(_check_names),
+    GetParameters.Response: Kind(_check_values),
+    SetParameters.Request: Kind(_check_parameter_values),
+    SetParametersAtomically.Request: Kind(_check_parameter_values),
+    # A value that is out of range is a fault of the plant's, which the guard latches: it must see it.
+    **dict.fromkeys((ours.PlantReading, ours.PlantCommand, ours.PwmCommand, Temperature), Kind()),
+    # Ranges are judged where the plant is known.
+    **dict.fromkeys((ours.PlantApplied, ours.PwmApplied, Float64), Kind()),
+    **dict.fromkeys((Past.Request, WhatIf.Request, ListParameters.Request), Kind()),
 }
-"""Why a message does not follow the one before it; empty if it does."""
+"""All types that a node reads; others pass."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from functools import partial
-from typing import Any, ClassVar
+from typing import Any, Final
 
 from rclpy.serialization import deserialize_message
 
@@ -35,13 +35,63 @@ AHEAD = 100
 LINGER = 2.0
 """Time after a request during which the process stays up for the next one, wall s."""
 
+TOPICS: Final = {
+    Match: "twin/match",
+    ModelScore: "twin/model_score",
+    Forecast: "twin/forecast",
+    TwinState: "twin/state",
+}
+"""What is kept or, of the last two, counted."""
+
+
+class Store:
+    """What is kept of one session, from its first sample on."""
+
+    def __init__(self, shape: tuple[int, int, int, int] = (1, 1, 1, 0)) -> None:
+        """Start empty; every sample has this shape."""
+        self.samples = SampleSpool(shape)
+        self.messages = {Match: MessageSpool(), ModelScore: MessageSpool()}
+        self.counts = {Forecast: 0, TwinState: 0}
+        """Numbers of messages that are not kept."""
+
+    def push(self, kind: Any, data: bytes) -> bool:
+        """Take a serialised message about a sample; returns whether there is room for it."""
+        if kind in self.counts:
+            self.counts[kind] += 1
+        elif len(self.messages[kind]) < len(self.samples) + AHEAD:
+            self.messages[kind].push(data)
+        else:
+            return False
+        return True
+
+    def answer(self, request: Past.Request) -> Past.Response:
+        """What was requested, as far as it fits: samples only up to the first about which there is more."""
+        answer, end = Past.Response(heard=self.samples.end), request.first + request.count
+        for (kind, kept), name, known in zip(
+            self.messages.items(), ("match", "score"), (request.matches, request.scores), strict=True
+        ):
+            said = [deserialize_message(data, kind) for data in kept.since(known, MOST_MESSAGES)]
+            if known + len(said) < len(kept):
+                end = min(end, said[-1].sample)
+            setattr(answer, name, said)
+        rows = self.samples.rows(request.first, max(0, end - request.first), MOST_SAMPLES)
+        for name in ("index", "stamp", *SAMPLED):
+            setattr(answer, name, rows[SAMPLED.get(name, name)].ravel().tolist())
+        answer.matches_heard, answer.scores_heard = map(len, self.messages.values())
+        answer.forecasts_heard, answer.states_heard = self.counts.values()
+        return answer
+
+    def close(self) -> None:
+        """Release the files."""
+        self.samples.close()
+        for kept in self.messages.values():
+            kept.close()
+
 
 class Keeper(TwinmatchNode):
-    """Records samples and the twin's messages about them, from the session's first sample on."""
+    """Keeps samples and the twin's messages about them, from the session's first sample on."""
 
     NAME = KEEPER
-    KEPT: ClassVar = {"twin/match": Match, "twin/model_score": ModelScore}
-    COUNTED: ClassVar = {"twin/forecast": Forecast, "twin/state": TwinState}
 
     @classmethod
     def table_for(cls, given: Mapping[str, Any]) -> tuple[Sequence[Setting], Mapping[str, Any]]:
@@ -50,11 +100,11 @@ class Keeper(TwinmatchNode):
 
     def open(self) -> None:
         """Subscribe and offer the service."""
-        self._start_session(SampleSpool())
+        self._store = Store()
         self._requested_at = -LINGER
         self.create_subscription(LoopSample, "plant/sample", self._on_sample, EVERYTHING)
-        for name, kind in (self.KEPT | self.COUNTED).items():
-            self.create_subscription(kind, name, partial(self._on_said, name), EVERYTHING, raw=True)
+        for kind, name in TOPICS.items():
+            self.create_subscription(kind, name, partial(self._on_said, kind), EVERYTHING, raw=True)
         self.create_service(Past, PAST, self._on_question)
         Senders(self, ("plant/sample", "/clock"))
         self.health.say("keeping")
@@ -62,56 +112,33 @@ class Keeper(TwinmatchNode):
 
     def report(self) -> Report:
         """The numbers of samples and messages kept."""
-        self.health.set("samples", len(self._samples))
-        for name, texts in self._messages.items():
-            self.health.set(name, len(texts))
+        self.health.set("samples", len(self._store.samples))
+        for kind, kept in self._store.messages.items():
+            self.health.set(TOPICS[kind], len(kept))
         return super().report()
 
     def close(self) -> bool:
         """Release the files."""
-        if hasattr(self, "_samples"):
-            self._samples.close()
-            for texts in self._messages.values():
-                texts.close()
+        if hasattr(self, "_store"):
+            self._store.close()
         return True
-
-    def _on_sample(self, sample: Sample) -> None:
-        if not self._samples.continued_by(sample):
-            self.close()
-            self._start_session(SampleSpool(sample.shape))
-        self._samples.push(sample)
-
-    def _start_session(self, samples: SampleSpool) -> None:
-        self._samples = samples
-        self._messages = {name: MessageSpool() for name in self.KEPT}
-        self._counts = dict.fromkeys(self.COUNTED, 0)
-
-    def _on_said(self, name: str, data: bytes) -> None:
-        if name in self._messages:
-            if len(self._messages[name]) < len(self._samples) + AHEAD:
-                self._messages[name].push(bytes(data))
-            else:
-                self.health.count(f"{name}: more than samples")
-        else:
-            self._counts[name] += 1
 
     @property
     def busy(self) -> bool:
         """Whether a node is catching up."""
         return time.monotonic() - self._requested_at < LINGER
 
-    def _on_question(self, request: Past.Request, answer: Past.Response) -> Past.Response:
+    def _on_sample(self, sample: Sample) -> None:
+        if not self._store.samples.continued_by(sample):
+            self._store.close()
+            self._store = Store(sample.shape)
+        self._store.samples.push(sample)
+
+    def _on_said(self, kind: Any, data: bytes) -> None:
+        if not self._store.push(kind, data):
+            self.health.count(f"{TOPICS[kind]}: more than samples")
+
+    def _on_question(self, request: Past.Request, _: Past.Response) -> Past.Response:
         self._requested_at = time.monotonic()
-        rows = self._samples.rows(request.first, request.count, MOST_SAMPLES)
-        answer.heard = self._samples.end
-        for name in ("index", "stamp", *SAMPLED):
-            setattr(answer, name, rows[SAMPLED.get(name, name)].ravel().tolist())
-        matches, scores = self._messages.values()
-        answer.match = [deserialize_message(d, Match) for d in matches.since(request.matches, MOST_MESSAGES)]
-        answer.score = [
-            deserialize_message(d, ModelScore) for d in scores.since(request.scores, MOST_MESSAGES)
-        ]
-        answer.matches_heard, answer.scores_heard = len(matches), len(scores)
-        answer.forecasts_heard, answer.states_heard = self._counts.values()
         self.health.count("questions")
-        return answer
+        return self._store.answer(request)

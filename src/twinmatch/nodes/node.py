@@ -219,7 +219,7 @@ class TwinmatchNode(Node):
     def create_subscription(
         self, msg_type: Any, topic: str, callback: Callable[[Any], None], qos_profile: Any, **options: Any
     ) -> Any:
-        """Subscribe through the entrance: `callback` gets what `expected.READ` makes of a message."""
+        """Subscribe through the entrance: `callback` gets what `expected.MESSAGES` makes of a message."""
         take = self.entrance.before(msg_type, topic, callback, raw=options.get("raw", False))
         return super().create_subscription(msg_type, topic, take, qos_profile, **options)
 

@@ -19,7 +19,7 @@ from rclpy.parameter import parameter_value_to_python
 
 from twinmatch.nodes.health import Level, Report
 from twinmatch.nodes.node import TwinmatchNode, Worker
-from twinmatch.nodes.past import RecorderPast
+from twinmatch.nodes.past import CatchingUp, RecorderPast
 from twinmatch.nodes.topics import Following, offered, wanted
 from twinmatch.parameters.declared import Setting, given_to, parameters_of
 from twinmatch.sessions import Recording, RecordingLimits, SessionError, Topic
@@ -218,7 +218,15 @@ class RecorderNode(TwinmatchNode):
         if self.step is not None:
             self.step.wait_for(lambda: worker.depth > AHEAD)
         self._settings = NodeSettings(self, self._record)
-        self._past = RecorderPast(self, self._keep, self._following.__contains__)
+        names = [self.resolve_topic_name(n) for n in ("plant/sample", "twin/match", "twin/model_score")]
+        self._past = past = RecorderPast(names, self._keep)
+        CatchingUp(
+            self,
+            past.stream,
+            ready=lambda _: all(name in self._following for name in names),
+            waiting=lambda: worker.depth,
+            patience=past.PATIENCE,
+        )
         self.wall_timer(SEARCH, self._on_search)
         self.wall_timer(FLUSH, partial(worker.put, self._recording.flush))
         self.get_logger().info(f"recording into {self._recording.folder}")

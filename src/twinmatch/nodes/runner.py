@@ -128,7 +128,7 @@ class Nodes:
         with _clear_errors(arguments):
             options = SignalHandlerOptions.NO
             rclpy.init(args=list(arguments), context=self._context, signal_handler_options=options)
-        self._executor = EventsExecutor(context=self._context)
+        self._executor = executor_of(self._context)
         for kind in kinds:
             node = kind(self._context)
             self._nodes.append(node)
@@ -173,6 +173,11 @@ class Nodes:
         rclpy.try_shutdown(context=self._context)
         gc.collect()  # remaining references to a node would hold shared memory
         return all(ended)
+
+
+def executor_of(context: Context | None) -> Any:
+    """The executor for the nodes of a context."""
+    return EventsExecutor(context=context)
 
 
 def _on_signals(handler: Any) -> None:

@@ -24,6 +24,10 @@ from twinmatch_msgs.srv import Past
 
 MOST_QUEUED = 100_000
 """Most samples in memory; those that arrive meanwhile are fetched from the keeper later."""
+SETTLE = 1.0
+"""Time in which readers discover a new node, wall s; they may miss what it publishes earlier."""
+LONGEST_SETTLE = 3.0
+"""Longest wait for readers that are known but not connected, wall s."""
 AHEAD = 5
 """Queued items above which a virtual plant in step waits."""
 
@@ -169,17 +173,29 @@ class SampleNode(TwinNode):
     def open(self) -> None:
         """Start the worker and subscribe to `plant/sample`."""
         super().open()
-        self._stream = Stream(self._on_next)
-        self._catching_up = CatchingUp(self, self._stream, lambda: self.worker.depth, self.learn)
+        self._stream, self._connected = Stream(self._on_next, self.learn), False
+        self._catching_up = CatchingUp(
+            self, self._stream, ready=self._settled, waiting=lambda: self.worker.depth
+        )
         self.create_subscription(LoopSample, "plant/sample", self._on_sample, EVERYTHING)
 
     def learn(self, said: Past.Response) -> None:
-        """Take the results published before this node started; called before its first sample."""
+        """Take results published before this node started; called before the samples they are about."""
 
     def report(self) -> Report:
         """Queue, gaps, silence."""
         self._watch.check(time.monotonic())
         return super().report()
+
+    def _settled(self, age: float) -> bool:
+        """Whether the readers of this node are connected; results for fetched samples follow at once."""
+        self._connected = self._connected or age > LONGEST_SETTLE or (age > SETTLE and self._all_connected())
+        return self._connected
+
+    def _all_connected(self) -> bool:
+        return all(
+            p.get_subscription_count() >= self.count_subscribers(p.topic_name) for p in self.publishers
+        )
 
     def _on_sample(self, sample: Sample) -> None:
         if self.worker.depth + self._stream.waiting > MOST_QUEUED:

@@ -47,7 +47,8 @@ class TwinSimulatorNode(SampleNode):
 
     def learn(self, said: Past.Response) -> None:
         """Take the number of states that a simulator before this one published."""
-        self._published_before = said.states_heard
+        if not self._stream.begun:
+            self._published_before = said.states_heard
 
     def work(self, item: Sample | comparing.ForecastScore) -> None:
         """Mirror one sample, or take over the parameters of a new leader."""

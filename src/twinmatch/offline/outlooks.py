@@ -183,22 +183,16 @@ def ahead_of(
     closed = settings.gains is not None
     signal: Output | Drive = settings.plant.output if closed else settings.plant.drive
     kind, standing = ("set-point", sample.reference) if closed else ("input", sample.input)
-    unit = f" {signal.unit}".rstrip()
-    if rows is not None and reference is not None:
-        try:
+    unit, place = f" {signal.unit}".rstrip(), "--hold"
+    profile, words = SetPoints.constant(standing), f"its {kind} of {standing:g}{unit} held"
+    try:
+        if rows is not None and reference is not None:
+            place, words = reference, f"{kind}s of {Path(reference).name}"
             profile = SetPoints.planned(rows, standing, signal=signal)
-        except ForecastError as error:
-            raise ForecastError(f"{reference}: {error}") from error
-        words = f"{kind}s of {Path(reference).name}"
-    elif hold is not None:
-        try:
-            profile = SetPoints.constant(hold, signal)
-        except ForecastError as error:
-            raise ForecastError(f"--hold: {error}") from error
-        words = f"{hold:g}{unit} held"
-    else:
-        profile = SetPoints.constant(standing)
-        words = f"its {kind} of {standing:g}{unit} held"
+        elif hold is not None:
+            profile, words = SetPoints.constant(hold, signal), f"{hold:g}{unit} held"
+    except ForecastError as error:
+        raise ForecastError(f"{place}: {error}") from error
     return Ahead(profile.ahead(settings.period, size), words, profile.notes)
 
 

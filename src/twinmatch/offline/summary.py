@@ -111,7 +111,8 @@ class Tally:
         self.last: Verdict | None = None
         self.verdicts = self.identified = 0
         self.refusal = ""
-        self._matches: Counter[str] = Counter()
+        self.matches: Counter[str] = Counter()
+        """How many matches were admitted, and how many refused."""
         for verdict in verdicts:
             self.push(verdict)
 
@@ -121,14 +122,9 @@ class Tally:
         self.verdicts += 1
         self.identified += not verdict.stands
         if verdict.match:
-            self._matches[verdict.match] += 1
+            self.matches[verdict.match] += 1
         if verdict.match == REFUSED:
             self.refusal = verdict.reason
-
-    @property
-    def matches(self) -> dict[str, int]:
-        """How many matches were admitted, and how many refused."""
-        return dict(self._matches)
 
 
 def summarise(
@@ -176,7 +172,7 @@ def conclude(
         fit_u=fit[1],
         verdicts=tally.verdicts,
         identified=tally.identified,
-        matches=tally.matches,
+        matches=dict(tally.matches),
         notes=tuple(remarks),
         order=nominal.chosen_order if nominal else None,
         range=trust_range(last, shown.parameters.model.plant.output) if last and shown else None,

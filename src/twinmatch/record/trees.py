@@ -114,11 +114,6 @@ def parameters_of(tree: Mapping[str, Any]) -> Parameters | None:
     return records.parameters_of(tree["plant"], tree["structure"], tree["names"], tree["values"])
 
 
-def parameters_document(parameters: Parameters) -> dict[str, float]:
-    """The values by name, in their own units."""
-    return dict(parameters)
-
-
 def _absent_part(kind: type) -> Tree:
     """An absent part: all NaN, including counts, which are float64 in a message."""
     return {field.name: math.nan for field in fields_of(kind)}
@@ -216,7 +211,7 @@ def _entries(field: RecordField, value: Any) -> dict[str, Any]:
     if form is Form.PARAMETERS:
         plant, structure = value.model.key
         shown = {} if name != "parameters" else {"plant": plant, "structure": structure}
-        return {**shown, name: parameters_document(value)}
+        return {**shown, name: dict(value)}
     return {name: finite(_SHOWN.get(form, lambda v: v)(value))}
 
 

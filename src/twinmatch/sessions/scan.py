@@ -125,16 +125,22 @@ class Scan:
             for opcode, body in records:
                 if opcode == Opcode.STATISTICS:
                     stated = _parsed(Statistics, body).message_count
-                    if stated != self._count:
+                    if stated > self._count:
                         raise _FaultError(
                             f"the file is damaged: only {self._count} of {stated} messages are left"
+                        )
+                    if stated < self._count:
+                        raise _FaultError(
+                            f"the file is damaged: it has {self._count} messages, but states {stated}"
                         )
                 elif opcode == Opcode.FOOTER:
                     break
         except _TornError:
             pass
-        if file.read() != MAGIC:
-            raise _FaultError("the file is truncated after its last message")
+        if (end := file.read(len(MAGIC) + 1)) != MAGIC:
+            longer = end.startswith(MAGIC)
+            what = "damaged: bytes follow its end" if longer else "truncated after its last message"
+            raise _FaultError(f"the file is {what}")
 
     def _record(self, opcode: int, body: bytes) -> Iterator[Message]:
         if opcode == Opcode.MESSAGE:

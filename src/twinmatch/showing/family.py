@@ -7,18 +7,18 @@ seed as in the discriminator, so they are the same to the last bit.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from twinmatch.comparing import CandidateScore, OrderScore, SimoModel, Verdict, identify, twin_response
 from twinmatch.comparing.models import ahead, deviations, operating_level
 from twinmatch.dynamics import Response
 from twinmatch.errors import TwinmatchError
 from twinmatch.fitting import Match
-from twinmatch.showing.quantities import number
+from twinmatch.showing.quantities import number, span_text, with_unit
 from twinmatch.signals import Sample, Window, unbroken
 from twinmatch.twin import MatchReport, TwinSettings, response_on
 from twinmatch.twin.matcher import one_thread
@@ -148,30 +148,59 @@ def value_of(match: Match, name: str) -> float:
     return float(match.starts[name] if name in match.starts else match.parameters[name])
 
 
-class Criterion(NamedTuple):
-    """One column of the table."""
+class Column(NamedTuple):
+    """One figure of a candidate or an order, as every display heads, writes and explains it."""
 
     attribute: str
-    """Of `Criteria`."""
+    """Of `CandidateScore` or `Criteria`."""
     name: str
     unit: str
     """Empty: a plain number."""
     decimals: int
-    larger_is_better: bool | None
-    """None: the column is not a criterion, so no value in it is best."""
+    meaning: str
+    best: Callable[[Iterable[float]], float] | None = None
+    """Chooses the best of several values; None: the column is not a criterion."""
+    high: str = ""
+    """Attribute of the upper end of an interval."""
+
+    @property
+    def label(self) -> str:
+        """Name and unit."""
+        return with_unit(self.name, self.unit)
+
+    def text(self, of: object) -> str:
+        """The figure of an object, or of a document, that has these fields."""
+        known = (
+            of if isinstance(of, Mapping) else {n: getattr(of, n) for n in (self.attribute, self.high) if n}
+        )
+        low = known[self.attribute]
+        return span_text(low, known[self.high], self.decimals) if self.high else number(low, self.decimals)
 
 
-CRITERIA: tuple[Criterion, ...] = (
-    Criterion("trivial_length", "l(t)", "characters", 0, None),
-    Criterion("model_length", "l(p)", "characters", 0, None),
-    Criterion("gain", "gain", "characters", 0, True),
-    Criterion("explanation", "explained", "", 3, True),
-    Criterion("naic", "nAIC", "", 3, False),
-    Criterion("bic", "BIC", "", 1, False),
-    Criterion("mdl", "MDL", "", 4, False),
-    Criterion("two_part_length", "two-part", "characters", 0, False),
+GAIN: Final = Column("gain", "gain", "characters", 0, "l(t) − l(p): characters that the model saves", max)
+CRITERIA: Final = (
+    Column("trivial_length", "l(t)", "characters", 0, "characters of the measured values as a plain table"),
+    Column("model_length", "l(p)", "characters", 0, "characters of the model and a table of its residuals"),
+    GAIN,
+    Column("explanation", "explained", "", 3, "gain / l(t), at best 1", max),
+    Column("naic", "nAIC", "", 3, "smaller is better", min),
+    Column("bic", "BIC", "", 1, "smaller is better", min),
+    Column("mdl", "MDL", "", 4, "smaller is better", min),
+    Column("two_part_length", "two-part", "characters", 0, "l(p) and the model's parameters", min),
 )
-"""The columns, in the order of the paper's table; MDL has the unit of the loss, output or input squared."""
+"""Columns of an order, in the order of the paper's table; MDL has the squared unit of output or input."""
+GAP_SUM: Final = Column("nu_gap_sum", "Σ ν-gap", "", 3, "sum of the ν-gaps to the others; smallest: nominal")
+GAP_NOW: Final = Column("nu_gap_to_plant", "ν-gap now", "", 3, "ν-gap to the plant of the newest samples")
+_SUM_LOW: Final = Column(
+    "nu_gap_sum_low", "90 % of Σ", "", 3, "interval that contains this sum", high="nu_gap_sum_high"
+)
+_MARGIN: Final = "b(P, C): up to this ν-gap the controller in use stabilises every plant"
+FIGURES: Final = (
+    *(GAP_SUM, _SUM_LOW),
+    Column("nominal_probability", "P(nominal)", "", 2, "probability of having the smallest sum"),
+    *(GAP_NOW, Column("margin", "margin", "", 3, _MARGIN)),
+)
+"""Columns of a candidate beside those of its orders."""
 
 OUTPUTS: tuple[tuple[str, str], ...] = (
     ("y", "output y/r"),
@@ -208,7 +237,7 @@ class CriterionRow(NamedTuple):
 
 
 def criterion_rows(
-    candidate: CandidateScore, criteria: Sequence[Criterion] = CRITERIA
+    candidate: CandidateScore, criteria: Sequence[Column] = CRITERIA
 ) -> tuple[CriterionRow, ...]:
     """The table of one candidate: a row per order, for y, for u and for both; for y alone in open loop."""
     orders, chosen = candidate.orders, candidate.chosen_order
@@ -226,22 +255,26 @@ def chosen_score(candidate: CandidateScore) -> OrderScore | None:
     return next((o for o in candidate.orders if o.order == candidate.chosen_order), None)
 
 
-def computed(candidates: Sequence[CandidateScore]) -> tuple[Criterion, ...]:
+def computed(candidates: Sequence[CandidateScore]) -> tuple[Column, ...]:
     """The criteria that have a value for at least one candidate."""
     orders = [order for candidate in candidates for order in candidate.orders]
     return tuple(c for c in CRITERIA if any(not math.isnan(_value(o, "total", c)) for o in orders))
 
 
-def _figure(
-    orders: Sequence[OrderScore], order: OrderScore, output: str, criterion: Criterion
-) -> CriterionFigure:
-    value = _value(order, output, criterion)
-    text = number(value, criterion.decimals)
-    if criterion.larger_is_better is None or math.isnan(value):
+def for_both(candidate: CandidateScore, criteria: Sequence[Column]) -> list[Column]:
+    """The same, for output and input together: MDL then has the sum of their squared units."""
+    plant = candidate.parameters.model.plant
+    y, u = (declared.unit or declared.name for declared in (plant.output, plant.drive))
+    unit = f"{y}²+{u}²" if len(outputs_of(candidate.orders)) > 1 else f"{y}²"
+    return [c._replace(unit=unit) if c.attribute == "mdl" else c for c in criteria]
+
+
+def _figure(orders: Sequence[OrderScore], order: OrderScore, output: str, column: Column) -> CriterionFigure:
+    value, text = _value(order, output, column), column.text(getattr(order, output))
+    if column.best is None or math.isnan(value):
         return CriterionFigure(text, best=False)
-    pick = max if criterion.larger_is_better else min
-    return CriterionFigure(text, best=value == pick(_value(o, output, criterion) for o in orders))
+    return CriterionFigure(text, best=value == column.best(_value(o, output, column) for o in orders))
 
 
-def _value(order: OrderScore, output: str, criterion: Criterion) -> float:
-    return float(getattr(getattr(order, output), criterion.attribute))
+def _value(order: OrderScore, output: str, column: Column) -> float:
+    return float(getattr(getattr(order, output), column.attribute))

@@ -20,7 +20,7 @@ from twinmatch.forecasting import (
     time_to_reach,
 )
 from twinmatch.offline.backtest.scoring import LEADER, TWINS, Backtest, Card
-from twinmatch.showing.quantities import number, signal_names, with_unit
+from twinmatch.showing.quantities import number, signal_names
 from twinmatch.showing.series import Fan, root_mean_square
 from twinmatch.signals import FloatArray
 from twinmatch.twin import TwinSettings
@@ -81,12 +81,12 @@ def comparison_words(fan: Fan, plant: type[Plant]) -> list[str]:
         return []
     signals = signal_names(plant)
     shares = [f"{100 * np.mean(inside):.0f} % of the" for inside in fan.in_band if inside.size]
-    inside = " and ".join(f"{s} {w}" for s, w in zip(shares, (signals.output, signals.input), strict=False))
+    inside = " and ".join(f"{share} {signal}" for share, signal in zip(shares, signals, strict=False))
     moves = "set-points" if fan.forecast.closed else "inputs"
     same = "" if fan.judged == fan.forecast.time.size else f", under the same {moves}"
     return [
         f"compared with the next {fan.judged * fan.past.period:g} s of measurements{same}: error "
-        f"{signals.y(root_mean_square([fan.error]), finer=1)} RMS; the band contained {inside}"
+        f"{signals.output.text(root_mean_square([fan.error]), finer=1)} RMS; the band contained {inside}"
     ]
 
 
@@ -95,10 +95,10 @@ def _band(band: Band) -> dict[str, list[float]]:
 
 
 def _end(forecast: Forecast, plant: type[Plant]) -> str:
-    signals, band = signal_names(plant), forecast.output
+    y, band = signal_names(plant).output, forecast.output
     low, mean, high = (float(edge[-1]) for edge in (band.low, band.mean, band.high))
     return (
-        f"{signals.output} after {forecast.time[-1]:g} s: {signals.y(mean)}, within {signals.y(low, high)} "
+        f"{y.name} after {forecast.time[-1]:g} s: {y.text(mean)}, within {y.text(low, high)} "
         f"in {100 * forecast.confidence:.0f} % of such cases"
     )
 
@@ -139,9 +139,9 @@ def _arrival(part: Forecast, plant: type[Plant], *, only: bool) -> str:
 
 
 def _largest(forecast: Forecast, plant: type[Plant]) -> str:
-    signals, peak = signal_names(plant), largest_input(forecast)
-    least, most = (number(edge, signals.input_decimals) for edge in (peak.least, peak.most))
-    return f"largest {signals.input}: {signals.u(peak.expected)} after {peak.time:g} s ({least} to {most})"
+    u, peak = signal_names(plant).input, largest_input(forecast)
+    least, most = (number(edge, u.decimals) for edge in (peak.least, peak.most))
+    return f"largest {u.name}: {u.text(peak.expected)} after {peak.time:g} s ({least} to {most})"
 
 
 def _widths(forecast: Forecast, settings: TwinSettings) -> str:
@@ -149,7 +149,8 @@ def _widths(forecast: Forecast, settings: TwinSettings) -> str:
 
     def width(k: int) -> str:
         y, u = (float(band.high[k] - band.low[k]) for band in (forecast.output, forecast.input))
-        return f"{signals.y(y)} and {signals.u(u)}" if forecast.closed else signals.y(y)
+        both = f"{signals.output.text(y)} and {signals.input.text(u)}"
+        return both if forecast.closed else signals.output.text(y)
 
     for horizon in settings.forecasts.horizons:
         if horizon > forecast.time[-1] + 1e-9 * horizon or horizon < forecast.time[0]:
@@ -158,7 +159,7 @@ def _widths(forecast: Forecast, settings: TwinSettings) -> str:
         widths.append(f"{width(k)} at {horizon:g} s")
     if not widths:
         y = float(forecast.output.high[-1] - forecast.output.low[-1])
-        widths.append(f"{signals.y(y)} at the end")
+        widths.append(f"{signals.output.text(y)} at the end")
     return f"width of the band: {'; '.join(widths)}"
 
 
@@ -174,11 +175,11 @@ def card_columns(plant: type[Plant], *, driven: bool = False) -> list[tuple[str,
     Ends and widths are in the plant's units, the others in units of its noise.
     """
     w, y, u = signal_names(plant), plant.output, plant.drive
-    called = (f" {w.output_unit or w.output}", f" {w.input_unit or w.input}")
+    called = [f" {signal.unit or signal.name}" for signal in w]
     in_unit = [f" /{unit}" for unit in called]
-    if w.output_unit == w.input_unit:
-        called = (f" {w.output}", f" {w.input}")
-        in_unit = [with_unit(name, w.output_unit) for name in called]
+    if w.output.unit == w.input.unit:
+        called = [f" {signal.name}" for signal in w]
+        in_unit = [f" {signal.label}" for signal in w]
     columns: list[tuple[str, Callable[[Card], str]]] = [
         ("who", lambda c: c.who),
         ("error", lambda c: number(c.median)),
@@ -227,7 +228,7 @@ def backtest_words(backtest: Backtest) -> list[str]:
             continue
         text = (
             f"{horizon:g} s ahead, the leader's {w.output} was off by less than "
-            f"{w.y(own.end_output * noise, finer=1)} half of the time, and its band held "
+            f"{w.output.text(own.end_output * noise, finer=1)} half of the time, and its band held "
             f"{100 * own.coverage_output:.0f} % of the readings ({100 * backtest.confidence:.0f} % expected)"
         )
         peers = [card for card in cards if card.who not in TWINS]

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import IO, TYPE_CHECKING, Final
 
 from twinmatch.comparing import TrustLevel, Verdict
-from twinmatch.showing.verdicts import News, row
+from twinmatch.showing.verdicts import COLUMNS, News, row
 from twinmatch.twin import MatchReport
 
 if TYPE_CHECKING:
@@ -22,11 +22,8 @@ STYLES: Final = {
 }
 """rich style of each level."""
 
-_WIDTHS: Final = {
-    **{"t / s": 6, "level": 8, "decided": 7, "order": 5, "gain": 5, "ν-gap sum": 9, "to plant": 8},
-    **{"miss y": 6, "miss u": 6, "nominal": 8, "leader": 0},
-}
-"""Columns and their widths; a line with the longest name of two parts has 120 characters."""
+_WIDTHS: Final = (6, 8, 7, 5, 5, 7, 9, 6, 6, 8, 0)
+"""Of the columns of `row` but its reason; a line with the longest name of two parts has 120 characters."""
 _INDENT = 8
 
 
@@ -35,21 +32,20 @@ def line_text(verdict: Verdict, period: float = 1.0) -> str:
 
     `period` is the sample time, s. Gains are in characters, misses in half widths of the leader's bands.
     """
-    when, level, leader, nominal, *figures, why = row(verdict, period)
-    decided = "–" if verdict.leader is None else "yes" if verdict.decided else "no"
+    *cells, why = row(verdict, period).values()
     named = f"{verdict.fault}: " if verdict.fault else ""
     reason = " ".join(f"{named}{why}".split())
-    return f"{_columns((when, level, decided, *figures, nominal, leader))}\n{'':{_INDENT}}{reason}"
+    return f"{_columns(cells)}\n{'':{_INDENT}}{reason}"
 
 
 def header_text() -> str:
-    """The column names with their units."""
-    return _columns(tuple(_WIDTHS))
+    """The column names, with their units where there is room."""
+    names = zip(COLUMNS, _WIDTHS, strict=False)
+    return _columns([name if len(name) <= width else name.partition(" / ")[0] for name, width in names])
 
 
 def _columns(cells: Sequence[str]) -> str:
-    padded = (f"{cell:<{width}}" for cell, width in zip(cells, _WIDTHS.values(), strict=True))
-    return "  ".join(padded)
+    return "  ".join(f"{cell:<{width}}" for cell, width in zip(cells, _WIDTHS, strict=True))
 
 
 def redraws(stream: IO[str]) -> bool:

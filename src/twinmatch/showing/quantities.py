@@ -105,49 +105,45 @@ def percent(share: float, decimals: int = 1) -> str:
     return number(100 * share, decimals)
 
 
-class SignalNames(NamedTuple):
-    """Names of output and input with their units; a unit may be empty."""
+class Signal(NamedTuple):
+    """A signal as it is shown."""
 
-    output: str
-    """For example temperature."""
-    output_unit: str
-    input: str
-    """For example inflow; "control" where the plant file names only its unit."""
-    input_unit: str
-    output_decimals: int
+    name: str
+    """For example temperature; "control" for an input of which the plant file names only the unit."""
+    unit: str
+    """May be empty."""
+    decimals: int
     """Decimal places of its values; an error has one more."""
-    input_decimals: int
 
-    def y(self, *values: float, finer: int = 0) -> str:
-        """One output, or a range of two, with its unit; `finer` more decimal places, as for an error."""
-        return f"{_range(values, self.output_decimals + finer)} {self.output_unit}".rstrip()
+    def __str__(self) -> str:
+        """The name."""
+        return self.name
 
-    def u(self, *values: float, finer: int = 0) -> str:
-        """One input, or a range of two, with its unit."""
-        return f"{_range(values, self.input_decimals + finer)} {self.input_unit}".rstrip()
-
-    @property
-    def output_label(self) -> str:
-        """Name and unit, as an axis label."""
-        return with_unit(self.output, self.output_unit)
+    def text(self, *values: float, finer: int = 0) -> str:
+        """One value, or a range of two, with the unit; `finer` more decimal places, as for an error."""
+        shown = " to ".join(number(float(value), self.decimals + finer) for value in values)
+        return f"{shown} {self.unit}".rstrip()
 
     @property
-    def input_label(self) -> str:
+    def label(self) -> str:
         """Name and unit, as an axis label."""
-        return with_unit(self.input, self.input_unit)
+        return with_unit(self.name, self.unit)
 
 
-def signal_names(plant: type[Plant]) -> SignalNames:
+class Signals(NamedTuple):
+    """The output and the input of a plant."""
+
+    output: Signal
+    input: Signal
+
+
+def signal_names(plant: type[Plant]) -> Signals:
     """Names and units from the plant's declarations."""
     y, u = plant.output, plant.drive
     driven = "control" if u.name.lower() == u.unit.lower() else u.name.replace("_", " ")
-    return SignalNames(y.name.replace("_", " "), y.unit, driven, u.unit, y.decimals, u.decimals)
+    return Signals(Signal(y.name.replace("_", " "), y.unit, y.decimals), Signal(driven, u.unit, u.decimals))
 
 
 def with_unit(name: str, unit: str) -> str:
     """A name and its unit, as an axis label."""
     return f"{name} / {unit}" if unit else name
-
-
-def _range(values: Iterable[float], decimals: int) -> str:
-    return " to ".join(number(float(value), decimals) for value in values)

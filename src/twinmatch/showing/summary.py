@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from twinmatch.comparing import TrustLevel, Verdict
 from twinmatch.offline.summary import SessionSummary, ShownTwin
-from twinmatch.record import document_of, finite, parameters_document
+from twinmatch.record import document_of, finite
 from twinmatch.showing.quantities import parameter_format, percent, signal_names
 from twinmatch.twin import MatchReport
 
@@ -32,7 +32,7 @@ def sentence(summary: SessionSummary) -> str:
         return f"No nominal twin: {summary.verdicts} verdicts, but no valid match. {needed}"
     parts = [_who(summary)]
     if math.isfinite(summary.fit_y):
-        output = signal_names(summary.parameters.model.plant).output if summary.parameters else "output"
+        output = signal_names(summary.parameters.model.plant).output.name if summary.parameters else "output"
         fit = f"{output} fit {percent(summary.fit_y)} %"
         if summary.fit_y < _POOR and summary.level is TrustLevel.TRUSTED and summary.range:
             fit = f"left without readings it drifts off ({fit}), from the newest readings it forecasts well"
@@ -132,7 +132,7 @@ def document(
             "leader_confidence": finite(summary.leader_confidence),
             "nominal": summary.nominal,
             "level": summary.level.value,
-            "parameters": parameters_document(summary.parameters) if summary.parameters else None,
+            "parameters": dict(summary.parameters) if summary.parameters else None,
             "fit": {"y": finite(summary.fit_y), "u": finite(summary.fit_u)},
             "order": summary.order,
             "range": [summary.range.low, summary.range.high] if summary.range else None,

@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from datetime import timedelta
 from math import nan
-from typing import Final, NamedTuple
+from typing import Final
 
 from rich.cells import cell_len
 from rich.console import Console, ConsoleOptions, Group, RenderableType, RenderResult
@@ -20,10 +20,18 @@ from rich.text import Text
 from twinmatch.comparing import CandidateScore, TrustLevel, Verdict
 from twinmatch.dynamics import Plant
 from twinmatch.offline.summary import nominal_score
-from twinmatch.showing.family import CRITERIA, chosen_score
+from twinmatch.showing.family import CRITERIA, FIGURES, Column, chosen_score, for_both
 from twinmatch.showing.lines import STYLES, Lines, redraws
-from twinmatch.showing.quantities import number, parameter_format, percent, span_text
-from twinmatch.showing.verdicts import Event, EventKind, events_since, leader_words, level_words, missed
+from twinmatch.showing.quantities import number, parameter_format, percent
+from twinmatch.showing.verdicts import (
+    Event,
+    EventKind,
+    events_since,
+    fault_words,
+    leader_words,
+    level_words,
+    missed,
+)
 from twinmatch.twin import MatchReport
 
 LEAST_WAIT = 0.25
@@ -178,8 +186,7 @@ def _headline(verdict: Verdict | None, period: float) -> RenderableType:
     probable = "" if chosen is None else f"  probability {number(chosen.nominal_probability)}"
     grid.add_row("nominal", Text.assemble((chosen.name, "bold"), probable) if chosen else Text("none yet"))
     if verdict.fault:
-        since = "" if verdict.fault_since is None else f" since {number(verdict.fault_since * period, 0)} s"
-        grid.add_row("fault", Text(f"{verdict.fault}{since}", style=STYLES[TrustLevel.FAULT]))
+        grid.add_row("fault", Text(fault_words(verdict, period), style=STYLES[TrustLevel.FAULT]))
     if verdict.leader is not None:
         grid.add_row("forecasts", Text(missed(verdict)))
     grid.add_row("verdict", Text(f"at {number(verdict.sample * period, 0)} s: {verdict.reason}"))
@@ -206,28 +213,27 @@ WellDetermined = Mapping[tuple[int, int], Sequence[str]]
 """Names of well determined parameters, by first and last sample of the window they were matched on."""
 
 
-class FamilyColumn(NamedTuple):
-    """One column of the family, and its priority where there is no room for all."""
-
-    header: str
-    """Name, and on the next line its unit."""
-    priority: float
-    """Columns with the largest value are left out first."""
-    cell: Callable[[CandidateScore, Sequence[str]], str]
-    """Its text, from a candidate and the names of its well determined parameters."""
+FamilyColumn = tuple[str, str, Callable[[CandidateScore, Sequence[str]], str]]
+"""Name, unit, and the text for a candidate and the names of its well determined parameters."""
+_FREE: Final = "parameters"
+_KEPT: Final = (
+    *("candidate", "order", "Σ ν-gap", "P(nominal)", _FREE, "gain", "at", "margin", "90 % of Σ", "nAIC"),
+    *("BIC", "MDL", "ν-gap now"),
+)
+"""Names of the columns; where there is no room for all, the last are left out first."""
 
 
 def family_table(verdict: Verdict, determined: WellDetermined, width: int) -> Table:
     """The candidates with the columns that fit into `width` characters, chosen by priority."""
     rows = [(c, determined.get((c.first, c.last), ())) for c in verdict.modelled]
     columns = _family_columns(verdict)
-    cells = [[column.cell(*row) for row in rows] for column in columns]
-    pairs = zip(columns, cells, strict=True)
-    widths = [max(map(cell_len, (*column.header.split("\n"), *texts))) for column, texts in pairs]
+    heads = [f"{name}\n{unit}" if unit.strip() else name for name, unit, _ in columns]
+    cells = [[cell(*row) for row in rows] for _, _, cell in columns]
+    widths = [max(map(cell_len, (*h.split("\n"), *texts))) for h, texts in zip(heads, cells, strict=True)]
     table = Table(box=None, padding=(0, _GAP, 0, 0), pad_edge=False, header_style="bold")
-    chosen = _fitting([c.priority for c in columns], widths, width)
+    chosen = _fitting([_KEPT.index(n if n in _KEPT else _FREE) for n, _, _ in columns], widths, width)
     for k in chosen:
-        table.add_column(columns[k].header, no_wrap=True, justify="right" if k else "left")
+        table.add_column(heads[k], no_wrap=True, justify="right" if k else "left")
     for place, (candidate, _) in enumerate(rows):
         style = "bold" if candidate.name in {verdict.leader, verdict.nominal} else ""
         table.add_row(*(cells[k][place] for k in chosen), style=style)
@@ -245,51 +251,36 @@ def _fitting(priorities: Sequence[float], widths: Sequence[int], room: int) -> l
     return sorted(chosen)
 
 
-def _family_columns(verdict: Verdict) -> tuple[FamilyColumn, ...]:
+def _family_columns(verdict: Verdict) -> list[FamilyColumn]:
     """All columns, in the order of the table; the parameters are those that the structure leaves free."""
 
     def candidate(c: CandidateScore, _: Sequence[str]) -> str:
         marks = ("▶" if c.name == verdict.leader else " ") + ("○" if c.name == verdict.nominal else " ")
         return f"{marks} {c.name}"
 
-    first = FamilyColumn("candidate", 0, candidate)
+    def of_both(column: Column) -> FamilyColumn:
+        return (
+            column.name,
+            column.unit,
+            lambda c, _: column.text(score.total) if (score := chosen_score(c)) else "",
+        )
+
+    columns: list[FamilyColumn] = [("candidate", "", candidate)]
     if not verdict.modelled:
-        return (first,)
-    model = verdict.candidates[0].parameters.model
-    y, u, free = model.plant.output, model.plant.drive, model.structure.free
-    return (
-        first,
-        FamilyColumn(f"at\n{y.unit}", 8, lambda c, _: number(c.operating_point, y.decimals)),
-        *(_parameter(model.plant, name, 4 + k / len(free)) for k, name in enumerate(free)),
-        FamilyColumn("order", 1, lambda c, _: c.chosen_order),
-        _criterion("gain", "gain\ncharacters", 7),
-        _criterion("naic", "nAIC", 11),
-        _criterion("bic", "BIC", 12),
-        _criterion("mdl", f"MDL\n{y.unit}²+{u.unit or u.name}²", 13),
-        FamilyColumn("ν-gap\nsum", 2, lambda c, _: number(c.nu_gap_sum, 3)),
-        FamilyColumn(
-            "90 %\ninterval", 10, lambda c, _: span_text(c.nu_gap_sum_low, c.nu_gap_sum_high, 2, "…")
-        ),
-        FamilyColumn("P\nnominal", 3, lambda c, _: number(c.nominal_probability)),
-        FamilyColumn("margin\nb(P, C)", 9, lambda c, _: number(c.margin, 3)),
-    )
+        return columns
+    model, y = verdict.modelled[0].parameters.model, verdict.modelled[0].parameters.model.plant.output
+    shown = [c for c in for_both(verdict.modelled[0], CRITERIA) if c.name in _KEPT]
+    columns.append(("at", y.unit, lambda c, _: number(c.operating_point, y.decimals)))
+    columns += [_parameter(model.plant, name) for name in model.structure.free]
+    columns.append(("order", "", lambda c, _: c.chosen_order))
+    columns += map(of_both, shown)
+    return [*columns, *((c.name, c.unit, lambda s, _, c=c: c.text(s)) for c in FIGURES)]
 
 
-def _parameter(plant: type[Plant], name: str, priority: float) -> FamilyColumn:
+def _parameter(plant: type[Plant], name: str) -> FamilyColumn:
     shown = parameter_format(plant, name)
 
     def text(candidate: CandidateScore, determined: Sequence[str]) -> str:
         return shown.text(candidate.parameters.get(name, nan)) + ("*" if name in determined else " ")
 
-    # The trailing space leaves room for the mark after the value.
-    return FamilyColumn(f"{shown.symbol} \n{shown.unit} ", priority, text)
-
-
-def _criterion(name: str, header: str, priority: float) -> FamilyColumn:
-    decimals = next(c.decimals for c in CRITERIA if c.attribute == name)
-
-    def text(candidate: CandidateScore, _: Sequence[str]) -> str:
-        chosen = chosen_score(candidate)
-        return number(getattr(chosen.total, name) if chosen else None, decimals)
-
-    return FamilyColumn(header, priority, text)
+    return f"{shown.symbol} ", f"{shown.unit} ", text  # the space leaves room for the mark after the value

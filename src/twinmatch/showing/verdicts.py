@@ -3,15 +3,23 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, MutableSequence, Sequence
+from collections.abc import Callable, Iterable, MutableSequence, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Final
 
-from twinmatch.comparing import ADMITTED, REFUSED, TrustLevel, Verdict, beaten_words
+from twinmatch.comparing import (
+    ADMITTED,
+    REFUSED,
+    CandidateScore,
+    OrderScore,
+    TrustLevel,
+    Verdict,
+    beaten_words,
+)
 from twinmatch.fitting import Status
 from twinmatch.offline.summary import nominal_score
-from twinmatch.showing.family import chosen_score
+from twinmatch.showing.family import GAIN, GAP_NOW, GAP_SUM, chosen_score
 from twinmatch.showing.quantities import number, signal_names
 from twinmatch.twin import MatchReport
 
@@ -32,36 +40,46 @@ STATUS_WORDS: Final = {
 }
 """Why the gate refused a match, in words."""
 
-COLUMNS: Final = (
-    *("t / s", "level", "leader", "nominal", "order", "gain / characters"),
-    *("ν-gap sum", "ν-gap to plant", "miss y / half band", "miss u / half band", "why"),
-)
-"""Names of the cells of `row`."""
-
 
 def last_verdict(verdicts: Sequence[Verdict]) -> Verdict | None:
     """The last verdict; None without one, or if it has no candidate."""
     return verdicts[-1] if verdicts and verdicts[-1].candidates else None
 
 
-def row(verdict: Verdict, period: float = 1.0) -> tuple[str, ...]:
-    """The cells of one verdict, in the order of `COLUMNS`; `period` is the sample time, s.
-
-    The misses are those of the leader, in half widths of its bands; order, gain and ν-gaps those of the
-    nominal candidate.
-    """
+def _of_nominal(verdict: Verdict, write: Callable[[CandidateScore], str]) -> str:
     nominal = nominal_score(verdict)
-    order = gain = total = now = "–"
-    if nominal is not None:
-        score = chosen_score(nominal)
-        if score is not None:
-            order, gain = score.order, number(score.total.gain, 0)
-        total, now = number(nominal.nu_gap_sum, 3), number(nominal.nu_gap_to_plant, 3)
-    return (
-        *(number(verdict.sample * period, 0), verdict.level.value),
-        *(verdict.leader or "–", verdict.nominal or "–", order, gain, total, now),
-        *(number(verdict.miss_y), number(verdict.miss_u), verdict.reason),
-    )
+    return write(nominal) if nominal else number(None)
+
+
+def _of_order(verdict: Verdict, write: Callable[[OrderScore], str]) -> str:
+    score = (nominal := nominal_score(verdict)) and chosen_score(nominal)
+    return write(score) if score else number(None)
+
+
+COLUMNS: Final[dict[str, Callable[[Verdict, float], str]]] = {
+    "t / s": lambda v, period: number(v.sample * period, 0),
+    "level": lambda v, _: v.level.value,
+    "decided": lambda v, _: number(None) if v.leader is None else "yes" if v.decided else "no",
+    "order": lambda v, _: _of_order(v, lambda score: score.order),
+    GAIN.label: lambda v, _: _of_order(v, lambda score: GAIN.text(score.total)),
+    GAP_SUM.label: lambda v, _: _of_nominal(v, GAP_SUM.text),
+    GAP_NOW.label: lambda v, _: _of_nominal(v, GAP_NOW.text),
+    "miss y / half band": lambda v, _: number(v.miss_y),
+    "miss u / half band": lambda v, _: number(v.miss_u),
+    "nominal": lambda v, _: v.nominal or number(None),
+    "leader": lambda v, _: v.leader or number(None),
+    "why": lambda v, _: v.reason,
+}
+"""Headings of a verdict's cells, and their texts for a sampling period in s.
+
+The misses are those of the leader, in half widths of its bands; order, gain and ν-gaps those of the nominal
+candidate.
+"""
+
+
+def row(verdict: Verdict, period: float = 1.0) -> dict[str, str]:
+    """The cells of one verdict by their headings; `period` is the sample time, s."""
+    return {name: cell(verdict, period) for name, cell in COLUMNS.items()}
 
 
 def level_words(verdict: Verdict | None) -> str:
@@ -81,18 +99,23 @@ def missed(verdict: Verdict) -> str:
     if math.isnan(verdict.miss_y):
         return LEVEL_WORDS[TrustLevel.UNKNOWN]
     of = verdict.forecasts[0].parameters if verdict.forecasts else None
-    signals = signal_names(of.model.plant) if of else None
-    names = (signals.output, signals.input) if signals else ("output", "control")
+    names = [signal.name for signal in signal_names(of.model.plant)] if of else ["output", "control"]
     misses = zip(names, (verdict.miss_y, verdict.miss_u), strict=True)
     parts = " and ".join(f"{name} {number(miss, 1)}" for name, miss in misses if not math.isnan(miss))
     return f"{parts} half band widths from the forecast"
+
+
+def fault_words(verdict: Verdict, period: float) -> str:
+    """The name of the fault, and since when it shows; `period` is the sample time, s."""
+    since = verdict.fault_since
+    return verdict.fault if since is None else f"{verdict.fault} since {number(since * period, 0)} s"
 
 
 def leader_words(verdict: Verdict) -> str:
     """The leader, its confidence, and the characters its forecasts have saved."""
     if verdict.leader is None:
         return "none yet"
-    gain = next((s.gain for s in verdict.forecasts if s.name == verdict.leader), math.nan)
+    gain = verdict.leading.gain if verdict.leading else math.nan
     saved = "" if math.isnan(gain) else f", its forecasts save {number(gain, 1)} characters each"
     return f"{verdict.leader} (confidence {number(verdict.leader_confidence)}){saved}"
 
@@ -130,12 +153,6 @@ class News:
         changed = content != self._last
         self._last = content
         return changed or not verdict.stands or bool(verdict.match)
-
-
-def news(verdicts: Iterable[Verdict]) -> list[Verdict]:
-    """The verdicts that say something new."""
-    so_far = News()
-    return [v for v in verdicts if so_far.is_new(v)]
 
 
 class EventKind(Enum):

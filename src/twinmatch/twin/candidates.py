@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
@@ -28,7 +29,6 @@ from twinmatch.comparing import (
     score_orders,
     spans_of,
     twin_response,
-    with_margins,
 )
 from twinmatch.dynamics import Parameters, PlantError
 from twinmatch.fitting import ORDERS
@@ -167,7 +167,10 @@ class CandidatePool:
         Raises:
             TwinmatchError: no model can be identified on it.
         """
-        self._newest = _NewestWindow(window, self._model(window), self.structures.plant_now())
+        with ThreadPoolExecutor(1) as other:  # both are compiled code, which releases the GIL
+            now = other.submit(self.structures.plant_now)
+            model = self._model(window)
+        self._newest = _NewestWindow(window, model, now.result())
         self.scores = self._scored(self._newest)
 
     def score_leader(self) -> None:
@@ -231,15 +234,12 @@ class CandidatePool:
             for k, (member, model) in enumerate(zip(family, models, strict=True))
         )
         nominal = nominal_of(scores)
+        every, twins = (*scores, *bare[count:]), candidates[:count]
         certainty = judge_uncertainty(
-            scores, candidates[:count], gaps.of(count), nominal, loop, plant=now, seed=self._settings.seed
+            every, twins, gaps.of(count), nominal, loop, plant=now, seed=self._settings.seed
         )
-        others = tuple(bare[count:])
-        if nominal is not None:
-            centre = next(c for c in certainty.candidates if c.name == nominal)
-            others = with_margins((centre, *others), 0, self._settings.gains)[1:]
         return FamilyScores(
-            candidates=(*certainty.candidates, *others),
+            candidates=certainty.candidates,
             nominal=nominal,
             order=plant.order,
             nu_gap=_rows(gaps.matrix),

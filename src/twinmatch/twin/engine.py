@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -94,6 +95,7 @@ class Discriminator:
         self._waiting: deque[Sample | Trigger] = deque()
         self._newest: Sample | None = None
         self._request: MatchRequest | None = None
+        self._fits: Future[None] | None = None
         self._settled: int | None = None
         self._recent: deque[Sample] = deque(maxlen=self.settings.schedule.stride)
         self._health: Health | None = None
@@ -165,6 +167,10 @@ class Discriminator:
                 verdicts.append(self._judged(item, _Decision(REFUSED, reason)))
             else:
                 self._request = self._new_request(item)
+                if not self._external:  # most of a match is compiled code, which releases the GIL
+                    with_match = ThreadPoolExecutor(1)
+                    self._fits = with_match.submit(self._fit, item)
+                    with_match.shutdown(wait=False)
                 break
             self._waiting.popleft()
         return Step(tuple(verdicts), self._request)
@@ -215,6 +221,10 @@ class Discriminator:
             return ()
         return self._pool.expel(alarm.first, alarm.flagged)
 
+    def _fit(self, trigger: Trigger) -> None:
+        with one_thread():
+            self._pool.structures.push(trigger.window, excited=trigger.excited)
+
     def _judged(self, trigger: Trigger, decision: _Decision, report: MatchReport | None = None) -> Verdict:
         """The verdict on a window and the decision on its match.
 
@@ -222,8 +232,11 @@ class Discriminator:
         """
         window, pool = trigger.window, self._pool
         with one_thread():
-            if self.monitor.fault_between(window.first, window.last) is None:
-                pool.structures.push(window, excited=trigger.excited)
+            if self._fits is not None:
+                self._fits.result()
+                self._fits = None
+            elif self.monitor.fault_between(window.first, window.last) is None:
+                self._fit(trigger)
             pool.enter()
             scored = bool(decision.word) and not pool.empty
             if scored:

@@ -120,7 +120,6 @@ class Forecaster:
         self._departures: dict[int, _Departure] = {}
         self._run_in = tuple(round(stretch * scale / period) for stretch in _RUN_IN)
         self._recent: deque[Sample] = deque(maxlen=max(self._longest + self._stride, *self._run_in) + 1)
-        self._order: tuple[str, ...] = ()
         self._external: tuple[str, ...] = ()
         self._savings: dict[str, float] = {}
         self._scores: tuple[ForecastScore, ...] = ()
@@ -139,22 +138,22 @@ class Forecaster:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the candidates, in the order that decides ties."""
-        return self._order
+        return tuple(self._twins)
 
     @property
     def leader(self) -> str | None:
         """The candidate whose forecasts have saved the most characters; None without candidates."""
-        return self.best_of(self._order)
+        return self.best_of(self._twins)
 
     def best_of(self, names: Collection[str]) -> str | None:
         """Of the named candidates, the one whose forecasts have saved the most; None if none is present."""
         if self._ledger is None:
             return None
         if not self._savings:
-            totals = _totals(self._ledger.gains(self._order))
+            totals = _totals(self._ledger.gains(self.names))
             savings = np.where(np.isnan(totals), -np.inf, totals).tolist()
-            self._savings = dict(zip(self._order, savings, strict=True))
-        known = (name for name in self._order if name in names)
+            self._savings = dict(zip(self._twins, savings, strict=True))
+        known = (name for name in self._twins if name in names)
         return max(known, key=self._savings.__getitem__, default=None)
 
     @property
@@ -168,9 +167,9 @@ class Forecaster:
         ledger = self._ledger
         if ledger is None or self._scores:
             return self._scores
-        found, every = [], ledger.gains(self._order)
-        for name, total, gains in zip(self._order, _totals(every).tolist(), every, strict=True):
-            candidate = self._twins[name].candidate
+        found, every = [], ledger.gains(self.names)
+        for twin, total, gains in zip(self._twins.values(), _totals(every).tolist(), every, strict=True):
+            candidate, name = twin.candidate, twin.candidate.name
             first, last = candidate.samples
             found.append(
                 ForecastScore(
@@ -256,9 +255,9 @@ class Forecaster:
 
     def _departure(self) -> _Departure:
         self._catch_up()
-        leader = self.leader or self._order[0]
+        leader = self.leader or self.names[0]
         outlooks = {name: self._outlook(name) for name in {*self._external, leader}}
-        names = tuple(name for name in self._order if name not in self._external)
+        names = tuple(name for name in self._twins if name not in self._external)
         filters = [self._twins[name].state_filter for name in names]
         now, u = None, self._recent[-1].inputs
         if names:
@@ -303,7 +302,7 @@ class Forecaster:
 
     def _changed(self) -> None:
         """Forget what was derived from the candidates and their scores."""
-        self._order, self._foresight = tuple(self._twins), None
+        self._foresight = None
         self._external = tuple(
             name for name, twin in self._twins.items() if twin.candidate.parameters.model.is_external
         )
@@ -314,7 +313,7 @@ class Forecaster:
         if not self._recent:
             return Snapshot()
         self._catch_up()
-        return Snapshot(self.leader, {name: self._outlook(name) for name in self._order})
+        return Snapshot(self.leader, {name: self._outlook(name) for name in self._twins})
 
     def outlook(self, name: str | None = None) -> Outlook:
         """The outlook of a candidate, by default the leader, at the newest sample.

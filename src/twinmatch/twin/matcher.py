@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from contextlib import AbstractContextManager
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cache
-from typing import NamedTuple
+from threading import Lock
+from typing import Any, NamedTuple
 
 from threadpoolctl import ThreadpoolController
 
@@ -16,16 +18,27 @@ from twinmatch.signals import Window
 from twinmatch.twin.settings import TwinSettings
 
 _blas = cache(ThreadpoolController)
+_lock = Lock()
+_inside: list[Any] = []
+"""The limit on the process's BLAS, once for every thread that relies on it."""
 
 
-def one_thread() -> AbstractContextManager[object]:
+@contextmanager
+def one_thread() -> Iterator[None]:
     """Context within which the BLAS of the process uses one thread.
 
     A BLAS that splits a product among threads sums in a different order than one thread does, and the last
     bits differ. Verdicts are compared bit for bit, and the matrices here are too small to gain from threads.
     """
-    limits: AbstractContextManager[object] = _blas().limit(limits=1, user_api="blas")
-    return limits
+    with _lock:
+        _inside.append(_inside[0] if _inside else _blas().limit(limits=1, user_api="blas"))
+    try:
+        yield
+    finally:
+        with _lock:
+            limit = _inside.pop()
+            if not _inside:
+                limit.restore_original_limits()
 
 
 class MatchRequest(NamedTuple):

@@ -66,7 +66,8 @@ def test_a_cluster_without_workers_is_named(
 def address(idle: tuple[ExitStack, Path, str]) -> str:
     """A scheduler with two workers of one thread each."""
     stack, folder, address = idle
-    dask(stack, folder, "worker", address, "--nworkers", "2", "--nthreads", "1")
+    for name in "ab":
+        dask(stack, folder, "worker", address, "--nthreads", "1", "--no-nanny", "--name", name)
     from distributed import Client
 
     with Client(address, set_as_default=False, timeout=360) as client:
@@ -99,21 +100,15 @@ def test_an_address_that_leads_nowhere_is_one_line(
     assert "\n" not in str(caught.value)
 
 
-def test_without_distributed_the_extra_is_named(archive_folder: Path) -> None:
-    code = (
-        "import sys; sys.modules['distributed'] = None; from twinmatch.cli import main; "
-        f"sys.exit(main(['replay', {str(archive_folder / 'first')!r}, '--scheduler', 'tcp://127.0.0.1:1']))"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert done.returncode == 2
-    assert "twinmatch[cluster]" in done.stderr
-    assert len(done.stderr.splitlines()) == 1
-
-
-def test_nothing_of_dask_is_loaded_unasked() -> None:
+def test_nothing_of_dask_is_loaded_unasked_and_without_it_the_extra_is_named(archive_folder: Path) -> None:
     code = (
         "import sys, twinmatch.cli, twinmatch.offline.archive, twinmatch.offline.judging\n"
-        "print('distributed' in sys.modules)"
+        "print('distributed' in sys.modules); sys.modules['distributed'] = None\n"
+        f"words = ['replay', {str(archive_folder / 'first')!r}, '--scheduler', 'tcp://127.0.0.1:1']\n"
+        "sys.exit(twinmatch.cli.main(words))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.stdout.strip() == "False", done.stderr
+    assert done.returncode == 2
+    assert "twinmatch[cluster]" in done.stderr
+    assert len(done.stderr.splitlines()) == 1

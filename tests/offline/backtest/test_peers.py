@@ -19,11 +19,10 @@ from tests.support.plants import Box, Lag
 from twinmatch.dynamics import Experiment
 from twinmatch.fitting import fit_structure
 from twinmatch.forecasting import Forecast, ForecastError
-from twinmatch.offline.backtest.arx import Equation, InputArx, LoopArx, _Loop, _simulated, equations
+from twinmatch.offline.backtest.arx import Arx, Equation, _Loop, _simulated, equations
 from twinmatch.offline.backtest.peer import BacktestError, Peer
 from twinmatch.offline.backtest.peers import (
     PEERS,
-    OutputPersistence,
     Persistence,
     VectorAutoregression,
     order_of_least_bic,
@@ -99,14 +98,14 @@ def test_a_loop_with_a_measured_disturbance_is_forecast_exactly_without_noise() 
         u[k] = 0.8 * (r[k] - y[k])
     y, u, r = y + 50.0, u + 100.0, r + 50.0
     past = Window(r[:300], y[:300], u[:300], disturbances=d[:300, None])
-    forecast = LoopArx(Peltier).forecast(past, r[300:], d[300:, None])
+    forecast = Arx(Peltier).forecast(past, r[300:], d[300:, None])
     np.testing.assert_allclose(forecast.output.mean, y[300:], atol=0.02)
     np.testing.assert_allclose(forecast.input.mean, u[300:], atol=0.05)
-    stays = LoopArx(Peltier).forecast(past, r[300:])
+    stays = Arx(Peltier).forecast(past, r[300:])
     assert np.abs(stays.output.mean - y[300:]).max() > 0.3
 
 
-@pytest.mark.parametrize("kind", [LoopArx, VectorAutoregression])
+@pytest.mark.parametrize("kind", [Arx, VectorAutoregression])
 def test_models_find_a_linear_loop(kind: Callable[[type[Peltier]], Peer]) -> None:
     """Over 40 futures of one past: the mean is theirs, and the band holds nine in ten of their samples.
 
@@ -136,7 +135,7 @@ def test_the_limiter_is_foreseen() -> None:
     ahead = np.repeat([45.0, 105.0], [20, 100])
     random = np.random.default_rng(5)
     came = np.mean([linear_loop(ahead, random, past).output for _ in range(40)], axis=0)
-    forecast = LoopArx(Peltier).forecast(past, ahead)
+    forecast = Arx(Peltier).forecast(past, ahead)
     assert np.mean(np.abs(forecast.output.mean - came)) < 1.2
 
 
@@ -268,7 +267,7 @@ def second_order(size: int, noise: float, seed: int) -> tuple[FloatArray, FloatA
 
 def test_without_noise_least_squares_forecast_exactly() -> None:
     u, y = second_order(400, 0.0, 1)
-    forecast = InputArx(Lag).forecast(before(u, y, 300), u[300:])
+    forecast = Arx(Lag, driven=True).forecast(before(u, y, 300), u[300:])
     np.testing.assert_allclose(forecast.output.mean, y[300:], atol=1e-3)
     np.testing.assert_array_equal(forecast.input.mean, u[300:])
     assert np.isnan(forecast.reference).all()
@@ -285,20 +284,20 @@ def test_what_else_was_measured_is_taken_into_account() -> None:
     room[300:] += 2.0
     y = y + lfilter([0.0, 0.02], [1.0, -0.9], room - 21.0)
     past = before(u, y, 300, room)
-    told = InputArx(Lag).forecast(past, u[300:], room[300:, None])
+    told = Arx(Lag, driven=True).forecast(past, u[300:], room[300:, None])
     np.testing.assert_allclose(told.output.mean, y[300:], atol=2e-3)
-    untold = InputArx(Lag).forecast(past, u[300:])  # the room stays: as good until it jumps
+    untold = Arx(Lag, driven=True).forecast(past, u[300:])  # the room stays: as good until it jumps
     assert abs(untold.output.mean[0] - y[300]) < 2e-3
     assert np.abs(untold.output.mean - y[300:]).max() > 0.2
-    blind = InputArx(Lag).forecast(before(u, y, 300), u[300:])
+    blind = Arx(Lag, driven=True).forecast(before(u, y, 300), u[300:])
     assert np.abs(blind.output.mean - y[300:]).max() > 0.2
 
 
 def test_a_room_that_never_moved_changes_nothing() -> None:
     u, y = second_order(400, 0.05, 2)
     with_room = before(u, y, 300, np.full(300, 21.1))
-    forecast = InputArx(Lag).forecast(with_room, u[300:], np.full((100, 1), 21.1))
-    same = InputArx(Lag).forecast(before(u, y, 300), u[300:])
+    forecast = Arx(Lag, driven=True).forecast(with_room, u[300:], np.full((100, 1), 21.1))
+    same = Arx(Lag, driven=True).forecast(before(u, y, 300), u[300:])
     np.testing.assert_array_equal(forecast.output.mean, same.output.mean)
     np.testing.assert_array_equal(forecast.output.high, same.output.high)
 
@@ -308,7 +307,7 @@ def test_the_band_holds_nine_in_ten() -> None:
     held = []
     for seed in range(40):
         u, y = second_order(560, 0.05, seed)
-        forecast = InputArx(Lag).forecast(before(u, y, 500), u[500:])
+        forecast = Arx(Lag, driven=True).forecast(before(u, y, 500), u[500:])
         held.append(np.mean((forecast.output.low <= y[500:]) & (y[500:] <= forecast.output.high)))
     assert np.mean(held) == pytest.approx(0.9, abs=0.06)
 
@@ -321,7 +320,7 @@ def test_they_are_those_that_are_asked_and_nothing_is_said_of_the_input() -> Non
     past, came = before(u, y, 200), Window(np.zeros(60), y[200:], u[200:], first=200)
     marked = [
         Marked("s", 199, 30.0, p.name, marks(p.forecast(past, came.input), came, [30.0], Lag)[0])
-        for p in (OutputPersistence(Lag), InputArx(Lag))
+        for p in (Persistence(Lag, driven=True), Arx(Lag, driven=True))
     ]
     assert all(one.marks.input is None for one in marked)
     assert all(one.marks.error == one.marks.output.rms for one in marked)

@@ -258,20 +258,6 @@ def test_it_ends_cleanly_while_somebody_looks(
     assert "OPEN" not in server.text
 
 
-def test_an_open_server_says_so(serve: Callable[..., Any]) -> None:
-    server = serve("--address", "0.0.0.0")
-    assert server.url
-    assert "FOXGLOVE OPEN: anyone who can reach 0.0.0.0 may read this graph;" in server.text
-
-
-def test_an_address_of_another_machine_is_one_line(ros: None, tmp_path: Path) -> None:  # noqa: ARG001
-    command = (sys.executable, "-m", "twinmatch.cli", "foxglove", "--address", "203.0.113.7")
-    done = Process(*command, output=tmp_path / "said.txt", forked=True)
-    assert done.wait() == 2, done.text
-    assert "foxglove: 203.0.113.7:8765 cannot be used: Cannot assign" in done.text
-    assert len(done.lines) == 1
-
-
 def test_a_layout_is_written_when_the_plant_says_what_it_is(
     serve: Callable[..., Any], graph: Callable[..., Graph], tmp_path: Path
 ) -> None:

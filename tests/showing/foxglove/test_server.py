@@ -8,7 +8,6 @@ import re
 import struct
 import time
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -18,6 +17,7 @@ from twinmatch.showing.serving import ServingError
 
 pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup")
 
+from tests.support.places import PROJECT
 from twinmatch.plants import Peltier
 from twinmatch.plants.records import description_of
 from twinmatch.showing.foxglove.layout import APPLIED, IMAGE, OUTSIDE, TOPICS, layout
@@ -142,7 +142,6 @@ def test_time_is_that_of_the_clock_and_stands_after_it_until_another_graph_has_s
 # The layout that is shipped and the topics that are offered: every name exists and its kind fits.
 
 
-PROJECT = Path(__file__).resolve().parents[3]
 LAYOUT = json.loads((PROJECT / "config" / "foxglove_layout.json").read_text("utf-8"))
 PANELS: dict[str, Any] = LAYOUT["configById"]
 KINDS = {f"/{name}": kind for name, kind in TOPICS.items()} | OUTSIDE

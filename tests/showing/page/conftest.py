@@ -87,7 +87,8 @@ class Browser:
         )
 
     def sized(self, *sizes: tuple[int, int]) -> Iterator[tuple[int, int]]:
-        """The page loaded again in windows of these widths and heights, a telephone's if it is narrow."""
+        """The page loaded again in windows of these widths and heights, a telephone's if it is narrow, and at
+        last in its own."""
         for width, height in sizes:
             window = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 600}
             self.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", window)
@@ -95,6 +96,7 @@ class Browser:
             yield width, height
         self.driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
         self.open(self.driver.current_url)
+        yield 1440, 1000
 
     def keys(self, *keys: str) -> None:
         """Press keys, wherever the focus is."""

@@ -5,14 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from html.parser import HTMLParser
-from pathlib import Path
 
 import pytest
 
+from tests.support.places import SHIPPED
 from twinmatch.showing.report.report import SessionReport, make_report
-
-PROJECT = Path(__file__).resolve().parents[3]
-SHIPPED = PROJECT / "bags" / "four_setpoints"
 
 _VOID = {"meta", "img", "br", "link", "hr", "input", "base", "source"}
 

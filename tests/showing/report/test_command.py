@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import re
 import shutil
 import subprocess
 from pathlib import Path
@@ -35,6 +37,15 @@ def test_report_and_figures_are_written_and_named(report: Path) -> None:
     assert all(len(figure.pages) == 1 for figure in figures.values())
 
 
+def without_most_drawings(document: str) -> str:
+    """All but the last two pictures empty, of the same size: a PDF with all their lines is read slowly."""
+    pictures = re.findall(r"data:image/svg\+xml;base64,([^\"]+)", document)
+    for coded in pictures[:-2]:
+        empty = re.sub(rb"(<svg[^>]*>).*(</svg>)", rb"\1\2", base64.b64decode(coded), flags=re.DOTALL)
+        document = document.replace(coded, base64.b64encode(empty).decode())
+    return document
+
+
 def test_it_prints_on_numbered_a4_pages(report: Path, tmp_path: Path) -> None:
     from pypdf import PdfReader
 
@@ -42,7 +53,9 @@ def test_it_prints_on_numbered_a4_pages(report: Path, tmp_path: Path) -> None:
     if chromium is None:
         pytest.skip("chromium is not installed: apt-get install chromium")
     places = (f"--user-data-dir={tmp_path / 'profile'}", f"--print-to-pdf={tmp_path / 'report.pdf'}")
-    command = [chromium, "--headless=new", *CHROMIUM, "--no-pdf-header-footer", *places, report.as_uri()]
+    printed = tmp_path / "report.html"
+    printed.write_text(without_most_drawings(report.read_text(encoding="utf-8")), encoding="utf-8")
+    command = [chromium, "--headless=new", *CHROMIUM, "--no-pdf-header-footer", *places, printed.as_uri()]
     subprocess.run(command, check=True, capture_output=True, timeout=360)
     pages = PdfReader(tmp_path / "report.pdf").pages
     assert 5 <= len(pages) <= 15

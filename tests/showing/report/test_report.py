@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.support.places import SHIPPED
 from tests.support.rig import rig, run
 from twinmatch.comparing import ADMITTED
 from twinmatch.errors import TwinmatchError
@@ -35,7 +36,7 @@ from twinmatch.showing.summary import sentence
 from twinmatch.signals import Window
 from twinmatch.twin import TwinSettings
 
-from .conftest import SHIPPED, Element, grid, parse, tables_of
+from .conftest import Element, grid, parse, tables_of
 
 LOADS = {"src", "href", "srcset", "data", "poster", "action", "background", "xlink:href"}
 
@@ -87,6 +88,9 @@ def test_every_picture_is_there_with_words_for_those_who_cannot_see_it(page: Ele
         svg = base64.b64decode(data)
         assert ET.fromstring(svg).tag.endswith("svg")
         assert not re.search(rb"<script|(href|src)=\"http", svg)
+        assert (b"<image" in svg) is image.attributes["alt"].startswith("Shaded matrix"), (
+            "the others are drawings"
+        )
         assert len(image.attributes["alt"]) > 60
     assert "trusted" in next(i for i in images if "Trust over time" in i.attributes["alt"]).attributes["alt"]
 
@@ -246,6 +250,19 @@ def test_the_report_says_how_it_was_made(page: Element) -> None:
 def test_a_parameter_that_is_not_the_default_is_marked() -> None:
     changed = [s.name for s in settings_of(TwinSettings(decimals=3)) if s.changed]
     assert changed == ["decimals"]
+
+
+def test_a_library_without_metadata_has_no_known_version(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It may be used from a folder; the report is made all the same."""
+    monkeypatch.setattr("twinmatch.showing.report.report._LIBRARIES", ("numpy", "no-such-library"))
+    found = dict(provenance(SHIPPED, TwinSettings(), "", datetime.now(timezone.utc)).versions)
+    assert (found["numpy"], found["no-such-library"]) == (np.__version__, "version unknown")
+
+
+def test_figures_are_written_as_pictures_too(shipped: SessionReport, tmp_path: Path) -> None:
+    [path] = write_pictures({"nu_gap": shipped.pictures["nu_gap"]}, tmp_path / "figures", "png")
+    assert path.name == "nu_gap.png"
+    assert path.read_bytes().startswith(b"\x89PNG")
 
 
 def test_names_from_files_are_shown_and_not_run(tmp_path: Path) -> None:

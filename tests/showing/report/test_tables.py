@@ -68,16 +68,16 @@ def telling(verdict: Verdict) -> Verdict:
 def test_columns_without_a_figure_are_left_out(shipped: SessionReport) -> None:
     quiet = silent(verdict_of(shipped))
     assert order_table(quiet) is None
-    assert not {"90 % interval of Σ", "P(nominal)", "margin b(P, C)"} & set(gap_table(quiet).columns)
+    assert not {"90 % of Σ", "P(nominal)", "margin"} & set(gap_table(quiet).columns)
 
 
 def test_what_is_known_of_the_uncertainty_is_shown(shipped: SessionReport) -> None:
     table = gap_table(telling(verdict_of(shipped)))
     row = dict(zip(table.columns, (c.text for c in table.rows[1]), strict=True))
     total = verdict_of(shipped).candidates[1].nu_gap_sum
-    assert row["90 % interval of Σ"] == f"{total / 2:.3f} to {total + 0.2:.3f}"
+    assert row["90 % of Σ"] == f"{total / 2:.3f} to {total + 0.2:.3f}"
     assert row["P(nominal)"] == "0.25"
-    assert row["margin b(P, C)"] == "0.320"
+    assert row["margin"] == "0.320"
     weights = order_table(telling(verdict_of(shipped)))
     assert weights is not None
     assert [c.text for c in weights.rows[0]][1:] == [

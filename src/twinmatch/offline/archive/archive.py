@@ -67,17 +67,71 @@ def judge_archive(
         watch: called with (sessions done, total) after each session.
         on_skip: called with each session that cannot be used.
     """
-    paths = find_sessions(named)
-    run = _Run(_terms(config, candidates, plant, document), Store(out) if out else None, on_skip)
-    todo = run.start(paths)
-    reused, known = len(run.records), len(paths) - len(todo)
+    paths, terms = find_sessions(named), _terms(config, candidates, plant, document)
+    store, skip = Store(out) if out else None, on_skip or (lambda _failure: None)
     report = watch or (lambda _done, _total: None)
+    todo: list[Job] = []
+    keys: dict[int, str] = {}
+    failed: dict[int, Failure] = {}
+    records: dict[int, dict[str, Any]] = {}
+
+    def hold(number: int, record: dict[str, Any]) -> None:
+        """Keep a record without its verdicts, as those of a large archive do not fit into memory."""
+        records[number] = {key: value for key, value in record.items() if key != "verdicts"}
+
+    def fail(number: int, reason: str) -> None:
+        failed[number] = Failure(paths[number], reason)
+        skip(failed[number])
+
+    described = _described(terms)
+    for number, path in enumerate(paths):
+        try:
+            content = content_of(path)
+        except OSError as error:
+            reason = "does not exist" if isinstance(error, FileNotFoundError) else error.strerror
+            fail(number, f"{path}: {reason}")
+            continue
+        keys[number] = key_of(content, described)
+        kept = store.find(path, keys[number]) if store else None
+        if kept is not None:
+            hold(number, kept)
+        else:
+            todo.append(Job(number, path.resolve(), content, terms))
+    reused, known = len(records), len(paths) - len(todo)
     report(known, len(paths))
     with contextlib.closing(_outcomes(todo, jobs, scheduler)) as outcomes:
-        for done, outcome in enumerate(outcomes, known + 1):
-            run.take(paths[outcome.number], outcome)
+        for done, (number, record, why) in enumerate(outcomes, known + 1):
+            if record is None:
+                fail(number, why)
+            else:
+                if store is not None:
+                    store.keep(paths[number], keys[number], record)
+                hold(number, record)
             report(done, len(paths))
-    return run.archive(paths, reused)
+    return _archive(paths, records, tuple(failed[number] for number in sorted(failed)), reused)
+
+
+def _archive(
+    paths: list[Path], records: dict[int, dict[str, Any]], failed: tuple[Failure, ...], reused: int
+) -> Archive:
+    """All results, in the order in which the sessions were given."""
+    held = sorted(records.items())
+    alike = Counter(record["session"] for _, record in held)
+    names = {k: r["session"] if alike[r["session"]] == 1 else str(paths[k]) for k, r in held}
+    return Archive(
+        sessions=tuple(
+            {"session": names[k], "path": str(paths[k]), "summary": record["summary"]} for k, record in held
+        ),
+        candidates=tuple(row | {"session": names[k]} for k, record in held for row in record["candidates"]),
+        failed=failed,
+        reused=reused,
+    )
+
+
+def _described(terms: ArchiveTerms) -> str:
+    from twinmatch.dynamics.store import source_hash  # noqa: PLC0415 — imports numpy
+
+    return repr((terms.settings, terms.given, terms.fixed, source_hash(terms.settings.plant)))
 
 
 def _terms(
@@ -101,73 +155,3 @@ def _outcomes(todo: list[Job], jobs: int | None, scheduler: str | None) -> Gener
         yield from judge_in_processes(todo, jobs or cores())
     else:
         yield from judge_on_cluster(todo, scheduler)
-
-
-class _Run:
-    """Results of a run so far."""
-
-    def __init__(
-        self, terms: ArchiveTerms, store: Store | None, on_skip: Callable[[Failure], None] | None
-    ) -> None:
-        self.records: dict[int, dict[str, Any]] = {}
-        self._failed: dict[int, Failure] = {}
-        self._keys: dict[int, str] = {}
-        self._terms = terms
-        self._store = store
-        self._on_skip = on_skip or (lambda _failure: None)
-
-    def start(self, paths: list[Path]) -> list[Job]:
-        """Load results of earlier runs; return the sessions left to judge."""
-        from twinmatch.dynamics.store import source_hash  # noqa: PLC0415 — imports numpy
-
-        todo = []
-        terms = self._terms
-        described = repr((terms.settings, terms.given, terms.fixed, source_hash(terms.settings.plant)))
-        for number, path in enumerate(paths):
-            try:
-                content = content_of(path)
-            except OSError as error:
-                reason = "does not exist" if isinstance(error, FileNotFoundError) else error.strerror
-                self._fail(number, path, f"{path}: {reason}")
-                continue
-            self._keys[number] = key_of(content, described)
-            kept = self._store.find(path, self._keys[number]) if self._store else None
-            if kept is not None:
-                self._hold(number, kept)
-            else:
-                todo.append(Job(number, path.resolve(), content, terms))
-        return todo
-
-    def take(self, path: Path, outcome: JobResult) -> None:
-        """Keep the outcome of a session."""
-        if outcome.record is None:
-            self._fail(outcome.number, path, outcome.error)
-            return
-        if self._store is not None:
-            self._store.keep(path, self._keys[outcome.number], outcome.record)
-        self._hold(outcome.number, outcome.record)
-
-    def archive(self, paths: list[Path], reused: int) -> Archive:
-        """All results, in the order in which the sessions were given."""
-        held = sorted(self.records.items())
-        alike = Counter(record["session"] for _, record in held)
-        names = {k: r["session"] if alike[r["session"]] == 1 else str(paths[k]) for k, r in held}
-        return Archive(
-            sessions=tuple(
-                {"session": names[k], "path": str(paths[k]), "summary": record["summary"]}
-                for k, record in held
-            ),
-            candidates=tuple(
-                row | {"session": names[k]} for k, record in held for row in record["candidates"]
-            ),
-            failed=tuple(failure for _, failure in sorted(self._failed.items())),
-            reused=reused,
-        )
-
-    def _hold(self, number: int, record: dict[str, Any]) -> None:
-        """Keep a record without its verdicts, as those of a large archive do not fit into memory."""
-        self.records[number] = {key: value for key, value in record.items() if key != "verdicts"}
-
-    def _fail(self, number: int, path: Path, reason: str) -> None:
-        self._failed[number] = Failure(path, reason)
-        self._on_skip(self._failed[number])

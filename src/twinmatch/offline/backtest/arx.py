@@ -149,11 +149,11 @@ class _Loop(NamedTuple):
 _Model = TypeVar("_Model", Equation, _Loop)
 
 
-class LoopArx(Peer):
+class Arx(Peer):
     """Output and input regressed on the past of both, of the set-point and of the measured disturbances,
-    refitted to all samples so far.
+    refitted to all samples so far; where the loop is not known, the output alone.
 
-    The order is the one of least BIC among those with a stable loop. The loop is simulated ahead with the
+    The order is the one of least BIC among those that are stable. The loop is simulated ahead with the
     future set-points and the drive's limits. The band is Gaussian: the variance of the residuals, propagated
     along the simulated path; the limiter passes the share of a deviation that lies within the limits
     (statistical linearisation).
@@ -162,16 +162,25 @@ class LoopArx(Peer):
     name = "ARX"
 
     def forecast(self, past: Window, ahead: FloatArray, disturbances: FloatArray | None = None) -> Forecast:
-        """Forecast one sample for each set-point ahead; see `Peer`."""
+        """Forecast one sample for each set-point, or input, ahead; see `Peer`."""
         self._require(past, LEAST)
         noise = np.array([self._plant.output.noise, self._plant.drive.noise])
         level = np.array([past.output.mean(), past.input.mean()])
-        reference, output = ((x - level[0]) / noise[0] for x in (past.reference, past.output))
-        entry = (past.input - level[1]) / noise[1]
+        output, entry = (past.output - level[0]) / noise[0], (past.input - level[1]) / noise[1]
+        others, n = with_disturbances(past, ahead.size, disturbances), len(past)
+        highest, measured = min(HIGHEST, n // PER_ORDER), [d[:n] for d in others.T]
+        width = ndtri((1.0 + self._confidence) / 2.0)
+        if self._driven:
+            chosen = _chosen(input_equations(output, entry, highest, *measured))
+            given = np.column_stack([np.concatenate([entry, (ahead - level[1]) / noise[1]]), others])
+            middle = level[0] + noise[0] * _mean(chosen, output, given, ahead.size)
+            reach = width * noise[0] * _spread(chosen, ahead.size)
+            band = Band(np.clip(middle, *self._plant.output.span), middle - reach, middle + reach)
+            return self._told(past, ahead, band)
+        reference = (past.reference - level[0]) / noise[0]
         limits = (np.array(self._plant.drive.limits) - level[1]) / noise[1]
         span = (np.array(self._plant.output.span) - level[0]) / noise[0]
-        others, n = with_disturbances(past, ahead.size, disturbances), len(past)
-        found = equations(reference, output, entry, min(HIGHEST, n // PER_ORDER), *(d[:n] for d in others.T))
+        found = equations(reference, output, entry, highest, *measured)
         mean, spread = _simulated(
             _chosen([_Loop(*pair) for pair in found]),
             (reference, output, entry),
@@ -179,7 +188,7 @@ class LoopArx(Peer):
             others,
             (span, limits),
         )
-        reach = ndtri((1.0 + self._confidence) / 2.0) * spread
+        reach = width * spread
         bands = [
             Band(*(level[j] + noise[j] * x[:, j] for x in (mean, mean - reach, mean + reach)))
             for j in range(2)
@@ -274,34 +283,6 @@ def _run_ahead(
         for j in range(ahead.shape[1]):
             lags[0, 2 + j] = ahead[k, j]
     return means, spreads
-
-
-class InputArx(Peer):
-    """The output regressed on its past, the input's and the measured disturbances', refitted to all samples
-    so far.
-
-    The order is the one of least BIC among those that are stable. The band is Gaussian: the propagated
-    variance of the residuals.
-    """
-
-    name = "ARX"
-
-    def forecast(self, past: Window, ahead: FloatArray, disturbances: FloatArray | None = None) -> Forecast:
-        """Forecast one sample for each input ahead; see `Peer`."""
-        self._require(past, LEAST)
-        noise = self._plant.output.noise
-        levels = float(past.output.mean()), float(past.input.mean())
-        y, u = (past.output - levels[0]) / noise, (past.input - levels[1]) / self._plant.drive.noise
-        later = (ahead - levels[1]) / self._plant.drive.noise
-        others, n = with_disturbances(past, ahead.size, disturbances), len(past)
-        highest = min(HIGHEST, n // PER_ORDER)
-        chosen = _chosen(input_equations(y, u, highest, *(d[:n] for d in others.T)))
-        given = np.column_stack([np.concatenate([u, later]), others])
-        mean = levels[0] + noise * _mean(chosen, y, given, ahead.size)
-        reach = ndtri((1.0 + self._confidence) / 2.0) * noise * _spread(chosen, ahead.size)
-        low, high = self._plant.output.span
-        band = Band(np.clip(mean, low, high), mean - reach, mean + reach)
-        return self._told(past, ahead, band)
 
 
 def _mean(equation: Equation, output: FloatArray, given: FloatArray, count: int) -> FloatArray:

@@ -26,9 +26,12 @@ class Peer(ABC):
 
     name: ClassVar[str]
     """Name in tables and figures."""
+    takes_inputs: ClassVar = True
+    """Whether it can forecast an output alone, under given inputs."""
 
-    def __init__(self, plant: type[Plant], confidence: float = CONFIDENCE) -> None:
-        self._plant, self._confidence = plant, confidence
+    def __init__(self, plant: type[Plant], confidence: float = CONFIDENCE, *, driven: bool = False) -> None:
+        """`driven`: whether the loop is not known, so that the future inputs are given."""
+        self._plant, self._confidence, self._driven = plant, confidence, driven
 
     @staticmethod
     def missing() -> str:

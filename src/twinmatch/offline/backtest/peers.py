@@ -11,7 +11,7 @@ import numpy as np
 
 from twinmatch.dynamics import Plant
 from twinmatch.forecasting import Band, Forecast, ForecastError
-from twinmatch.offline.backtest.arx import InputArx, LoopArx
+from twinmatch.offline.backtest.arx import Arx
 from twinmatch.offline.backtest.peer import BacktestError, Peer
 from twinmatch.signals import FloatArray, Window
 
@@ -22,7 +22,7 @@ _LAGS = 25
 
 
 class Persistence(Peer):
-    """Output and input keep their newest values.
+    """Output and, in a loop, input keep their newest values.
 
     The band at h samples ahead is given by the quantiles of y[j+h] − y[j] over all past j. A lag for which
     the past is too short gets the widest known one, times the root of the ratio of the lags, as for a random
@@ -37,9 +37,10 @@ class Persistence(Peer):
         ahead: FloatArray,
         disturbances: FloatArray | None = None,  # noqa: ARG002 (a part of the interface that it cannot use)
     ) -> Forecast:
-        """Forecast one sample for each set-point ahead; see `Peer`."""
+        """Forecast one sample for each set-point, or input, ahead; see `Peer`."""
         self._require(past, _LEAST + 1)
-        return self._told(past, ahead, *self._bands(np.array([past.output, past.input]), ahead.size))
+        signals = [past.output] if self._driven else [past.output, past.input]
+        return self._told(past, ahead, *self._bands(np.array(signals), ahead.size))
 
     def _bands(self, signals: FloatArray, count: int) -> list[Band]:
         """The bands of these signals, shape (signals, N), at the next `count` samples."""
@@ -55,14 +56,6 @@ class Persistence(Peer):
             low, high = (newest + growth * np.interp(ahead, lags, end) for end in ends[:, :, k].T)
             found.append(Band(np.full(count, newest), low, high))
         return found
-
-
-class OutputPersistence(Persistence):
-    """The output keeps its newest value; the band is that of `Persistence`."""
-
-    def forecast(self, past: Window, ahead: FloatArray, disturbances: FloatArray | None = None) -> Forecast:
-        """Forecast one sample for each input ahead; see `Peer`."""
-        return self._told(past, ahead, super().forecast(past, ahead, disturbances).output)
 
 
 _VAR_LEAST = 120
@@ -88,6 +81,7 @@ class VectorAutoregression(Peer):
     """
 
     name = "statsmodels VAR"
+    takes_inputs = False
 
     @staticmethod
     def missing() -> str:
@@ -166,14 +160,9 @@ def order_of_least_bic(signals: FloatArray, exogenous: FloatArray) -> int | None
 
 
 PEERS: Final[Mapping[str, type[Peer]]] = MappingProxyType(
-    {"persistence": Persistence, "arx": LoopArx, "statsmodels": VectorAutoregression}
+    {"persistence": Persistence, "arx": Arx, "statsmodels": VectorAutoregression}
 )
 """The peers by name."""
-
-_DRIVEN: Final[Mapping[str, type[Peer]]] = MappingProxyType(
-    {"persistence": OutputPersistence, "arx": InputArx}
-)
-"""The same for a plant whose loop is not known."""
 
 
 class Absent(NamedTuple):
@@ -199,10 +188,10 @@ def peers(
         if name not in PEERS:
             raise BacktestError(f"backtest: no peer {name!r}; choose from {', '.join(PEERS)}")
         missing = PEERS[name].missing()
-        if driven and name not in _DRIVEN:
+        if driven and not PEERS[name].takes_inputs:
             missing = "it forecasts output and input of a loop; here the inputs are given"
         if missing:
             absent.append(Absent(PEERS[name].name, missing))
         else:
-            found.append((_DRIVEN if driven else PEERS)[name](plant))
+            found.append(PEERS[name](plant, driven=driven))
     return found, absent

@@ -322,16 +322,11 @@ def over_all(found: Sequence[Backtest]) -> Backtest:
     for number, each in enumerate(found, 1):
         mine = f"{each.name} ({number})" if names.count(each.name) > 1 else each.name
         marked += [replace(one, session=mine) for one in each.marked]
-    return Backtest(
+    return replace(
+        first,
         name=f"all {len(found)} sessions",
-        plant=first.plant,
-        period=first.period,
-        horizons=first.horizons,
-        confidence=first.confidence,
         marked=tuple(marked),
-        came=first.came,
         pictured=first.name,
-        shown=first.shown,
         absent=tuple(dict.fromkeys(a for each in found for a in each.absent)),
         notes=tuple(f"{each.name}: {note}" for each in found for note in each.notes),
     )

@@ -9,12 +9,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 from twinmatch.errors import TwinmatchError
+from twinmatch.showing.quantities import Signals, with_unit
 from twinmatch.showing.style import PLANT, SET_POINT, rc
 from twinmatch.signals import FloatArray, Window
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.gridspec import SubplotSpec
 
 
 P = ParamSpec("P")
@@ -42,10 +44,11 @@ def new_figure(width: float, height: float) -> Figure:
     return Figure(figsize=(width, height), layout="constrained")
 
 
-def stack(figure: Figure, ratios: Sequence[float]) -> list[Axes]:
-    """Axes below one another that share one time axis, with these ratios of heights."""
+def stack(figure: Figure, ratios: Sequence[float], cell: SubplotSpec | None = None) -> list[Axes]:
+    """Axes with one time axis below one another, heights in these ratios, in the figure or a cell of it."""
     axes: list[Axes] = []
-    grid = figure.add_gridspec(len(ratios), 1, height_ratios=list(ratios))
+    shape: Any = {"nrows": len(ratios), "ncols": 1, "height_ratios": list(ratios)}
+    grid = figure.add_gridspec(**shape) if cell is None else cell.subgridspec(**shape)
     for row in range(len(ratios)):
         axes.append(figure.add_subplot(grid[row, 0], sharex=axes[0] if axes else None))
     for each in axes[:-1]:
@@ -104,6 +107,13 @@ def time_axis(axes: Axes, period: float, first: int, last: int) -> None:
     """Label the time axis in seconds and limit it to the samples."""
     axes.set_xlim(first * period, max(last * period, first * period + period))
     axes.set_xlabel("time since the session began / s")
+
+
+def name_signals(axes: Sequence[Axes], signals: Signals, difference: str) -> None:
+    """Label output, input, and the differences of both, as far as there are axes."""
+    labels = [signal.label for signal in signals] + [with_unit(difference, signal.unit) for signal in signals]
+    for each, label in zip(axes, labels, strict=False):
+        each.set_ylabel(label)
 
 
 def empty(axes: Axes, words: str) -> None:

@@ -15,11 +15,12 @@ from twinmatch.showing.figures.drawing import (
     draw_inputs,
     draw_outputs,
     empty,
+    name_signals,
     new_figure,
     stack,
     styled,
 )
-from twinmatch.showing.quantities import ParameterFormat, parameter_format, signal_names, with_unit
+from twinmatch.showing.quantities import ParameterFormat, parameter_format, signal_names
 from twinmatch.showing.style import CLOSED, FAMILY_MAP, MATRIX_MAP, MODEL, ORDERS, PLANT, SET_POINT, TEXT
 from twinmatch.signals import FloatArray
 from twinmatch.twin import MatchReport, response_on
@@ -187,15 +188,13 @@ def draw_responses(members: Sequence[Member]) -> Figure:
     figure = new_figure(10, 2.7 * rows + 0.3)
     grids = figure.add_gridspec(rows, columns, wspace=0.04, hspace=0.06)
     for k, member in enumerate(members):
-        inner = grids[k // columns, k % columns].subgridspec(2, 1, height_ratios=(3, 2))
-        upper = figure.add_subplot(inner[0])
-        control = figure.add_subplot(inner[1], sharex=upper)
+        upper, control = stack(figure, (3, 2), grids[k // columns, k % columns])
         _draw_member(upper, control, member)
         if k % columns == 0:
             signals = signal_names(member.settings.plant)
-            upper.set_ylabel(signals.output_label)
-            control.set_ylabel(signals.input_label)
-        if k // columns == rows - 1 or k + columns >= len(members):
+            upper.set_ylabel(signals.output.label)
+            control.set_ylabel(signals.input.label)
+        if k + columns >= len(members):
             control.set_xlabel("time / s")
         if k == 0:
             named = upper.get_legend_handles_labels()
@@ -217,7 +216,6 @@ def _draw_member(upper: Axes, control: Axes, member: Member) -> None:
         control.plot(time, model.input, color=MODEL, lw=0.8, ls=(0, (1, 1.2)))
     mark = ", nominal" if member.nominal else ""
     upper.set_title(f"{member.score.name}, order {order}{mark}", weight="bold" if member.nominal else None)
-    upper.tick_params(labelbottom=False)
     upper.margins(x=0.01)
 
 
@@ -242,10 +240,7 @@ def draw_uncertainty(members: Sequence[Member]) -> Figure:
     _draw_spread(axes[2], time, np.stack([answer.output for answer in answers]), members)
     _draw_spread(axes[3], time, np.stack([answer.input for answer in answers]), members)
     signals = signal_names(nominal.settings.plant)
-    labels = [signals.output_label, signals.input_label]
-    labels += [with_unit("minus nominal", unit) for unit in (signals.output_unit, signals.input_unit)]
-    for each, label in zip(axes, labels, strict=True):
-        each.set_ylabel(label)
+    name_signals(axes, signals, "minus nominal")
     axes[-1].set_xlabel("time since the session began / s")
     axes[0].margins(x=0.005)
     figure.align_ylabels(axes)

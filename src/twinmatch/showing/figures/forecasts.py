@@ -18,6 +18,7 @@ from twinmatch.showing.figures.drawing import (
     draw_set_point,
     empty,
     new_figure,
+    stack,
     styled,
 )
 from twinmatch.showing.quantities import signal_names, with_unit
@@ -49,19 +50,15 @@ def draw_forecasts(fans: Sequence[Fan], plant: type[Plant]) -> Figure:
         return figure
     grids, signals = figure.add_gridspec(rows, columns, wspace=0.04, hspace=0.06), signal_names(plant)
     for k, fan in enumerate(fans):
-        inner = grids[k // columns, k % columns].subgridspec(3, 1, height_ratios=(3, 1.6, 2))
-        output = figure.add_subplot(inner[0])
-        error, control = (figure.add_subplot(inner[row], sharex=output) for row in (1, 2))
+        output, error, control = stack(figure, (3, 1.6, 2), grids[k // columns, k % columns])
         _draw(output, control, fan)
         _draw_error(error, fan)
         if k % columns == 0:
-            output.set_ylabel(signals.output_label)
-            error.set_ylabel(with_unit("measured −\nforecast", signals.output_unit))
-            control.set_ylabel(signals.input_label)
+            output.set_ylabel(signals.output.label)
+            error.set_ylabel(with_unit("measured −\nforecast", signals.output.unit))
+            control.set_ylabel(signals.input.label)
         if k + columns >= len(fans):
             control.set_xlabel("time after that sample / s")
-        for axes in (output, error):
-            axes.tick_params(labelbottom=False)
     known: dict[str, Artist] = {}  # each label once
     for axes in figure.axes:
         for line, label in zip(*axes.get_legend_handles_labels(), strict=True):
@@ -228,10 +225,10 @@ def _dress(axes: Sequence[Axes], backtest: Backtest) -> None:
         output.set_xlim(begin - 0.2 * reach, last + 1.1 * reach)
     whose = backtest.pictured or backtest.name
     output.set_title(f"{whose}: forecasts of the leader")
-    output.set_ylabel(words.output_label)
-    left.set_ylabel(with_unit("measured − forecast", words.output_unit))
+    output.set_ylabel(words.output.label)
+    left.set_ylabel(with_unit("measured − forecast", words.output.unit))
     left.axhline(0, color=SET_POINT, lw=0.6)
-    entry.set_ylabel(words.input_label)
+    entry.set_ylabel(words.input.label)
     entry.set_xlabel("time since the session began / s")
     for each in (output, left):
         each.tick_params(labelbottom=False)

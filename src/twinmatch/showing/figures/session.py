@@ -16,6 +16,7 @@ from twinmatch.showing.figures.drawing import (
     draw_outputs,
     empty,
     legend_above,
+    name_signals,
     new_figure,
     save,
     stack,
@@ -23,7 +24,7 @@ from twinmatch.showing.figures.drawing import (
     time_axis,
 )
 from twinmatch.showing.figures.family import draw_gains, fill_matrix
-from twinmatch.showing.quantities import signal_names, with_unit
+from twinmatch.showing.quantities import signal_names
 from twinmatch.showing.series import Comparison, compare, rolling_rms
 from twinmatch.showing.style import CLOSED, DRIVEN, LEVELS, PLANT, SET_POINT, TEXT
 from twinmatch.showing.verdicts import admitted, last_verdict, level_stretches
@@ -61,10 +62,7 @@ def draw_session(samples: Sequence[Sample], verdicts: Sequence[Verdict], setting
         _draw_twins(axes[0], axes[1], part, first=number == 0)
         _draw_residuals(axes[2:], part, first=number == 0)
     signals = signal_names(settings.plant)
-    labels = [signals.output_label, signals.input_label]
-    labels += [with_unit("plant − twin", unit) for unit in (signals.output_unit, signals.input_unit)]
-    for each, label in zip(axes, labels, strict=False):
-        each.set_ylabel(label)
+    name_signals(axes, signals, "plant − twin")
     if parts:
         _limit(axes[2], [p.closed_residual_y for p in parts] + [p.driven_residual_y for p in parts])
     if parts and closed:
@@ -132,10 +130,10 @@ def draw_health(
     first, period = samples[0].index, settings.period
     _draw_levels(axes[0], verdicts, period, first)
     signals = signal_names(settings.plant)
-    for each, attribute, name in ((axes[1], "miss_y", signals.output), (axes[2], "miss_u", signals.input)):
+    for each, attribute, signal in zip(axes[1:3], ("miss_y", "miss_u"), signals, strict=True):
         _draw_misses(each, verdicts, attribute, period, settings.limits.doubtful)
-        each.set_ylabel(f"{name}\nmiss / half band")
-    _draw_matches(axes[3], matches, admitted(verdicts), period, signals.output_unit)
+        each.set_ylabel(f"{signal.name}\nmiss / half band")
+    _draw_matches(axes[3], matches, admitted(verdicts), period, signals.output.unit)
     time_axis(axes[-1], period, first, samples[-1].index)
     figure.align_ylabels(axes)
     return figure
@@ -216,8 +214,8 @@ def draw_verdict(
         if part.closed is not None:
             control.plot(part.time, part.closed.input, color=CLOSED, lw=0.8)
     signals = signal_names(settings.plant)
-    for axes, label in ((upper, signals.output_label), (control, signals.input_label)):
-        axes.set_ylabel(label)
+    for axes, signal in zip((upper, control), signals, strict=True):
+        axes.set_ylabel(signal.label)
         axes.tick_params(labelbottom=False)
     legend_above(upper, 3)
     if shown is not None:

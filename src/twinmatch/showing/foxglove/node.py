@@ -43,7 +43,7 @@ class _Last(NamedTuple):
     at: int
 
 
-class GraphServer:
+class GraphServer(ServerListener):
     """Channels in CDR with `ros2msg` schemas, as in sessions; viewers cannot send anything.
 
     A new subscriber receives the newest message of the topic at once, so that it shows the current verdict
@@ -64,7 +64,7 @@ class GraphServer:
         try:
             place: dict[str, Any] = {"name": name, "host": address, "port": port, "context": self._context}
             able: dict[str, Any] = {"capabilities": [Capability.Time], "message_backlog_size": BACKLOG}
-            self._server = start_server(**place, **able, server_listener=_Listener(self))
+            self._server = start_server(**place, **able, server_listener=self)
         except RuntimeError as error:
             cause = re.sub(r"^.*Failed to bind port: | \(os error \d+\)$", "", str(error))
             raise unusable("foxglove", address, port, cause) from error
@@ -75,7 +75,7 @@ class GraphServer:
     @property
     def viewers(self) -> int:
         """Number of viewers with a subscription."""
-        return sum(1 for topics in tuple(self._viewers.values()) if topics)
+        return sum(bool(topics) for topics in tuple(self._viewers.values()))
 
     def offers(self, topic: str) -> bool:
         """Whether a topic is advertised."""
@@ -120,32 +120,16 @@ class GraphServer:
         """Stop; viewers reconnect automatically."""
         self._server.stop()
 
-    def joined(self, viewer: int, channel: int) -> None:
-        """Send a viewer the newest message of a channel that it has subscribed to."""
-        self._viewers.setdefault(viewer, set()).add(channel)
-        last = self._last.get(channel)
-        if last is not None:
-            last.channel.log(last.data, log_time=last.at, sink_id=viewer)
-
-    def left(self, viewer: int, channel: int) -> None:
-        """Note that a viewer has unsubscribed from a channel."""
-        channels = self._viewers.get(viewer, set())
-        channels.discard(channel)
-        if not channels:
-            self._viewers.pop(viewer, None)
-
-
-class _Listener(ServerListener):
-    """Called by a thread of the SDK."""
-
-    def __init__(self, server: GraphServer) -> None:
-        self._server = server
-
     def on_subscribe(self, client: Client, channel: ChannelView) -> None:
-        self._server.joined(client.id, channel.id)
+        """Send a viewer the newest message of a channel; called by a thread of the SDK, as the next."""
+        self._viewers.setdefault(client.id, set()).add(channel.id)
+        last = self._last.get(channel.id)
+        if last is not None:
+            last.channel.log(last.data, log_time=last.at, sink_id=client.id)
 
     def on_unsubscribe(self, client: Client, channel: ChannelView) -> None:
-        self._server.left(client.id, channel.id)
+        """Note that a viewer has unsubscribed from a channel."""
+        self._viewers.get(client.id, set()).discard(channel.id)
 
 
 class StreamTime:

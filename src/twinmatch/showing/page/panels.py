@@ -10,19 +10,19 @@ from itertools import islice
 from twinmatch.comparing import TrustLevel, Verdict
 from twinmatch.description import Quantity
 from twinmatch.offline.summary import TrustRange
-from twinmatch.showing.family import computed, criterion_rows
+from twinmatch.showing.family import FIGURES, computed, criterion_rows, for_both, outputs_of
 from twinmatch.showing.page.health import NodeReports
 from twinmatch.showing.page.state import DashboardState, WhatIfAnswer
 from twinmatch.showing.page.style import DARK, MARK_INKS, MARK_SIGNS, SIGNS
-from twinmatch.showing.quantities import number, parameter_format, span_text, with_unit
+from twinmatch.showing.quantities import number, parameter_format, with_unit
 from twinmatch.showing.style import LEVELS
-from twinmatch.showing.verdicts import COLUMNS, Event, level_words, row
+from twinmatch.showing.verdicts import Event, fault_words, level_words, row
 
 RECENT = 80
 """Events in the table."""
 SILENCE = 5.0
 """Periods, but at least seconds, without a sample after which the page reports it."""
-IN_WORDS = ("level", "leader", "nominal", "why")
+IN_WORDS = ("level", "decided", "leader", "nominal", "why")
 """Columns of the terminal's table that the page shows elsewhere."""
 DASH = "–"
 NO_CANDIDATE = '<p class="quiet">There is no candidate yet: no match has been admitted.</p>'
@@ -119,9 +119,9 @@ def _health(state: DashboardState) -> str:
         return _answer("plant health", "not known yet", "no verdict yet")
     if not verdict.fault:
         return _answer("plant health", "✓ no fault found", "drive and sensor behave as expected")
-    name = f"{SIGNS[TrustLevel.FAULT]} {verdict.fault.replace('-', ' ')}"
-    since = verdict.fault_since
-    at = "" if since is None else f"since {number(since * state.period, 0)} s: "
+    name, _, since = fault_words(verdict, state.period).partition(" since ")
+    at = f"since {since}: " if since else ""
+    name = f"{SIGNS[TrustLevel.FAULT]} {name.replace('-', ' ')}"
     return _answer("plant health", name, escape(f"{at}{verdict.reason}"))
 
 
@@ -129,11 +129,11 @@ def reasons(verdict: Verdict | None, period: float, sentence: str = "") -> str:
     """The newest verdict in figures and text, and the session in a sentence."""
     if verdict is None:
         return '<p class="quiet">no verdict yet</p>'
-    cells = dict(zip(COLUMNS, row(verdict, period), strict=True))
+    cells = row(verdict, period)
     more = f"<p><b>{escape(sentence)}</b></p>" if sentence else ""
-    more += "".join(f"<p>{escape(words)}</p>" for words in _more(verdict))
+    more += "".join(f"<p>{escape(words)}</p>" for words in _more(verdict, period))
     figures = _tiles(
-        [("judged at / s" if n == COLUMNS[0] else n, cell) for n, cell in cells.items() if n not in IN_WORDS]
+        [("judged at / s" if n == "t / s" else n, cell) for n, cell in cells.items() if n not in IN_WORDS]
     )
     why = f'<p><span class="label">newest verdict:</span> {escape(verdict.reason)}</p>'
     return f'<div class="why">{figures}{why}{more}</div>'
@@ -202,26 +202,21 @@ def family_table(verdict: Verdict | None, *, every: bool) -> str:
     """The candidates with their criteria for both outputs together: `every` order, or the chosen one."""
     if verdict is None or not verdict.candidates:
         return NO_CANDIDATE
-    criteria = computed(verdict.candidates)
-    head = [("candidate", ""), ("order", ""), *((c.name, c.unit) for c in criteria)]
-    head += [("Σ ν-gap", ""), ("90 % of Σ", ""), ("P(nominal)", ""), ("ν-gap now", ""), ("margin", "b(P, C)")]
+    criteria = computed(verdict.modelled)
     of = verdict.candidates[0].parameters.model
     matched = [parameter_format(of.plant, name) for name in of.structure.free]
-    head += [(q.symbol, q.unit) for q in matched]
+    columns = [*for_both(verdict.candidates[0], criteria), *FIGURES]
+    head = [("candidate", "", ""), ("order", "", ""), *((c.name, c.unit, c.meaning) for c in columns)]
+    head += [(q.symbol, q.unit, q.words) for q in matched]
     lines = []
-    for candidate in verdict.candidates:
+    for candidate in verdict.modelled:
         nominal = candidate.name == verdict.nominal
         tag = '<span class="tag">nominal</span>' if nominal else ""
-        rest = [
-            number(candidate.nu_gap_sum, 3),
-            span_text(candidate.nu_gap_sum_low, candidate.nu_gap_sum_high, 2),
-            number(candidate.nominal_probability, 2),
-            number(candidate.nu_gap_to_plant, 3),
-            number(candidate.margin, 3),
-            *(q.text(candidate.parameters.get(q.name, math.nan)) for q in matched),
-        ]
+        rest = [column.text(candidate) for column in FIGURES]
+        rest += [q.text(candidate.parameters.get(q.name, math.nan)) for q in matched]
+        both, _ = outputs_of(candidate.orders)[-1]  # in open loop the output alone
         for line in criterion_rows(candidate, criteria):
-            if line.output != "total" or not (every or line.chosen):
+            if line.output != both or not (every or line.chosen):
                 continue
             cells = [f"<td>{escape(candidate.name)}{tag}</td>" if line.chosen else "<td></td>"]
             cells.append(f'<td class="left">{escape(line.order)}{" ✓" if line.chosen else ""}</td>')
@@ -249,7 +244,7 @@ def events_table(events: Iterable[Event], session: int, period: float) -> str:
         )
     if not lines:
         return '<p class="quiet">Nothing has happened yet.</p>'
-    return _table([("t", "s"), ("what and why", "")], lines, "events")
+    return _table([("t", "s", ""), ("what and why", "", "")], lines, "events")
 
 
 def nodes(reports: NodeReports, now: float) -> str:
@@ -282,10 +277,9 @@ def notice(state: DashboardState) -> str:
     return f'<p class="{"good" if said.done else "bad"}">{escape(said.text)}</p>' if said else ""
 
 
-def _more(verdict: Verdict) -> list[str]:
+def _more(verdict: Verdict, period: float) -> list[str]:
     """Further statements of a verdict: fault, certainty, structure."""
-    since = "" if verdict.fault_since is None else f" since sample {verdict.fault_since}"
-    fault = verdict.fault and f"the plant shows {verdict.fault}{since}"
+    fault = verdict.fault and f"the plant shows {fault_words(verdict, period)}"
     structure = verdict.structure and f"structure that the samples justify: {verdict.structure}"
     return [line for line in (fault, verdict.certainty, structure) if line]
 
@@ -304,10 +298,12 @@ def _pill(level: TrustLevel | None, words: str) -> str:
     return f'<span class="pill">{dot}{escape(words)}</span>'
 
 
-def _table(head: Sequence[tuple[str, str]], lines: Sequence[str], kind: str = "") -> str:
+def _table(head: Sequence[tuple[str, str, str]], lines: Sequence[str], kind: str = "") -> str:
+    """A table from names, units and meanings of its columns and its rows."""
     names = "".join(
-        f"<th{' class=left' if k == 1 else ''}>{escape(name)}<small>{escape(unit)}</small></th>"
-        for k, (name, unit) in enumerate(head)
+        f'<th{" class=left" if k == 1 else ""} title="{escape(meaning)}">{escape(name)}'
+        f"<small>{escape(unit)}</small></th>"
+        for k, (name, unit, meaning) in enumerate(head)
     )
     return (
         f'<div class="scroll" tabindex="0"><table class="{kind}"><thead><tr>{names}</tr></thead>'

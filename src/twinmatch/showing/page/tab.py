@@ -57,20 +57,6 @@ def _entry(title: str, width: int, **limits: float) -> NumericInput:
     return NumericInput(title=title, mode="float", width=width, stylesheets=[BUTTONS], **limits)
 
 
-class SpanButtons:
-    """Selects how much time the charts show."""
-
-    def __init__(self) -> None:
-        """Start with twenty minutes."""
-        names = [name for name, _ in SPANS]
-        self.root = RadioButtonGroup(name="span", labels=names, active=DEFAULT_SPAN, stylesheets=[BUTTONS])
-
-    def samples(self, period: float, most: int) -> int:
-        """The selected span as a number of samples; at most `most`."""
-        seconds = SPANS[self.root.active if self.root.active is not None else DEFAULT_SPAN][1]
-        return min(most, max(1, round(seconds / period))) if seconds else most
-
-
 class PlayerButtons:
     """Pause and speed of a session being played; hidden when there is none."""
 
@@ -104,40 +90,31 @@ class PlayerButtons:
             self._requests.rate(RATES[new])
 
 
-class QuestionForm:
-    """The what-if question: a forecast for another set-point. Asking does not move the plant."""
+def question_form(requests: Requests, label: str) -> Row:
+    """The what-if question: a forecast for another set-point, named by `label`. Nothing is moved."""
+    level, hold = _entry(label, 110), _entry("for / s (empty: it stays)", 150, low=0.001)
 
-    def __init__(self, requests: Requests, label: str) -> None:
-        """Pass questions on to `requests`; `label` names the set-point."""
-        self._requests = requests
-        self._level = _entry(label, 110)
-        self._hold = _entry("for / s (empty: it stays)", 150, low=0.001)
-        ask = _button("Ask", 70, "primary", self._on_ask)
-        self.root = Row(self._level, self._hold, ask, name="question", spacing=8, styles=_AT_END)
+    def ask() -> None:
+        if level.value is not None:
+            requests.what_if(float(level.value), None if hold.value is None else float(hold.value))
 
-    def _on_ask(self) -> None:
-        if self._level.value is not None:
-            hold = None if self._hold.value is None else float(self._hold.value)
-            self._requests.what_if(float(self._level.value), hold)
+    return Row(level, hold, _button("Ask", 70, "primary", ask), name="question", spacing=8, styles=_AT_END)
 
 
-class RigButtons:
-    """Set-point, clearing a fault and stop, for a page that may control."""
+def rig_form(requests: Requests, label: str) -> Row:
+    """Set-point, named by `label`, clearing a fault and stop, for a page that may control."""
+    level = _entry(label, 110)
 
-    def __init__(self, requests: Requests, label: str) -> None:
-        """Pass clicks on to `requests`; `label` names the set-point."""
-        self._requests = requests
-        self._input = _entry(label, 110)
-        buttons = (
-            _button("Set", 70, "primary", self._on_ask),
-            _button("Clear fault", 110, "warning", requests.clear_fault),
-            _button("Output off", 110, "danger", requests.stop),
-        )
-        self.root = Row(self._input, *buttons, name="rig", spacing=8, styles=_AT_END)
+    def ask() -> None:
+        if level.value is not None:
+            requests.set_point(float(level.value))
 
-    def _on_ask(self) -> None:
-        if self._input.value is not None:
-            self._requests.set_point(float(self._input.value))
+    buttons = (
+        _button("Set", 70, "primary", ask),
+        _button("Clear fault", 110, "warning", requests.clear_fault),
+        _button("Output off", 110, "danger", requests.stop),
+    )
+    return Row(level, *buttons, name="rig", spacing=8, styles=_AT_END)
 
 
 REFRESH = 350
@@ -174,19 +151,20 @@ class Tab:
         )
         self._texts: dict[str, Div] = {name: panel(name) for name in names}
         self._every = Toggle(label="all orders", name="every", width=110)
-        self._span = SpanButtons()
+        spans: Any = {"labels": [label for label, _ in SPANS], "active": DEFAULT_SPAN}
+        self._span = RadioButtonGroup(name="span", stylesheets=[BUTTONS], **spans)
         self._player = PlayerButtons(requests)
-        self._question = QuestionForm(requests, described.reference.label)
-        self._rig = RigButtons(requests, described.reference.label) if requests.control else None
-        if self._rig is not None:
+        self._forms = [question_form(requests, described.reference.label)]
+        self._control = requests.control
+        if self._control:
+            self._forms.append(rig_form(requests, described.reference.label))
             self._texts["notice"] = panel("notice")
         self._seen: dict[str, object] = {}
 
     def build(self, document: Document) -> None:
         """Make the document, and keep it up to date for as long as its tab is open."""
         roots = [*self._charts.figures, self._matrix.figure, self._thermal.root, *self._texts.values()]
-        roots += [self._every, self._span.root, self._player.root, self._question.root]
-        roots += [self._rig.root] if self._rig is not None else []
+        roots += [self._every, self._span, self._player.root, *self._forms]
         with document.models.freeze():  # otherwise every root scans the whole document again
             for root in roots:
                 document.add_root(root)
@@ -196,7 +174,7 @@ class Tab:
         document.theme = THEME
         document.template = _TEMPLATE.read_text(encoding="utf-8")
         colours = {"ink": TEXT, "good": LEVELS[TrustLevel.TRUSTED], "fault": LEVELS[TrustLevel.FAULT]}
-        shown = {"control": self._rig is not None, "plant_title": title, "font": FONT, **colours}
+        shown = {"control": self._control, "plant_title": title, "font": FONT, **colours}
         document.template_variables.update(shown)
         document.config.reconnect_session = False  # a restarted server does not know the old session
         document.js_on_event("document_ready", self._charts.fit_to_narrow)
@@ -209,7 +187,10 @@ class Tab:
         state, now = self._state, self._clock()
         with state.lock:
             state.nodes.expire(now)
-            span = self._span.samples(state.period, state.plant.capacity)
+            seconds = SPANS[DEFAULT_SPAN if self._span.active is None else self._span.active][1]
+            span = state.plant.capacity
+            if seconds:
+                span = min(span, max(1, round(seconds / state.period)))
             self._plant.update(state.period, span)
             self._twin.update(state.period, span)
             self._draw_forecast(span * state.period)
@@ -251,7 +232,7 @@ class Tab:
         self._show("nodes", panels.nodes(state.nodes, now))
         self._charts.show(measured=state.plant.count > 0, mirrored=state.twin.count > 0)
         self._show("chart_note", "" if state.plant.count else panels.NO_SAMPLE)
-        if self._rig is not None:
+        if self._control:
             self._show("notice", panels.notice(state))
 
     def _show(self, name: str, html: str) -> None:

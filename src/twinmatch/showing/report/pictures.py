@@ -117,7 +117,7 @@ def _of_family(j: Judgement, members: Sequence[Member]) -> Iterator[Picture]:
         draw = partial(draw_parameters, j.matches, admitted(j.verdicts), nominal, j.settings.period)
         yield Picture("parameters", "Parameters of every match", alt, draw)
     if members:
-        names, output = ", ".join(m.score.name for m in members), signal_names(j.settings.plant).output
+        names, output = ", ".join(m.score.name for m in members), signal_names(j.settings.plant).output.name
         alt = (
             f"One panel for each candidate ({names}): set-point, measured {output} and control, the response "
             "of the twin and that of its Box–Jenkins model."
@@ -172,10 +172,10 @@ def write_pictures(found: dict[str, Picture], folder: Path, ending: str) -> list
 
 def _session_alt(j: Judgement) -> str:
     low, high = min(s.output for s in j.samples), max(s.output for s in j.samples)
-    signals = signal_names(j.settings.plant)
+    y, u = signal_names(j.settings.plant)
     closed = j.settings.gains is not None
     set_point = "set-point, " if closed else ""
-    base = f"Time series of {set_point}measured {signals.output} ({signals.y(low, high)}) and {signals.input}"
+    base = f"Time series of {set_point}measured {y.name} ({y.text(low, high)}) and {u.name}"
     shown = shown_twin(j.verdicts[-1] if j.verdicts else None)
     if shown is None:
         return f"{base}; there is no twin to compare them with."
@@ -184,7 +184,7 @@ def _session_alt(j: Judgement) -> str:
         twins, fitted = "the closed-loop and the driven twin", "closed-loop"
     return (
         f"{base}, with {twins} of {shown.name}; below, the residuals between plant and twin. "
-        f"The {fitted} twin fits the {signals.output} to {100 * j.summary.fit_y:.1f} %."
+        f"The {fitted} twin fits the {y.name} to {100 * j.summary.fit_y:.1f} %."
     )
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from functools import cached_property
 from importlib import import_module
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -24,7 +24,7 @@ from twinmatch.offline.verification import compare, holds_verdicts
 from twinmatch.parameters.twin import table_of, values_of
 from twinmatch.sessions import Session, open_any
 from twinmatch.sessions.files import ProgressCallback, part_of
-from twinmatch.showing.family import Member, family
+from twinmatch.showing.family import CRITERIA, FIGURES, Member, family
 from twinmatch.showing.forecasts import backtest_words
 from twinmatch.showing.quantities import signal_names
 from twinmatch.showing.report import tables
@@ -103,9 +103,16 @@ def _text(value: object) -> str:
 
 
 def _versions() -> tuple[tuple[str, str], ...]:
-    libraries = ((name, version(name)) for name in _LIBRARIES)
     own = (("twinmatch", twinmatch.__version__), ("Python", platform.python_version()))
+    libraries = ((name, _version(name)) for name in _LIBRARIES)
     return (*own, *libraries, ("system", f"{platform.system()} {platform.machine()}"))
+
+
+def _version(library: str) -> str:
+    try:
+        return version(library)
+    except PackageNotFoundError:  # used from a folder that holds no metadata
+        return "version unknown"
 
 
 def _hash(file: Path, path: Path) -> FileHash:
@@ -273,6 +280,7 @@ class SessionReport:
             "family": tables.family_table(self.members),
             "matches": tables.match_table(judgement.matches, judgement.verdicts, period, closed=closed),
             "verdict": last,
+            "meanings": {c.label: c.meaning for c in (*CRITERIA, *FIGURES)},
             "criteria": tables.criterion_tables(last) if last else [],
             "weights": tables.order_table(last) if last else None,
             "structure": tables.structure_table(last) if last else None,

@@ -5,14 +5,23 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, TypeVar
+from typing import Final, NamedTuple, TypeVar
 
 from twinmatch.comparing import REFUSED, CandidateScore, Verdict
 from twinmatch.dynamics import Plant
 from twinmatch.fitting import Match
 from twinmatch.offline.backtest import Backtest
 from twinmatch.offline.backtest.scoring import LEADER, TWINS
-from twinmatch.showing.family import Member, computed, criterion_rows, interval, outputs_of, value_of
+from twinmatch.showing.family import (
+    FIGURES,
+    Column,
+    Member,
+    computed,
+    criterion_rows,
+    interval,
+    outputs_of,
+    value_of,
+)
 from twinmatch.showing.forecasts import card_columns, levels_words
 from twinmatch.showing.quantities import (
     ParameterFormat,
@@ -202,7 +211,7 @@ def match_table(
 def criterion_tables(verdict: Verdict) -> list[ReportTable]:
     """One table per candidate; the best order by each criterion and output is bold."""
     shown = computed(verdict.candidates)
-    names = ("output", "order", *(with_unit(c.name, c.unit) for c in shown))
+    names = ("output", "order", *(c.label for c in shown))
     tables = []
     for candidate in verdict.modelled:
         titles, count = dict(outputs_of(candidate.orders)), len(candidate.orders)
@@ -232,21 +241,18 @@ def order_table(verdict: Verdict) -> ReportTable | None:
     return ReportTable("Akaike weights of the orders", called, tuple(rows))
 
 
-_Extra = tuple[str, Callable[[CandidateScore], str]]
-"""Name of a column, and its text for a candidate."""
-
-_GAP_FIGURES: tuple[_Extra, ...] = (
-    ("90 % interval of Σ", lambda c: span_text(c.nu_gap_sum_low, c.nu_gap_sum_high)),
-    ("P(nominal)", lambda c: number(c.nominal_probability)),
-    ("to the current plant", lambda c: number(c.nu_gap_to_plant, 3)),
-    ("margin b(P, C)", lambda c: number(c.margin, 3)),
-    ("to the nominal, scaled like the margin", lambda c: number(c.plant_gap_to_nominal, 3)),
+_TO_NOMINAL: Final = Column(
+    "plant_gap_to_nominal", "to the nominal, scaled like the margin", "", 3, "from input to output alone"
+)
+_IDENTIFIED: Final = Column(
+    "identified_gap_to_plant", "to the newest window's model", "", 3, "as in the paper"
 )
 
 
 def gap_table(verdict: Verdict) -> ReportTable:
     """The ν-gaps, their sums, and the further distances and probabilities that a candidate has."""
-    extra = [e for e in _GAP_FIGURES if any(e[1](c) != number(None) for c in verdict.candidates)]
+    known = (*FIGURES[1:], _TO_NOMINAL)
+    extra = [column for column in known if any(column.text(c) != number(None) for c in verdict.candidates)]
     sums = [c.nu_gap_sum for c in verdict.candidates]
     title = "ν-gap between the plants"
     return _distances(title, verdict, verdict.candidates, verdict.nu_gap, sums=sums, extra=extra)
@@ -255,9 +261,8 @@ def gap_table(verdict: Verdict) -> ReportTable:
 def identified_table(verdict: Verdict) -> ReportTable:
     """The ν-gaps between the models identified on the twins, as in the paper."""
     sums = [c.identified_gap_sum for c in verdict.modelled]
-    extra: list[_Extra] = [("to the newest window's model", lambda c: number(c.identified_gap_to_plant, 3))]
     title, gaps = f"ν-gap between the models of order {verdict.order}", verdict.identified_gap
-    return _distances(title, verdict, verdict.modelled, gaps, sums=sums, extra=extra)
+    return _distances(title, verdict, verdict.modelled, gaps, sums=sums, extra=[_IDENTIFIED])
 
 
 def _distances(
@@ -267,17 +272,17 @@ def _distances(
     matrix: Sequence[Sequence[float]],
     *,
     sums: Sequence[float],
-    extra: Sequence[_Extra],
+    extra: Sequence[Column],
 ) -> ReportTable:
     """A matrix of distances with its column sums, followed by more columns."""
     rows = []
     for c, gaps, total in zip(candidates, matrix, sums, strict=True):
-        more = (Cell(text(c)) for _, text in extra)
+        more = (Cell(column.text(c)) for column in extra)
         total_cell = Cell(number(total, 3), best=total == min(sums))
         rows.append((_head(c.name), *(Cell(number(v, 3)) for v in gaps), total_cell, *more))
     names = [c.name for c in candidates]
     marked = frozenset(k for k, name in enumerate(names) if name == verdict.nominal)
-    return ReportTable(title, ("candidate", *names, "Σ", *(name for name, _ in extra)), tuple(rows), marked)
+    return ReportTable(title, ("candidate", *names, "Σ", *(c.label for c in extra)), tuple(rows), marked)
 
 
 def coefficient_table(member: Member) -> ReportTable:
@@ -321,7 +326,7 @@ def leader_forecast_table(fans: Sequence[Fan], plant: type[Plant]) -> ReportTabl
     if not fans:
         return None
     signals, closed, decimals = signal_names(plant), fans[0].forecast.closed, plant.output.decimals
-    moves = ("set-points", signals.output_unit) if closed else ("inputs", signals.input_unit)
+    moves = ("set-points", signals.output.unit) if closed else ("inputs", signals.input.unit)
 
     def ends(one: Fan) -> Cell:
         band = one.forecast.output
@@ -337,7 +342,7 @@ def leader_forecast_table(fans: Sequence[Fan], plant: type[Plant]) -> ReportTabl
     def error(one: Fan) -> Cell:
         return Cell(number(root_mean_square([one.error]), decimals + 1))
 
-    unit = signals.output_unit
+    unit = signals.output.unit
     shown: list[tuple[str, Callable[[Fan], Cell]]] = [
         ("made at / s", lambda one: _head(number(one.forecast.sample * one.past.period, 0))),
         ("by", lambda one: _words(one.forecast.candidate)),

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from twinmatch.comparing import CandidateScore, TrustLevel, Verdict
 from twinmatch.offline.judging import Judgement
 from twinmatch.offline.summary import ShownTwin, nominal_score, shown_twin
-from twinmatch.showing.quantities import SignalNames, number, percent, signal_names
+from twinmatch.showing.quantities import Signals, number, percent, signal_names
 from twinmatch.showing.series import compare, root_mean_square
 from twinmatch.showing.summary import UNEXPLAINED
 from twinmatch.showing.verdicts import admitted, last_verdict, level_stretches
@@ -30,13 +30,13 @@ def session_facts(judgement: Judgement) -> list[tuple[str, str]]:
     """The session in numbers: pairs of name and value."""
     samples, settings, signals = judgement.samples, judgement.settings, _signals(judgement)
     closed = settings.gains is not None
-    limits = " to ".join(number(edge, signals.input_decimals) for edge in settings.plant.drive.limits)
+    limits = " to ".join(number(edge, signals.input.decimals) for edge in settings.plant.drive.limits)
     facts = [
         ("samples", f"{len(samples)}, one every {settings.period:g} s"),
         ("duration", _duration(judgement)),
-        *([("set-point", signals.y(*_ends(s.reference for s in samples)))] if closed else []),
-        (signals.output, signals.y(*_ends(s.output for s in samples))),
-        (signals.input, f"{signals.u(*_ends(s.input for s in samples))} (limits {limits})"),
+        *([("set-point", signals.output.text(*_ends(s.reference for s in samples)))] if closed else []),
+        (signals.output.name, signals.output.text(*_ends(s.output for s in samples))),
+        (signals.input.name, f"{signals.input.text(*_ends(s.input for s in samples))} (limits {limits})"),
         ("set-point steps" if closed else "control steps", _steps(samples, settings)),
         ("matches", _matches(judgement)),
         ("verdicts", f"{len(judgement.verdicts)}, of which {judgement.summary.identified} identified models"),
@@ -85,7 +85,7 @@ def _what(judgement: Judgement) -> str:
             f"For {_duration(judgement)} the {signals.output} of a plant ({plant.title}), its "
             f"{control}{beside} {recorded}; its controller is not known."
         )
-    (low, high), unit = _ends(s.reference for s in samples), signals.output_unit
+    (low, high), unit = _ends(s.reference for s in samples), signals.output.unit
     levels = f"set-points from {low:g} to {high:g} {unit}" if high > low else f"a set-point of {low:g} {unit}"
     return (
         f"For {_duration(judgement)} a plant ({plant.title}) was controlled to {levels}; its "
@@ -121,7 +121,7 @@ def _nothing(judgement: Judgement) -> str:
         return f"The control has to move by {step} or more, for some minutes in total."
     return (
         f"The loop needs set-point steps of {judgement.settings.schedule.min_step:g} "
-        f"{_signals(judgement).output_unit} or more, some "
+        f"{_signals(judgement).output.unit} or more, some "
         "minutes apart; a recording of one or two set-points held for a few minutes each is enough."
     )
 
@@ -168,12 +168,12 @@ def _fit(judgement: Judgement, shown: ShownTwin) -> str:
     by, off, control = "by the recorded control", driven, ""
     if judgement.settings.gains is not None:
         by, off = "only by the set-points", y
-        control = f" and the {signals.input} to {percent(s.fit_u)} % ({signals.u(u, finer=1)} RMS)"
+        control = f" and the {signals.input} to {percent(s.fit_u)} % ({signals.input.text(u, finer=1)} RMS)"
     faulty = any(v.level is TrustLevel.FAULT for v in judgement.verdicts)
     return (
         f"Driven {by}, {shown.name} follows the measured {signals.output} over the whole session to "
         f"{percent(s.fit_y)} % (100 % is perfect, 0 % no better than a constant; "
-        f"{signals.y(off, finer=1)} RMS){control}"
+        f"{signals.output.text(off, finer=1)} RMS){control}"
         f"{'; this includes the time in which the plant was faulty' if faulty else ''}."
     )
 
@@ -217,11 +217,11 @@ def _fit_facts(judgement: Judgement, shown: ShownTwin) -> list[tuple[str, str]]:
     loop, open_loop = f"closed-loop twin of {shown.name}, ", f"driven twin of {shown.name}, {signals.output}"
     trusted = ("trusted between", str(s.range) if s.range else "–")
     if judgement.settings.gains is None:
-        return [(open_loop, f"fit {percent(s.fit_y)} %, {signals.y(driven, finer=2)} RMS"), trusted]
+        return [(open_loop, f"fit {percent(s.fit_y)} %, {signals.output.text(driven, finer=2)} RMS"), trusted]
     return [
-        (f"{loop}{signals.output}", f"fit {percent(s.fit_y)} %, {signals.y(y, finer=2)} RMS"),
-        (f"{loop}{signals.input}", f"fit {percent(s.fit_u)} %, {signals.u(u, finer=1)} RMS"),
-        (open_loop, f"{signals.y(driven, finer=1)} RMS"),
+        (f"{loop}{signals.output}", f"fit {percent(s.fit_y)} %, {signals.output.text(y, finer=2)} RMS"),
+        (f"{loop}{signals.input}", f"fit {percent(s.fit_u)} %, {signals.input.text(u, finer=1)} RMS"),
+        (open_loop, f"{signals.output.text(driven, finer=1)} RMS"),
         trusted,
     ]
 
@@ -242,7 +242,7 @@ def _steps(samples: Sequence[Sample], settings: TwinSettings) -> str:
     return f"{count} of {least:g} {(settings.plant.drive if driven else settings.plant.output).unit} or more"
 
 
-def _signals(judgement: Judgement) -> SignalNames:
+def _signals(judgement: Judgement) -> Signals:
     return signal_names(judgement.settings.plant)
 
 
