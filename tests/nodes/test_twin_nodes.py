@@ -147,6 +147,20 @@ def test_gap_is_an_error_on_diagnostics(start: Start, listener: Listener, steps:
     assert "samples 5 to 7 are missing" in status.message
 
 
+def test_a_verdict_on_a_lost_sample_is_stamped_with_its_time(
+    start: Start, listener: Listener, steps: list[Sample], offline: list[Outcome]
+) -> None:
+    lost = offline[next(k for k, outcome in enumerate(offline) if outcome.verdicts)].verdicts[0].sample
+    heard = listener.hear(ModelScore, "twin/model_score", EVERYTHING)
+    start("discriminator")
+    listener.wait_for_nodes("twin/match_request", "twin/model_score")
+    listener.send([*steps[:lost], steps[lost + 1]])
+    listener.spin_until(lambda: heard, "the verdict")
+    stamp = heard[0].header.stamp
+    assert heard[0].sample == lost
+    assert stamp.sec * 10**9 + stamp.nanosec == steps[lost].stamp
+
+
 def test_three_in_one_process_have_nothing_to_say(start_process: Start, listener: Listener) -> None:
     process = start_process("twin")
     names = {"matcher", "discriminator", "twin_simulator"}

@@ -76,6 +76,21 @@ def test_a_recorded_session_is_identical(
     assert "identical, bit for bit" in capsys.readouterr().out
 
 
+def test_a_verdict_may_be_due_at_a_lost_sample(
+    samples: list[Sample], outcomes: list[Outcome], tmp_path: Path
+) -> None:
+    due = {verdict.sample for outcome in outcomes for verdict in outcome.verdicts}
+    seen = [sample for sample in samples if sample.index not in due]
+    twin = Twin(TwinSettings(), parse_candidates(FAMILY, "family"))
+    again = [twin.push(sample) for sample in seen]
+    assert {verdict.sample for outcome in again for verdict in outcome.verdicts} & due
+    values = twin_values("twin", {"candidates": "family.yaml"})
+    stamps = twin.discriminator.stamps
+    found = verify_session(write_judged(tmp_path / "run", seen, again, values, family=FAMILY, stamps=stamps))
+    assert found.identical
+    assert found.verdicts > 10
+
+
 @pytest.fixture
 def judged(samples: list[Sample], outcomes: list[Outcome], monkeypatch: pytest.MonkeyPatch) -> None:
     """Saves the judging where only the comparison is of interest."""

@@ -38,9 +38,13 @@ def write_judged(
     nodes: Sequence[str] = ("/matcher", "/discriminator"),
     family: str | None = None,
     change: Change = lambda _matches, _scores: None,
+    stamps: Mapping[int, int] | None = None,
 ) -> Path:
-    """Samples with what a twin said of them, the parameters of these nodes and the initial candidates."""
-    outcomes, stamps = list(outcomes), {sample.index: sample.stamp for sample in samples}
+    """Samples with what a twin said of them, the parameters of these nodes and the initial candidates.
+
+    Stamps of lost samples have to be given if verdicts were due there.
+    """
+    outcomes, stamps = list(outcomes), stamps or {sample.index: sample.stamp for sample in samples}
     matches = [message_of(o.match, stamps[o.match.sample]) for o in outcomes if o.match is not None]
     scores = [message_of(v, stamps[v.sample]) for o in outcomes for v in o.verdicts]
     change(matches, scores)

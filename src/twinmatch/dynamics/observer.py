@@ -22,9 +22,6 @@ from twinmatch.dynamics.plant import Parameters
 from twinmatch.dynamics.simulation import begin, signal_rows
 from twinmatch.signals import FloatArray, finite
 
-_STEPS_EVERY = 60
-"""Samples after which the Runge–Kutta steps are computed again for the estimated parameters."""
-
 
 class RandomWalk(NamedTuple):
     """Random walk of a parameter that is estimated with the states."""
@@ -128,7 +125,7 @@ class Observer:
             msg = f"{self._title}: parameters of {parameters.model.title} given; make a new observer"
             raise PlantError(msg)
         self._parameters, self._vector = parameters, parameters.vector.copy()
-        self._steps, self._ticks = parameters.steps(self._period), 0
+        self._steps = parameters.steps(self._period)
         spans = [self._model.declared[name].bounds for name in self.estimated]
         values = self._vector[self._which[1]]
         low, high = np.array(spans, dtype=np.float64).reshape(-1, 2).T
@@ -192,9 +189,7 @@ class Observer:
         """
         u = self._model.row_of("inputs", input)
         if self.estimated:
-            self._ticks += 1
-            if self._ticks % _STEPS_EVERY == 0:
-                self._steps = self._model.steps(self._vector, self._period)
+            self._steps = self._model.steps(self._vector, self._period)
         self._kernels.predict(
             self._vector, self._states, self._joint, self._process_noise, u, self._row,
             self._period, self._steps, self._which, self._columns,

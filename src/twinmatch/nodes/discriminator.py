@@ -112,8 +112,6 @@ SETTLED = "settled"
 """Key on /diagnostics: newest sample up to which everything is judged."""
 VERDICTS = "verdicts"
 """Key on /diagnostics: verdicts so far."""
-MOST_STAMPS = 10_000
-"""Number of samples for which stamps are kept for verdicts still due."""
 
 
 class DiscriminatorNode(SampleNode):
@@ -131,7 +129,6 @@ class DiscriminatorNode(SampleNode):
         given = read_candidates(Path(path)) if path else []
         self._discriminator = Discriminator(self.settings, given, self._followed)
         self._forecasts = ForecastPublisher(self)
-        self._stamps: dict[int, int] = {}
         self._nominal: tuple[object, ...] = ()  # name, window and parameters
         self._answers: deque[MatchReport] = deque()  # matches made before this node started, oldest first
         self._made = 0  # verdicts
@@ -158,9 +155,6 @@ class DiscriminatorNode(SampleNode):
         if isinstance(item, MatchReport):
             step = self._discriminator.push_match(item)
         else:
-            self._stamps[item.index] = item.stamp
-            if len(self._stamps) > MOST_STAMPS:
-                del self._stamps[next(iter(self._stamps))]
             step = self._discriminator.push_sample(item)
         self._publish_step(step)
         while step.request is not None and (known := self._answer(step.request)) is not None:
@@ -168,7 +162,7 @@ class DiscriminatorNode(SampleNode):
             self._publish_step(step)
         if step.request is not None:
             self._tries = 0
-            self._request(request_message(step.request, self._stamps.get(step.request.sample, 0)))
+            self._request(request_message(step.request, self._stamp_of(step.request)))
         elif self._discriminator.request is None:
             self.health.set("waiting for a match of", "nothing")
             self.health.withdraw("match")
@@ -180,6 +174,10 @@ class DiscriminatorNode(SampleNode):
             self._published_before = said.scores_heard
             self._forecasts.heard = said.forecasts_heard
         self._answers += map(record_of, said.match)
+
+    def _stamp_of(self, record: Verdict | twin.MatchRequest) -> int:
+        """Stamp of the sample of a verdict or request, ns; 0: it was so long ago that it is forgotten."""
+        return self._discriminator.stamps.get(record.sample, 0)
 
     def _answer(self, request: twin.MatchRequest) -> MatchReport | None:
         while self._answers:
@@ -229,8 +227,7 @@ class DiscriminatorNode(SampleNode):
         self.health.set("nominal", verdict.nominal or "none")
         self._made += 1
         if self._made > self._published_before:
-            message = message_of(verdict, self._stamps.get(verdict.sample, 0))
-            self.publish(self._scores, message)
+            self.publish(self._scores, message_of(verdict, self._stamp_of(verdict)))
         if self._made < self._published_before:
             return
         chosen = next((c for c in verdict.candidates if c.name == verdict.nominal), None)

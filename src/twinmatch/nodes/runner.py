@@ -16,6 +16,7 @@ import signal
 import sys
 import time
 import traceback
+import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from itertools import pairwise
@@ -70,6 +71,8 @@ def run(kinds: Sequence[type[TwinmatchNode]], arguments: Sequence[str] | None = 
         `TwinmatchError` (its one line is on stderr), `EXIT_DEFECT` after any other error.
     """
     arguments = list(sys.argv if arguments is None else arguments)
+    # Whoever asked has gone, or was not yet connected and asks again.
+    warnings.filterwarnings("ignore", "failed to send response", RuntimeWarning)
     stop = Event()
     _on_signals(lambda *_: stop.set())
     nodes = Nodes()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from twinmatch.offline.judging import Judgement, Watch, judge, prefix_of, record
 from twinmatch.record import Tree, comparable, differences, tree_of, tree_of_message
 from twinmatch.sessions import Session, open_any
 from twinmatch.sessions.files import ProgressCallback
-from twinmatch.signals import Sample
+from twinmatch.signals import Sample, bridge
 from twinmatch.twin import MatchReport
 
 SCORES = "twin/model_score"
@@ -123,7 +124,10 @@ def holds_verdicts(session: Session) -> int:
 
 def compare(session: Session, judgement: Judgement) -> Verification:
     """Compare the recorded matches and verdicts with a judgement of the samples, bit for bit."""
-    prefix, stamps = prefix_of(session), {sample.index: sample.stamp for sample in session.samples}
+    prefix, stamps = prefix_of(session), dict[int, int]()
+    for before, sample in pairwise((session.samples[0], *session.samples)):
+        for one in (*bridge(before, sample, judgement.settings.schedule.gap), sample):
+            stamps[one.index] = one.stamp  # a verdict may be due at a lost sample
     matches, scores = _once(_recorded(session, prefix + MATCHES)), _recorded(session, prefix + SCORES)
     computed_matches = [_computed(m, stamps[m.sample]) for m in judgement.matches]
     computed_scores = [_computed(v, stamps[v.sample]) for v in judgement.verdicts]

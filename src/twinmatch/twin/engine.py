@@ -32,6 +32,9 @@ from twinmatch.twin.settings import TwinSettings
 from twinmatch.twin.structure_fits import watched
 from twinmatch.twin.trust import BandCheck, BandHistory, trust_level
 
+MOST_STAMPS = 10_000
+"""Number of samples for which stamps are kept for verdicts still due."""
+
 
 class Step(NamedTuple):
     """The results of one sample or match."""
@@ -85,6 +88,8 @@ class Discriminator:
         `followed` is called with every sample as soon as all candidates can forecast from it.
         """
         self._followed = followed
+        self.stamps: dict[int, int] = {}
+        """Stamps of the newest samples, ns, and of the lost ones that were bridged, by index."""
         self.settings = settings or TwinSettings()
         self.monitor = Monitor(replace(self.settings.health, period=self.settings.period))
         self._schedule = _schedule(self.settings)
@@ -130,6 +135,9 @@ class Discriminator:
         self._newest = sample
         for one in (*bridge(before, sample, self.settings.schedule.gap), sample):
             self._waiting.append(one)
+            self.stamps[one.index] = one.stamp
+            if len(self.stamps) > MOST_STAMPS:
+                del self.stamps[next(iter(self.stamps))]
             trigger = self._schedule.push(one)
             if trigger is not None:
                 self._waiting.append(trigger)
