@@ -270,6 +270,10 @@ class Window:
             seen=None if self.seen is None else self.seen[span],
         )
 
+    def received(self, values: FloatArray) -> FloatArray:
+        """Of values at its last samples, those at samples that were received."""
+        return values if self.seen is None else values[self.seen[len(self) - len(values) :]]
+
     @property
     def share_seen(self) -> float:
         """Share of its samples that were received."""

@@ -22,7 +22,7 @@ from twinmatch.offline.outlooks import (
 from twinmatch.offline.processes import held_interrupts
 from twinmatch.showing.forecasts import comparison_words, forecast_document, forecast_words
 from twinmatch.showing.series import Fan, fan
-from twinmatch.twin import TwinSettings
+from twinmatch.twin import TwinSettings, bridged
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -103,9 +103,9 @@ def _forecasts(options: argparse.Namespace) -> tuple[TwinSettings, list[_Request
     ahead = {k: ahead_of(session, sample, size, **given) for k, sample in samples.items()}
     with Progress() as progress:
         known = prospects(session, terms, samples, candidate=options.candidate, watch=progress.advance)
-    found = {}
+    found, came = {}, bridged(session.samples, settings)
     for k in samples:
-        made = fan(forecast_of(known[k], ahead[k], period), session.samples, period)
+        made = fan(forecast_of(known[k], ahead[k], period), came, period)
         found[k] = _Requested(made, known[k], ahead[k].words)
     return settings, [found[k] for k in options.at]
 

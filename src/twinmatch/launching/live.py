@@ -26,6 +26,7 @@ from twinmatch.showing.lines import Lines
 from twinmatch.showing.summary import closing_lines
 from twinmatch.showing.terminal import Screen, view_on
 from twinmatch.signals import Sample, Window
+from twinmatch.twin import Bridge
 from twinmatch_msgs.msg import LoopSample
 
 EXIT_LOST = 3
@@ -53,7 +54,10 @@ class Live:
     plan: LivePlan
     console: Console = field(default_factory=lambda: Console(soft_wrap=True))
     samples: SampleSpool = field(default_factory=SampleSpool)
-    """All samples, kept on disk: a run may last for weeks."""
+    """All samples, with stand-ins for the lost ones, kept on disk: a run may last for weeks."""
+    bridge: Bridge = field(default_factory=lambda: Bridge(None, 0))
+    received: int = 0
+    """Number of samples, without stand-ins."""
     verdicts: Tally = field(default_factory=Tally)
     sessions: list[Path] = field(default_factory=list)
     """Folders recorded into; more than one if the recorder had to be restarted."""
@@ -64,12 +68,14 @@ class Live:
         """Put a sample on the spool; an index at or before the newest one starts a new spool."""
         spool = self.samples
         if not spool.continued_by(sample):
-            self.samples = SampleSpool(sample.shape)
+            self.samples, self.received = SampleSpool(sample.shape), 0
             spool.close()
-        self.samples.push(sample)
+        self.received += 1
+        for one in self.bridge.push(sample):
+            self.samples.push(one)
 
     def longest(self, period: float) -> tuple[Window, int]:
-        """The longest stretch without a missing sample, at this sampling period (s), and their number."""
+        """The longest stretch without a gap that is not bridged, for a sampling period (s); their number."""
         return self.samples.longest(period), self.samples.stretches
 
 
@@ -94,12 +100,13 @@ def _run_live(live: Live) -> int:
             f"{live.plan.twin_config or 'the twin'} is for plant {settings.plant.name}, "
             f"but this run is of plant {live.plan.plant}; give another --twin-config"
         )
+    live.bridge = Bridge(settings.gains, settings.schedule.gap)
     view = view_on(live.console, "live", settings.period)
     with lease(PATIENCE if live.plan.in_step else None):
         code = _LiveRun(live, view).run()
     for session in live.sessions:
         view.say(f"recorded: {session}")
-    view.say(f"ended: {live.ending}; {len(live.samples)} samples, {live.verdicts.verdicts} verdicts")
+    view.say(f"ended: {live.ending}; {live.received} samples, {live.verdicts.verdicts} verdicts")
     if len(live.samples):
         live.summary = conclude(live.verdicts, live.longest, settings.gains, period=settings.period)
         for line in closing_lines(live.summary, live.verdicts.last):

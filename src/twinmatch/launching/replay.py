@@ -20,7 +20,7 @@ from twinmatch.sessions import Session, samples_of, write_session
 from twinmatch.showing.lines import Lines
 from twinmatch.showing.summary import closing_lines
 from twinmatch.showing.terminal import Screen, view_on
-from twinmatch.twin import MatchReport, TwinSettings
+from twinmatch.twin import MatchReport, TwinSettings, bridged
 
 EXIT_INTERRUPTED = 130
 READERS = "twin_simulator discriminator keeper"
@@ -66,7 +66,11 @@ def play(replay: Replay) -> int:
         return EXIT_INTERRUPTED
     if code == 0:
         replay.summary = summarise(
-            session.samples, replay.verdicts, settings.gains, session.notes, settings.period
+            bridged(session.samples, settings),
+            replay.verdicts,
+            settings.gains,
+            session.notes,
+            settings.period,
         )
         for line in closing_lines(replay.summary, replay.verdicts[-1] if replay.verdicts else None):
             view.say(line)

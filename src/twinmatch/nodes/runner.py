@@ -71,7 +71,7 @@ def run(kinds: Sequence[type[TwinmatchNode]], arguments: Sequence[str] | None = 
         `TwinmatchError` (its one line is on stderr), `EXIT_DEFECT` after any other error.
     """
     arguments = list(sys.argv if arguments is None else arguments)
-    # Whoever asked has gone, or was not yet connected and asks again.
+    # A client that cannot be answered has gone, or was not yet connected and asks again.
     warnings.filterwarnings("ignore", "failed to send response", RuntimeWarning)
     stop = Event()
     _on_signals(lambda *_: stop.set())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
 
@@ -21,7 +22,7 @@ from twinmatch.sessions import Session, samples_of
 from twinmatch.sessions.candidates import parse_candidates, read_candidates
 from twinmatch.sessions.metadata import CANDIDATES, parameters_of
 from twinmatch.signals import Sample, Window
-from twinmatch.twin import MatchReport, Outcome, Twin, TwinSettings
+from twinmatch.twin import MatchReport, Outcome, Twin, TwinSettings, bridged
 
 SAMPLE = "plant/sample"
 
@@ -112,6 +113,11 @@ class Judgement:
     verdicts: tuple[Verdict, ...]
     summary: SessionSummary
 
+    @cached_property
+    def bridged(self) -> Sequence[Sample]:
+        """The samples with stand-ins for lost ones."""
+        return bridged(self.samples, self.settings)
+
 
 def judge(
     session: Session,
@@ -163,7 +169,7 @@ def judge_samples(
             if watch is not None and done % EVERY == 0:
                 watch(done, len(samples))
             check_interrupt()
-        summary = summarise(samples, verdicts, settings.gains, notes, settings.period)
+        summary = summarise(bridged(samples, settings), verdicts, settings.gains, notes, settings.period)
     return Judgement(name, samples, settings, tuple(matches), tuple(verdicts), summary)
 
 

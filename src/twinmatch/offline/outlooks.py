@@ -19,7 +19,7 @@ from twinmatch.offline.processes import held_interrupts
 from twinmatch.sessions import Session
 from twinmatch.sessions.files import read_bounded
 from twinmatch.signals import FloatArray, Sample, unbroken
-from twinmatch.twin import Twin, TwinSettings
+from twinmatch.twin import Twin, TwinSettings, bridged
 from twinmatch.twin.forecaster import Forecaster
 
 LONGEST: Final = 86_400.0
@@ -200,7 +200,9 @@ def _recorded(session: Session, sample: Sample, size: int, settings: TwinSetting
     period, closed = settings.period, settings.gains is not None
     kind = "set-point" if closed else "input"
     stretch = next(
-        part for part in unbroken(session.samples) if part[0].index <= sample.index <= part[-1].index
+        part
+        for part in unbroken(bridged(session.samples, settings))
+        if part[0].index <= sample.index <= part[-1].index
     )
     came = [s for s in stretch if sample.index <= s.index <= sample.index + size]
     levels = [s.reference if closed else s.input for s in came]

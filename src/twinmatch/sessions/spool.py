@@ -33,6 +33,7 @@ class SampleSpool:
                 ("index", "<u8"),
                 ("stamp", "<i8"),
                 *((name, "<f8", (width,)) for name, width in zip(SIGNALS, shape, strict=True)),
+                ("seen", "?"),
             ]
         )
         self._file = tempfile.TemporaryFile(prefix="twinmatch-samples-")  # noqa: SIM115 - closed with the object
@@ -55,7 +56,7 @@ class SampleSpool:
             self._firsts.append(sample.index)
             self._rows.append(self._count)
         row = np.zeros(1, self._row)
-        row[0] = (sample.index, sample.stamp, *(getattr(sample, name) for name in SIGNALS))
+        row[0] = (sample.index, sample.stamp, *(getattr(sample, name) for name in SIGNALS), sample.seen)
         self._file.seek(0, 2)
         self._file.write(row.tobytes())
         self._count += 1
@@ -85,7 +86,8 @@ class SampleSpool:
         lengths = np.diff(np.append(begins, self._count))
         run = int(np.argmax(lengths))
         rows = self.rows(self._firsts[run], int(lengths[run]), int(lengths[run]))
-        return Window(**{name: rows[name] for name in SIGNALS}, first=self._firsts[run], period=period)
+        signals = {name: rows[name] for name in (*SIGNALS, "seen")}
+        return Window(**signals, first=self._firsts[run], period=period)
 
     def close(self) -> None:
         """Close the file, which deletes it."""

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twinmatch.dynamics import Law, Parameters, Response, begin_window, simulate_driven
+from twinmatch.dynamics import Parameters, Response, begin_window, simulate_driven
 from twinmatch.dynamics.simulation import SKIPPED
 from twinmatch.forecasting import Band, Forecast
 from twinmatch.signals import FloatArray, Sample, Window, unbroken
-from twinmatch.twin import response_on
+from twinmatch.twin import TwinSettings, bridged, response_on
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,34 +30,39 @@ class Comparison:
         return self.window.time[SKIPPED:]
 
     @property
+    def received(self) -> FloatArray:
+        """Those of the samples that were received, which alone have residuals."""
+        return self.window.received(self.time)
+
+    @property
     def closed_residual_y(self) -> FloatArray:
         """Measured minus closed-loop-twin output; empty without one."""
-        return np.empty(0) if self.closed is None else self.window.output[SKIPPED:] - self.closed.output
+        return np.empty(0) if self.closed is None else self._off(self.window.output, self.closed.output)
 
     @property
     def closed_residual_u(self) -> FloatArray:
         """Measured minus closed-loop-twin input; empty without one."""
-        return np.empty(0) if self.closed is None else self.window.input[SKIPPED:] - self.closed.input
+        return np.empty(0) if self.closed is None else self._off(self.window.input, self.closed.input)
 
     @property
     def driven_residual_y(self) -> FloatArray:
         """Measured minus driven-twin output."""
-        return self.window.output[SKIPPED:] - self.driven
+        return self._off(self.window.output, self.driven)
+
+    def _off(self, measured: FloatArray, twin: FloatArray) -> FloatArray:
+        return self.window.received(measured[SKIPPED:] - twin)
 
 
 def compare(
-    samples: Sequence[Sample], parameters: Parameters, gains: Law | None, period: float = 1.0
+    samples: Sequence[Sample], parameters: Parameters, settings: TwinSettings
 ) -> tuple[Comparison, ...]:
-    """Run the twins over every unbroken stretch of at least four samples, from its measured initial values,
-    or, where the loop is not known, from estimated ones.
-
-    `period`, s, is used where the loop is not known; a known loop has the period of its controller.
-    """
-    found = []
-    for stretch in unbroken(samples):
+    """Run the twins over every stretch of at least four samples without a gap that is not bridged, from its
+    measured initial values, or, where the loop is not known, from estimated ones."""
+    found, gains = [], settings.gains
+    for stretch in unbroken(bridged(samples, settings)):
         if len(stretch) < SKIPPED + 2:
             continue
-        window = Window.from_samples(stretch, period if gains is None else gains.period)
+        window = Window.from_samples(stretch, settings.period if gains is None else gains.period)
         if gains is None:
             found.append(Comparison(window, None, response_on(parameters, window, None).output))
             continue
@@ -99,26 +104,41 @@ class Fan:
 
     @property
     def judged(self) -> int:
-        """How many of the forecast's samples have a measurement."""
+        """How many of the forecast's samples are compared, including a few that may have been lost."""
         return 0 if self.measured is None else len(self.measured)
 
     @property
+    def times(self) -> FloatArray:
+        """When the samples came that are compared and were received, s after the forecast, shape (k,)."""
+        return (
+            np.empty(0) if self.measured is None else self.measured.received(self._ahead(self.forecast.time))
+        )
+
+    @property
     def error(self) -> FloatArray:
-        """Measured output minus the mean of the forecast, shape (judged,)."""
+        """Measured output minus the mean of the forecast at these times, shape (k,)."""
         if self.measured is None:
             return np.empty(0)
-        return self.measured.output - self.forecast.output.mean[: self.judged]
+        return self.measured.received(self.measured.output - self._ahead(self.forecast.output.mean))
 
     @property
     def in_band(self) -> tuple[FloatArray, FloatArray]:
-        """Whether the bands contained output and input, 1 or 0 per measured sample, shape (judged,); for an
-        input that was prescribed, shape (0,)."""
+        """Whether the bands contained output and input at these times, 1 or 0, shape (k,); for an input that
+        was prescribed, shape (0,)."""
         if self.measured is None:
             return np.empty(0), np.empty(0)
-        of_output = _inside(self.forecast.output, self.measured.output)
+        of_output = self._inside(self.forecast.output, self.measured.output)
         if not self.forecast.closed:
             return of_output, np.empty(0)
-        return of_output, _inside(self.forecast.input, self.measured.input)
+        return of_output, self._inside(self.forecast.input, self.measured.input)
+
+    def _ahead(self, values: FloatArray) -> FloatArray:
+        return values[: self.judged]
+
+    def _inside(self, band: Band, measured: FloatArray) -> FloatArray:
+        inside = (self._ahead(band.low) <= measured) & (measured <= self._ahead(band.high))
+        held = np.asarray(inside, dtype=np.float64)
+        return held if self.measured is None else self.measured.received(held)
 
 
 def fan(forecast: Forecast, samples: Sequence[Sample], period: float) -> Fan:
@@ -140,8 +160,3 @@ def fan(forecast: Forecast, samples: Sequence[Sample], period: float) -> Fan:
     count = int(other[0]) if other.size else ahead.size
     measured = window.part(now + 1, now + count) if count else None
     return Fan(forecast, window.part(window.first, now), measured)
-
-
-def _inside(band: Band, measured: FloatArray) -> FloatArray:
-    size = measured.size
-    return np.asarray((band.low[:size] <= measured) & (measured <= band.high[:size]), dtype=np.float64)

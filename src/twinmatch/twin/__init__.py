@@ -8,6 +8,7 @@ pushed: no clock, no thread, no random state, so a replay of a recorded session 
 verdicts.
 """
 
+from twinmatch.twin.bridge import Bridge, bridged
 from twinmatch.twin.engine import Discriminator, Outcome, Step, Twin
 from twinmatch.twin.forecaster import Forecaster, Snapshot
 from twinmatch.twin.matcher import MatchReport, MatchRequest, carry_out
@@ -18,6 +19,7 @@ from twinmatch.twin.structure_fits import StructureFits, watched
 from twinmatch.twin.structures import StructureChoice, StructureScore, choose_structure
 
 __all__ = [
+    "Bridge",
     "Discriminator",
     "ForecastSettings",
     "Forecaster",
@@ -40,6 +42,7 @@ __all__ = [
     "Twin",
     "TwinError",
     "TwinSettings",
+    "bridged",
     "carry_out",
     "choose_structure",
     "nrmse",

@@ -22,7 +22,8 @@ from twinmatch.dynamics import Parameters
 from twinmatch.errors import TwinmatchError
 from twinmatch.fitting import Status
 from twinmatch.health import SLOW, Alarm, Fault, Health, HealthState, Monitor
-from twinmatch.signals import Sample, Window, bridge
+from twinmatch.signals import Sample, Window
+from twinmatch.twin.bridge import Bridge
 from twinmatch.twin.candidates import UNSCORED, CandidatePool
 from twinmatch.twin.forecaster import Forecaster
 from twinmatch.twin.matcher import MatchReport, MatchRequest, carry_out, one_thread
@@ -98,7 +99,7 @@ class Discriminator:
         self._bands = BandHistory(self.settings.limits.doubtful, self.settings.noise.output)
         self._given = list(given)
         self._waiting: deque[Sample | Trigger] = deque()
-        self._newest: Sample | None = None
+        self._bridge = Bridge(self.settings.gains, self.settings.schedule.gap)
         self._request: MatchRequest | None = None
         self._fits: Future[None] | None = None
         self._settled: int | None = None
@@ -131,9 +132,7 @@ class Discriminator:
         A few samples lost before it are bridged: what they would have shown counts nowhere. After more,
         everything starts over.
         """
-        before = self._newest or sample
-        self._newest = sample
-        for one in (*bridge(before, sample, self.settings.schedule.gap), sample):
+        for one in self._bridge.push(sample):
             self._waiting.append(one)
             self.stamps[one.index] = one.stamp
             if len(self.stamps) > MOST_STAMPS:

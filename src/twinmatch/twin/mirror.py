@@ -28,7 +28,8 @@ from twinmatch.dynamics import (
 )
 from twinmatch.fitting.problem import unknown_starts
 from twinmatch.forecasting import StateFilter
-from twinmatch.signals import FloatArray, Sample, Signals, Window, bridge
+from twinmatch.signals import FloatArray, Sample, Signals, Window
+from twinmatch.twin.bridge import Bridge
 
 _ESTIMATED_OVER: Final = 300.0
 """Newest stretch over which the states of a new structure are estimated, s, at a scale of 1."""
@@ -96,11 +97,12 @@ class Mirror:
             gap: most samples lost in a row that do not restart the twins.
             scale: factor on the newest stretch over which the states of new parameters are estimated.
         """
-        self._parameters, self._gap = parameters, gap
+        self._parameters = parameters
         self._gains = gains_for(parameters.model.plant, period, gains)
         self._period = period if self._gains is None else self._gains.period
         self._recent: deque[list[float]] = deque(maxlen=recent)
         self._samples: deque[Sample] = deque(maxlen=max(round(_ESTIMATED_OVER * scale / self._period), 1))
+        self._bridge = Bridge(self._gains, gap)
         self._previous: Sample | None = None
         self._started = 0
 
@@ -120,8 +122,9 @@ class Mirror:
 
     def push(self, sample: Sample) -> MirrorState:
         """Take one sample; return the state of the twins at its tick."""
-        for lost in bridge(self._previous or sample, sample, self._gap):
-            self._push(lost)
+        *lost, sample = self._bridge.push(sample)
+        for one in lost:
+            self._push(one)
         return self._push(sample)
 
     def _push(self, sample: Sample) -> MirrorState:
@@ -228,11 +231,11 @@ def residuals(parameters: Parameters, window: Window, gains: Law | None) -> Resi
     driven = simulate_driven(
         parameters, window.input[SKIPPED:], states=states, period=window.period, disturbances=disturbances
     )
-    off = _rms(_received(window, window.output[SKIPPED:] - driven.output))
+    off = _rms(window.received(window.output[SKIPPED:] - driven.output))
     if gains is None:
         return Residuals(off, float("nan"))
     closed = simulate_window(parameters, window, gains=gains)
-    return Residuals(off, _rms(_received(window, window.input[SKIPPED:] - closed.input)))
+    return Residuals(off, _rms(window.received(window.input[SKIPPED:] - closed.input)))
 
 
 def window_fit(parameters: Parameters, window: Window, gains: Law | None) -> tuple[float, float]:
@@ -241,8 +244,9 @@ def window_fit(parameters: Parameters, window: Window, gains: Law | None) -> tup
     Without gains: that of the driven twin's output, and NaN.
     """
     twin = response_on(parameters, window, gains)
-    of_output = nrmse(window.output[SKIPPED:], twin.output)
-    return of_output, float("nan") if gains is None else nrmse(window.input[SKIPPED:], twin.input)
+    measured = (window.output[SKIPPED:], twin.output), (window.input[SKIPPED:], twin.input)
+    of_output, of_input = (nrmse(*map(window.received, pair)) for pair in measured)
+    return of_output, float("nan") if gains is None else of_input
 
 
 def response_on(parameters: Parameters, window: Window, gains: Law | None) -> Response:
@@ -281,11 +285,6 @@ def nrmse(measured: FloatArray, simulated: FloatArray) -> float:
     """1 − ‖measured − simulated‖ / ‖measured − mean‖; NaN for a measured signal that is constant."""
     spread = float(np.linalg.norm(measured - np.mean(measured)))
     return 1.0 - float(np.linalg.norm(measured - simulated)) / spread if spread > 0 else float("nan")
-
-
-def _received(window: Window, values: FloatArray) -> FloatArray:
-    """Of values from the third sample on, those at samples that were received."""
-    return values if window.seen is None else values[window.seen[SKIPPED:]]
 
 
 def _rms(values: FloatArray) -> float:

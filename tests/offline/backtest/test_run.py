@@ -135,6 +135,27 @@ def test_a_peer_that_could_not_answer_is_reported() -> None:
     assert any("some forecasters lacked samples (ARX)" in note for note in tested.notes)
 
 
+def test_a_lost_sample_costs_no_forecast() -> None:
+    """Every fifteenth is lost: all are made that do not begin or end there, with nearly the same errors."""
+    whole = open_any(SHIPPED)
+    samples = whole.samples[:1200]
+    lossy = replace(whole, samples=[s for s in samples if s.index % 15 != 7])
+    choices = Choices(every=50.0, horizons=(10.0, 60.0), peers=("persistence",))
+    full, rest = (
+        backtest(session, terms_from_files(session), choices)
+        for session in (replace(whole, samples=samples), lossy)
+    )
+    ends = {(m.sample + round(h)) % 15 for m in rest.marked for h in (m.horizon,)}
+    assert 7 not in ends
+    before, now = (
+        {(m.sample, m.horizon): m.marks for m in one.marked if m.who == "leader"} for one in (full, rest)
+    )
+    kept = [place for place in before if place[0] % 15 != 7 and (place[0] + round(place[1])) % 15 != 7]
+    assert len(now.keys() & set(kept)) > 0.9 * len(kept)
+    errors = [[m.output.rms for m in one.values()] for one in (before, now)]
+    assert np.median(errors[1]) == pytest.approx(np.median(errors[0]), rel=0.2)
+
+
 def test_nothing_is_forecast_over_a_gap() -> None:
     """Forty samples are lost: what is said before ends there, and what is said after starts over."""
     whole = open_any(SHIPPED)

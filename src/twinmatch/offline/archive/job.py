@@ -127,7 +127,7 @@ def _rows(judgement: Judgement, entry: dict[str, Any]) -> list[dict[str, Any]]:
     from twinmatch.twin import window_fit  # noqa: PLC0415
 
     gains, period = judgement.settings.gains, judgement.settings.period
-    longest = Window.from_samples(max(unbroken(judgement.samples), key=len), period)
+    longest = Window.from_samples(max(unbroken(judgement.bridged), key=len), period)
     rows = []
     for candidate, known in zip(
         judgement.verdicts[-1].modelled, entry["verdicts"][-1]["candidates"], strict=False

@@ -32,7 +32,7 @@ from twinmatch.offline.processes import Beside, beside, held_interrupts
 from twinmatch.sessions import Session, open_any
 from twinmatch.sessions.files import ProgressCallback, part_of
 from twinmatch.signals import FloatArray, Sample, Window, unbroken
-from twinmatch.twin import Outcome, Twin, TwinSettings, response_on
+from twinmatch.twin import Outcome, Twin, TwinSettings, bridged, response_on
 from twinmatch.twin.matcher import one_thread
 
 
@@ -118,9 +118,14 @@ def mark(
     plant: type[Plant],
     candidate: str = "",
 ) -> list[Marked]:
-    """Score a forecast at every horizon for which all samples exist."""
+    """Score a forecast at every horizon that the session reaches and whose last sample was received."""
     came = origin.came
-    over = [horizon for horizon in horizons if samples_within(horizon, came.period) <= origin.count]
+    counts = {horizon: samples_within(horizon, came.period) for horizon in horizons}
+    over = [
+        horizon
+        for horizon, count in counts.items()
+        if count <= origin.count and (came.seen is None or came.seen[count - 1])
+    ]
     return [
         Marked(session, origin.sample, horizon, who, found, candidate)
         for horizon, found in zip(over, marks(forecast, came, over, plant), strict=True)
@@ -227,8 +232,9 @@ class Listener:
         scored, period = settings.forecasts, settings.period
         self.horizons = choices.ahead(scored.horizons, period)
         self.common, self.work = _Common(session, settings, self.horizons, choices.peers), work or Beside()
-        self.held = tuple(Window.from_samples(stretch, period) for stretch in unbroken(samples))
-        """The stretches without gaps."""
+        parts = unbroken(bridged(samples, settings))
+        self.held = tuple(Window.from_samples(part, period) for part in parts)
+        """The stretches without a gap that is not bridged."""
         every = _SPARSER * scored.every if choices.every is None else choices.every
         self.wanted = frozenset(regular(self.held, every))
         """Samples at which outlooks are recorded, besides those of the verdicts."""

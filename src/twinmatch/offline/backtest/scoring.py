@@ -15,7 +15,7 @@ from twinmatch.forecasting import Band, Forecast
 from twinmatch.offline.backtest.peer import BacktestError
 from twinmatch.offline.backtest.peers import Absent
 from twinmatch.record import finite
-from twinmatch.signals import FloatArray, Window
+from twinmatch.signals import BoolArray, FloatArray, Window
 
 _ROUNDING = 1e-9
 """Relative tolerance within which a horizon counts as a whole number of samples."""
@@ -112,15 +112,22 @@ def marks(forecast: Forecast, came: Window, horizons: Sequence[float], plant: ty
         if held < count:
             msg = f"backtest: a horizon of {horizon:g} s needs {count} samples; only {held} can be compared"
             raise BacktestError(msg)
-    outputs = _signal(forecast.output, came.output, counts, plant.output.noise, forecast.confidence)
+    confidence, seen = forecast.confidence, came.seen
+    outputs = _signal(forecast.output, came.output, plant.output.noise, confidence, counts, seen=seen)
     if not forecast.closed:
         return [Marks(output, None) for output in outputs]
-    inputs = _signal(forecast.input, came.input, counts, plant.drive.noise, forecast.confidence)
+    inputs = _signal(forecast.input, came.input, plant.drive.noise, confidence, counts, seen=seen)
     return list(map(Marks, outputs, inputs))
 
 
 def _signal(
-    band: Band, came: FloatArray, counts: Sequence[int], noise: float, confidence: float
+    band: Band,
+    came: FloatArray,
+    noise: float,
+    confidence: float,
+    counts: Sequence[int],
+    *,
+    seen: BoolArray | None,
 ) -> list[SignalMarks]:
     held = max(counts, default=0)
     x, mean, low, high = (a[:held] / noise for a in (came, band.mean, band.low, band.high))
@@ -128,7 +135,8 @@ def _signal(
     inside, scores = (low <= x) & (x <= high), interval_score(low, high, x, confidence)
     everything, found = np.array([error**2, inside, high - low, scores]), []
     for count in counts:
-        square, coverage, width, score = everything[:, :count].mean(axis=1).tolist()
+        received = slice(count) if seen is None else np.flatnonzero(seen[:count])
+        square, coverage, width, score = everything[:, received].mean(axis=1).tolist()
         found.append(SignalMarks(math.sqrt(square), float(error[count - 1]), coverage, width, score))
     return found
 

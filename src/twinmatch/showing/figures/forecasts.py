@@ -99,7 +99,7 @@ def _draw_error(axes: Axes, fan: Fan) -> None:
     """Measured output minus forecast, within the band."""
     band, time = fan.forecast.output, fan.forecast.time
     _fill(axes, time, band, around=band.mean)
-    axes.plot(time[: fan.judged], fan.error, color=PLANT, lw=0.9)
+    axes.plot(fan.times, fan.error, color=PLANT, lw=0.9)
     axes.axhline(0, color=CLOSED, lw=1.0)
     axes.axvline(0, color=SET_POINT, lw=0.8)
 

@@ -49,7 +49,7 @@ def draw_session(samples: Sequence[Sample], verdicts: Sequence[Verdict], setting
     Where the loop is not known, there is only the driven twin, which has the plant's input.
     """
     shown = shown_twin(verdicts[-1] if verdicts else None)
-    parts = compare(samples, shown.parameters, settings.gains, settings.period) if shown else ()
+    parts = compare(samples, shown.parameters, settings) if shown else ()
     closed = settings.gains is not None
     rows = (4 if closed else 3) if parts else 2
     figure = new_figure(10, 1.75 * rows)
@@ -97,11 +97,11 @@ def _draw_residuals(axes: Sequence[Axes], part: Comparison, *, first: bool) -> N
     """Residuals of the output and, in closed loop, of the input, with their band."""
     driven = "driven twin" if first else "_"
     if part.closed is None:
-        _draw_banded(axes[0], part.time, part.driven_residual_y, DRIVEN, driven if first else "")
+        _draw_banded(axes[0], part.received, part.driven_residual_y, DRIVEN, driven if first else "")
         return
     for each, residual in zip(axes, (part.closed_residual_y, part.closed_residual_u), strict=True):
-        _draw_banded(each, part.time, residual, CLOSED, "closed-loop twin" if first else "")
-    axes[0].plot(part.time, part.driven_residual_y, color=DRIVEN, lw=0.9, ls=":", label=driven)
+        _draw_banded(each, part.received, residual, CLOSED, "closed-loop twin" if first else "")
+    axes[0].plot(part.received, part.driven_residual_y, color=DRIVEN, lw=0.9, ls=":", label=driven)
 
 
 def _draw_banded(axes: Axes, time: FloatArray, residual: FloatArray, colour: str, name: str) -> None:
@@ -206,7 +206,7 @@ def draw_verdict(
         window = Window.from_samples(stretch, settings.period)
         draw_outputs(upper, window, closed=settings.gains is not None, named=number == 0, lw=1.2)
         draw_inputs(control, window, 0.9)
-    parts = compare(samples, shown.parameters, settings.gains, settings.period) if shown else ()
+    parts = compare(samples, shown.parameters, settings) if shown else ()
     for number, part in enumerate(parts):
         label = f"twin of {shown.name}" if shown and number == 0 else "_"
         output = part.driven if part.closed is None else part.closed.output

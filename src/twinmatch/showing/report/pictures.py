@@ -148,7 +148,7 @@ def fans_of(tested: Backtest, judgement: Judgement) -> tuple[Fan, ...]:
 
     hardest = sorted(tested.shown, key=moved, reverse=True)[:_SHOWN]
     return tuple(
-        fan(forecast, judgement.samples, judgement.settings.period)
+        fan(forecast, judgement.bridged, judgement.settings.period)
         for forecast in sorted(hardest, key=lambda f: f.sample)
     )
 

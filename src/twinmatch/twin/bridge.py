@@ -1,0 +1,94 @@
+"""Stand-ins for lost samples, as the loop's law says what it did meanwhile."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from twinmatch.dynamics import Law, commands_of
+from twinmatch.signals import FloatArray, Sample, Window, bridge
+from twinmatch.twin.settings import TwinSettings
+
+_PAST: Final = 60
+"""Samples from which the law's state is found: a limited PID shows its integral once it leaves the limit."""
+
+
+def bridged(samples: Iterable[Sample], settings: TwinSettings) -> list[Sample]:
+    """The samples of a session with stand-ins for the lost ones, as a twin with these settings takes them."""
+    bridge_of = Bridge(settings.gains, settings.schedule.gap)
+    return [one for sample in samples for one in bridge_of.push(sample)]
+
+
+class Bridge:
+    """Fills short gaps in the samples of one plant; see `signals.bridge`.
+
+    Where the law of the loop is known, it computes the lost inputs. A set-point may have moved at each of the
+    lost samples, at the next one received, or in a ramp: the moment is taken whose input at that next sample
+    is nearest to the recorded one.
+    """
+
+    def __init__(self, law: Law | None, longest: int) -> None:
+        """Begin without samples; `law` is None if the loop is not known, and at most `longest` samples in a
+        row are bridged."""
+        self._law, self._longest = law, longest
+        self._past: deque[Sample] = deque(maxlen=_PAST)
+
+    def push(self, sample: Sample) -> list[Sample]:
+        """The stand-ins for the samples lost before this one, if it is so few, and this one, oldest first."""
+        before = self._past[-1] if self._past else sample
+        lost = bridge(before, sample, self._longest)
+        if not lost and sample.index != before.index + 1:
+            self._past.clear()
+        if lost and self._law is not None and len(self._past) == _PAST:
+            lost = _looped(self._law, list(self._past), lost, sample)
+        self._past.extend((*lost, sample))
+        return [*lost, sample]
+
+
+def _looped(law: Law, past: Sequence[Sample], lost: list[Sample], after: Sample) -> list[Sample]:
+    """The stand-ins with the set-points and inputs of the loop."""
+    if after.shape[:3] != (law.n_references, law.n_outputs, law.n_inputs):
+        return lost
+    state = law.state(Window.from_samples(past, law.period))
+    for sample in past[2:]:
+        rows = (np.array(row) for row in (sample.references, sample.outputs, sample.inputs))
+        state = law.follow(state, *rows)
+    found, nearest = lost, np.inf
+    for references, outputs in _courses(past[-1], [*lost, after]):
+        inputs, _ = commands_of(law.law, state, references, outputs)
+        off = float(np.linalg.norm(inputs[-1] - after.inputs))
+        if off <= nearest:
+            nearest = off
+            of_all = (references.tolist(), outputs.tolist(), inputs.tolist())
+            found = [
+                replace(one, references=tuple(r), outputs=tuple(y), inputs=tuple(u))
+                for one, r, y, u in zip(lost, *of_all, strict=False)
+            ]
+    return found
+
+
+def _courses(before: Sample, behind: Sequence[Sample]) -> Iterator[tuple[FloatArray, FloatArray]]:
+    """Set-points, shape (N, r), and outputs, (N, p), that the samples behind one may have had.
+
+    An output moves only after the set-point that moves it.
+    """
+    old, new = np.array(before.references), np.array(behind[-1].references)
+    outputs, passed, last = (
+        np.array([s.outputs for s in behind]),
+        np.arange(1.0, len(behind) + 1),
+        len(behind),
+    )
+    yield old + (new - old) * (passed / last)[:, None], outputs
+    if np.array_equal(old, new):
+        return
+    for first in range(1, last):
+        share = np.clip((passed - first) / (last - first), 0.0, 1.0)[:, None]
+        yield (
+            np.where(passed[:, None] >= first, new, old),
+            before.outputs + share * (outputs[-1] - before.outputs),
+        )
+    yield np.where(passed[:, None] >= last, new, old), outputs
