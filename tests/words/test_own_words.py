@@ -107,7 +107,7 @@ def test_a_page_uses_the_plants_words(shown: Shown) -> None:
         state.push_twin(sample.index, TwinRow(**{name: getattr(twin, name)[0] for name in TwinRow._fields}))
     for verdict in judged.verdicts:
         state.push_verdict(verdict)
-    update_sentence(state, judged.settings.gains)
+    update_sentence(state, judged.settings)
     page.update()
     text = lettering(document) + document.title
     shown.speaks_of_itself(text, shown.plant.title, *shown.words, f"plant − twin / {shown.words[1]}")

@@ -276,7 +276,7 @@ def summed_up(samples: Sequence[Sample], verdicts: Sequence[Verdict]) -> str:
         state.push_sample(sample, 0.0)
     for verdict in verdicts:
         state.push_verdict(verdict)
-    update_sentence(state, TwinSettings().gains)
+    update_sentence(state, TwinSettings())
     return state.sentence
 
 

@@ -149,7 +149,7 @@ class Dashboard(TwinmatchNode):
     def _sum_up(self) -> None:
         if self._summed_up != self.state.verdicts:
             self._summed_up = self.state.verdicts
-            update_sentence(self.state, self._settings.gains)
+            update_sentence(self.state, self._settings)
 
     def _run_requests(self) -> None:
         with suppress(Empty):

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from twinmatch.comparing import Verdict
 from twinmatch.description import UNDESCRIBED, Description
-from twinmatch.dynamics import Law
 from twinmatch.errors import TwinmatchError
 from twinmatch.forecasting import Forecast
 from twinmatch.offline.summary import summarise
@@ -31,6 +30,7 @@ from twinmatch.showing.verdicts import (
     extend_stretches,
 )
 from twinmatch.signals import FloatArray, Sample
+from twinmatch.twin import TwinSettings, bridged
 
 CAPACITY = 36_000
 """Samples kept: an hour at 10 Hz, ten hours at 1 Hz."""
@@ -335,22 +335,21 @@ class DashboardState:
         self.event_count += 1
 
 
-def update_sentence(state: DashboardState, gains: Law | None) -> None:
+def update_sentence(state: DashboardState, settings: TwinSettings) -> None:
     """Summarise the samples that are kept, with the newest verdict, into `state.sentence`.
 
-    Takes a few milliseconds; call it for a new verdict, not for every sample. `gains` are those of the
-    running controller; None where the controller is not known.
+    Takes a few milliseconds; call it for a new verdict, not for every sample. `settings` are the twin's.
     """
     with state.lock:
         verdict, period = state.verdict, state.period
         columns, _ = state.plant.since(0)
     rows = zip(*(columns[n].tolist() for n in ("index", "reference", "output", "input")), strict=True)
-    samples = [Sample(int(k), 0, r, y, u) for k, r, y, u in rows if not math.isnan(r)]  # NaN: a gap
+    samples = [Sample(int(k), int(k), r, y, u) for k, r, y, u in rows if not math.isnan(r)]  # NaN: a gap
     summed_up = ""
     if samples and verdict is not None and (verdict.leader or verdict.nominal):
-        gains = gains and replace(gains, period=period)
+        gains = settings.gains and replace(settings.gains, period=period)
         with suppress(TwinmatchError):  # so few samples that there is no window
-            summed_up = sentence(summarise(samples, [verdict], gains, period=period))
+            summed_up = sentence(summarise(bridged(samples, settings), [verdict], gains, period=period))
     with state.lock:
         if state.verdict is verdict:
             state.sentence = summed_up
