@@ -7,7 +7,6 @@ import os
 import shutil
 import stat
 import termios
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -342,31 +341,6 @@ def program(path: Path, script: str) -> VirtualTools:
     path.write_text(f"#!/bin/sh\n{script}\n")
     path.chmod(path.stat().st_mode | stat.S_IXUSR)
     return VirtualTools(path, path)
-
-
-def test_a_board_that_runs_by_itself_takes_no_steps(board: Board) -> None:
-    board.run(0.1)
-    with pytest.raises(ArduinoError, match="it is running"):
-        board.advance(0.01)
-    board.pause()
-    before = board.drive().time
-    assert board.advance(0.25).time == pytest.approx(before + 0.25, abs=0.002)
-
-
-@pytest.mark.parametrize("speed", [0.0, -1.0, float("nan")])
-def test_time_passes_forwards(board: Board, speed: float) -> None:
-    with pytest.raises(ArduinoError, match="it must be positive"):
-        board.run(speed)
-
-
-def test_time_passes_by_itself_while_it_runs_and_not_while_it_pauses(board: Board) -> None:
-    start = board.drive().time
-    board.run(5.0)
-    while board.drive().time < start + 0.5:
-        time.sleep(0.01)
-    board.pause()
-    stopped = board.drive().time
-    assert board.drive().time == stopped
 
 
 def test_a_stand_in_admits_to_being_one_and_its_port_disappears_with_it(

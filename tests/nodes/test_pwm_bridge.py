@@ -17,10 +17,10 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Temperature
 
 from tests.support import boards
+from tests.support.boards import StandIn
 from tests.support.heaters import HeaterRig
 from tests.support.processes import Start
 from tests.support.ros import Listener
-from twinmatch.emulation.arduino import StandInArduino
 from twinmatch.links.pwm_protocol import Flags
 from twinmatch.nodes.network import sockets_elsewhere
 from twinmatch_msgs.msg import LoopSample, PwmApplied, PwmCommand
@@ -44,8 +44,8 @@ def any_board(request: pytest.FixtureRequest) -> Iterator[Any]:
 
 
 @pytest.fixture
-def board() -> Iterator[StandInArduino]:
-    board = StandInArduino()
+def board() -> Iterator[StandIn]:
+    board = StandIn()
     board.run()
     yield board
     board.close()
@@ -165,7 +165,7 @@ def test_a_frozen_bridge_lets_go_and_stays_off(start_process: Start, rig: Rig, a
     assert rig.fault.split(":")[0] in {"board", "link", "command_silent"}
 
 
-def test_another_signal_ends_it_with_zero_too(start_process: Start, rig: Rig, board: StandInArduino) -> None:
+def test_another_signal_ends_it_with_zero_too(start_process: Start, rig: Rig, board: StandIn) -> None:
     bridge = start_process("pwm_bridge", "-p", f"port:={board.port}", *QUIET)
     rig.drive(200.0, board)
     board.run(SLOW)
@@ -187,7 +187,7 @@ DOUBTS: tuple[tuple[str, str, float | None], ...] = (
 """Fault, and which input breaks to which value."""
 
 
-def test_doubt_is_zero_and_latches_until_cleared(start: Start, rig: Rig, board: StandInArduino) -> None:
+def test_doubt_is_zero_and_latches_until_cleared(start: Start, rig: Rig, board: StandIn) -> None:
     limits = ["-p", "command_timeout:=2.0", "-p", "temperature_timeout:=3.0"]
     start("pwm_bridge", "-p", f"port:={board.port}", *limits)
     for kind, name, value in DOUBTS:
@@ -207,9 +207,7 @@ def test_doubt_is_zero_and_latches_until_cleared(start: Start, rig: Rig, board: 
 
 
 @pytest.mark.parametrize(("reference", "pwm"), [(60.0, 255.0), (0.0, -255.0)], ids=["heating", "cooling"])
-def test_a_runaway_is_zero(
-    start: Start, rig: Rig, board: StandInArduino, reference: float, pwm: float
-) -> None:
+def test_a_runaway_is_zero(start: Start, rig: Rig, board: StandIn, reference: float, pwm: float) -> None:
     limits = ["-p", "runaway.gain_time:=1.0", "-p", "runaway.patience:=20.0"]
     start("pwm_bridge", "-p", f"port:={board.port}", *QUIET, *limits)
     rig.drive(pwm, board)
@@ -218,7 +216,7 @@ def test_a_runaway_is_zero(
     rig.stays_at_zero(board)
 
 
-def test_stop_is_a_fault_that_is_asked_for(start: Start, rig: Rig, board: StandInArduino) -> None:
+def test_stop_is_a_fault_that_is_asked_for(start: Start, rig: Rig, board: StandIn) -> None:
     start("pwm_bridge", "-p", f"port:={board.port}", *QUIET)
     rig.drive(120.0, board)
     assert rig.call("stop").success
@@ -289,7 +287,7 @@ def simulated(rig: Rig) -> Iterator[SimulatedTime]:
 
 
 def test_a_simulated_clock_that_stands_still_is_zero(
-    start: Start, rig: Rig, board: StandInArduino, simulated: SimulatedTime
+    start: Start, rig: Rig, board: StandIn, simulated: SimulatedTime
 ) -> None:
     """Although commands and temperatures keep arriving: in their time none of them is old."""
     start("pwm_bridge", "-p", f"port:={board.port}", "-p", "use_sim_time:=true", *QUIET)
@@ -303,7 +301,7 @@ def test_a_simulated_clock_that_stands_still_is_zero(
 
 
 def test_a_simulated_clock_that_jumps_back_extends_no_deadline(
-    start: Start, rig: Rig, board: StandInArduino, simulated: SimulatedTime
+    start: Start, rig: Rig, board: StandIn, simulated: SimulatedTime
 ) -> None:
     start("pwm_bridge", "-p", f"port:={board.port}", "-p", "use_sim_time:=true", *QUIET)
     rig.drive(120.0, board)
@@ -315,7 +313,7 @@ def test_a_simulated_clock_that_jumps_back_extends_no_deadline(
 
 
 def test_without_a_clock_nothing_is_driven_and_the_diagnostics_say_why(
-    start: Start, rig: Rig, board: StandInArduino
+    start: Start, rig: Rig, board: StandIn
 ) -> None:
     start("pwm_bridge", "-p", f"port:={board.port}", "-p", "use_sim_time:=true", *QUIET)
     rig.pwm, rig.stamp = 120.0, lambda: 0
@@ -324,7 +322,7 @@ def test_without_a_clock_nothing_is_driven_and_the_diagnostics_say_why(
     assert rig.fault == ""
 
 
-def test_no_samples_no_runaway_watch_and_that_is_said(start: Start, rig: Rig, board: StandInArduino) -> None:
+def test_no_samples_no_runaway_watch_and_that_is_said(start: Start, rig: Rig, board: StandIn) -> None:
     start("pwm_bridge", "-p", f"port:={board.port}", *QUIET)
     rig.drive(50.0, board)
     rig.until(lambda: "runaway is not monitored" in rig.warnings(), "the warning")
@@ -336,7 +334,7 @@ def test_no_samples_no_runaway_watch_and_that_is_said(start: Start, rig: Rig, bo
     ("topic", "kind"), [("plant/pwm_command", PwmCommand), ("plant/temperature", Temperature)]
 )
 def test_a_second_publisher_of_what_decides_about_heat_is_named_and_latches(
-    start: Start, rig: Rig, board: StandInArduino, topic: str, kind: Any
+    start: Start, rig: Rig, board: StandIn, topic: str, kind: Any
 ) -> None:
     """Without one message from it; once it has ended the fault can be cleared."""
     start("pwm_bridge", "-p", f"port:={board.port}", *QUIET)
@@ -352,7 +350,7 @@ def test_a_second_publisher_of_what_decides_about_heat_is_named_and_latches(
 
 
 def test_another_protocol_ends_it_in_one_line(
-    start: Start, board: StandInArduino, monkeypatch: pytest.MonkeyPatch
+    start: Start, board: StandIn, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("twinmatch.emulation.arduino.PROTOCOL", 9)
     bridge = start("pwm_bridge", "-p", f"port:={board.port}")

@@ -12,8 +12,8 @@ from typing import Any
 import pytest
 
 from tests.support import boards
+from tests.support.boards import StandIn
 from tests.support.waiting import wait_for
-from twinmatch.emulation.arduino import StandInArduino
 from twinmatch.links.pwm_link import Applied, LinkSettings, PwmLink
 from twinmatch.links.pwm_protocol import Flags
 from twinmatch.nodes.gated import ClockTimes, DriverPace, OutputGate
@@ -108,7 +108,7 @@ def bench(request: pytest.FixtureRequest) -> Iterator[Bench]:
 
 @pytest.fixture
 def stand_in() -> Iterator[Bench]:
-    board = StandInArduino()
+    board = StandIn()
     board.run(SLOWLY)
     with closing(Bench(board, LinkSettings(timeout=0.5, retries=1)).start()) as made:
         yield made
@@ -224,7 +224,7 @@ def test_noise_on_the_line_is_borne(stand_in: Bench) -> None:
 
 
 def test_a_board_that_had_tripped_on_its_driver_is_not_cleared_by_itself() -> None:
-    board = StandInArduino()
+    board = StandIn()
     board.run(SLOWLY)
     with PwmLink(board.port, PATIENT) as link:
         link.clear()
@@ -280,7 +280,7 @@ def test_what_trips_while_the_board_is_woken_is_heeded(
 
 
 def test_answers_slower_than_the_deadline_allows_are_warned_of() -> None:
-    board = StandInArduino()
+    board = StandIn()
     board.run(SLOWLY)
     with closing(Bench(board, LinkSettings(timeout=0.4, retries=2)).start()) as bench:
         bench.until(lambda: bench.health.report().level is Level.WARN)

@@ -7,6 +7,7 @@ skipped there. Its motor supply should be off.
 from __future__ import annotations
 
 import os
+import threading
 import time
 import tty
 from collections.abc import Callable
@@ -39,16 +40,53 @@ def make(kind: str) -> Board:
     if kind == "real":
         return RealBoard(str(REAL))
     if kind == "stand-in":
-        return StandInArduino()
+        return StandIn()
     parts = tools()
     if isinstance(parts, str):
         pytest.skip(parts)
-    board = VirtualArduino(parts)
+    board = Simulated(parts)
     board.advance(0.1)
     return board
 
 
-class RealBoard(EmulatedBoard):
+class Paced(EmulatedBoard):
+    """A board whose time passes by itself, if asked; what a busy machine delays is lost, not caught up."""
+
+    _thread: threading.Thread | None = None
+
+    def run(self, speed: float = 1.0) -> None:
+        """Let time pass `speed` times as fast as the wall clock."""
+        self.pause()
+        self._paused = threading.Event()
+        self._thread = threading.Thread(target=self._pace, args=(speed, self._paused), daemon=True)
+        self._thread.start()
+
+    def pause(self) -> None:
+        """Let time stand still."""
+        if self._thread is not None:
+            self._paused.set()
+            self._thread.join()
+        self._thread = None
+
+    def close(self) -> None:
+        self.pause()
+        super().close()
+
+    def _pace(self, speed: float, paused: threading.Event) -> None:
+        step = max(1, round(2 * speed)) / 1000
+        while not paused.wait(step / speed):
+            self.advance(step)
+
+
+class StandIn(Paced, StandInArduino):
+    """The stand-in."""
+
+
+class Simulated(Paced, VirtualArduino):
+    """The simulated processor."""
+
+
+class RealBoard(Paced):
     """A board on the desk: its time is ours, its pins are out of sight."""
 
     def advance(self, seconds: float) -> PinDrive:
@@ -59,16 +97,13 @@ class RealBoard(EmulatedBoard):
         if speed != 1.0:
             self._skip()
 
-    def pause(self) -> None:
-        """It cannot."""
-
     def _skip(self, *_: object) -> NoReturn:
         pytest.skip("needs an emulated board")
 
     drive = set_current = set_fault = unplug = plug = hang = _skip
 
 
-Board = StandInArduino | VirtualArduino | RealBoard
+Board = StandIn | Simulated | RealBoard
 
 
 class Wire:

@@ -16,8 +16,9 @@ import tempfile
 import threading
 import time
 import tty
+from abc import ABC, abstractmethod
 from pathlib import Path
-from typing import ClassVar, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
 from twinmatch.errors import TwinmatchError
 from twinmatch.links.pwm_link import AMPERES_PER_COUNT
@@ -53,7 +54,6 @@ _DEBOUNCE_MS = 5
 _WATCHDOG_RESET = 0x08  # WDRF of MCUSR
 _POWER_ON = 0x01  # PORF of MCUSR
 _AWAY_MS = 20  # time that a restarting board is off the bus
-_LATE = 0.020  # s of board time caught up at most after the machine was busy; the rest is lost
 
 
 class ArduinoError(TwinmatchError):
@@ -71,15 +71,12 @@ class PinDrive(NamedTuple):
     """Whether the driver is on. On with zero PWM it shorts the plate; off it leaves the circuit open."""
 
 
-class EmulatedBoard:
+class EmulatedBoard(ABC):
     """An emulated Arduino at the end of a pseudo-terminal; a context manager.
 
     Its port appears at `port`, by default a temporary path, and vanishes and returns with the cable. Its time
-    stands still until `advance` (lockstep) or `run` is called.
+    passes only in `advance`; other methods may be called from another thread.
     """
-
-    WHAT: ClassVar[str]
-    """What it is, for messages."""
 
     def __init__(self, port: str | Path | None = None) -> None:
         self._folder = None if port else tempfile.TemporaryDirectory(prefix="twinmatch-arduino-")
@@ -96,14 +93,9 @@ class EmulatedBoard:
         if self._folder is not None:
             self._folder.cleanup()
 
-    def error(self, why: str) -> ArduinoError:
-        """An error that names the board."""
-        return ArduinoError(f"{self.WHAT} at {self.port}: {why}")
-
-    def check_speed(self, speed: float) -> None:
-        """Refuse a speed that is not positive."""
-        if not speed > 0:
-            raise self.error(f"speed is {speed}; it must be positive")
+    @abstractmethod
+    def advance(self, seconds: float) -> PinDrive:
+        """Advance by this time, rounded to ms, and return the drive at the end."""
 
 
 class SerialPort:
@@ -321,8 +313,6 @@ class ArduinoModel:
 class StandInArduino(EmulatedBoard):
     """A board in Python."""
 
-    WHAT = "stand-in"
-
     def __init__(self, port: str | Path | None = None) -> None:
         super().__init__(port)
         self.model = ArduinoModel()
@@ -330,45 +320,16 @@ class StandInArduino(EmulatedBoard):
         self._elapsed_ms = 0
         self._away_ms = 0
         self._lock = threading.RLock()
-        self._running = threading.Event()
-        self._thread: threading.Thread | None = None
         self.plug()
         _log.info("%s is a stand-in for the Arduino (%s); no firmware runs behind it", self.port, FIRMWARE)
 
     def advance(self, seconds: float) -> PinDrive:
-        """Advance by this time, rounded to ms, and return the drive at the end.
-
-        Raises:
-            ArduinoError: it is running.
-        """
-        if self._thread is not None:
-            raise self.error("it is running; pause() it before advance()")
+        """Advance by this time, rounded to ms, and return the drive at the end."""
         received = True
         for _ in range(round(seconds * 1000)):
             # What a host sends during this call, which takes no time, is read at the next one.
             received = self._millisecond(read=received)
         return self.drive()
-
-    def run(self, speed: float = 1.0) -> None:
-        """Run in a thread, `speed` times as fast as the wall clock, without jumps.
-
-        Raises:
-            ArduinoError: the speed is not positive.
-        """
-        self.check_speed(speed)
-        self.pause()
-        self._running.set()
-        self._thread = threading.Thread(
-            target=self._pace, args=(speed,), name="stand-in Arduino", daemon=True
-        )
-        self._thread.start()
-
-    def pause(self) -> None:
-        """Stop running."""
-        self._running.clear()
-        if self._thread is not None:
-            self._thread.join()
-            self._thread = None
 
     def drive(self) -> PinDrive:
         """The drive now."""
@@ -401,7 +362,6 @@ class StandInArduino(EmulatedBoard):
 
     def close(self) -> None:
         """End the board."""
-        self.pause()
         self.unplug()
         super().close()
 
@@ -421,13 +381,3 @@ class StandInArduino(EmulatedBoard):
             elif reply:
                 self._line.write(reply)
             return bool(data)
-
-    def _pace(self, speed: float) -> None:
-        due = time.monotonic()
-        while self._running.is_set():
-            now = time.monotonic()
-            due = max(due, now - _LATE / speed - 0.005)
-            while due <= now:
-                self._millisecond()
-                due += 0.001 / speed
-            time.sleep(0.001)

@@ -81,8 +81,6 @@ class VirtualArduino(EmulatedBoard):
         ArduinoError: the simulator does not start; of all methods: it has ended.
     """
 
-    WHAT = "virtual board"
-
     def __init__(self, tools: VirtualTools, port: str | Path | None = None) -> None:
         super().__init__(port)
         self._lock = threading.Lock()
@@ -101,7 +99,6 @@ class VirtualArduino(EmulatedBoard):
             super().close()
             msg = f"virtual board: {tools.program} does not start ({error}); build it first"
             raise ArduinoError(msg) from error
-        self._running = False
         try:
             self._hear()
         except ArduinoError:
@@ -111,20 +108,7 @@ class VirtualArduino(EmulatedBoard):
 
     def advance(self, seconds: float) -> PinDrive:
         """Advance by this time, rounded to ms, and return the drive at the end."""
-        if self._running:
-            raise self.error("it is running; pause() it before advance()")
         return self._drive(self._ask(f"step {round(seconds * 1000) * 1000}"))
-
-    def run(self, speed: float = 1.0) -> None:
-        """Run by itself, `speed` times as fast as the wall clock."""
-        self.check_speed(speed)
-        self._ask(f"run {speed:.6f}")
-        self._running = True
-
-    def pause(self) -> None:
-        """Stop running."""
-        self._ask("pause")
-        self._running = False
 
     def drive(self) -> PinDrive:
         """The drive now."""
@@ -164,6 +148,9 @@ class VirtualArduino(EmulatedBoard):
         self._remarks.close()
         super().close()
 
+    def _error(self, why: str) -> ArduinoError:
+        return ArduinoError(f"virtual board at {self.port}: {why}")
+
     def _ask(self, line: str) -> _State:
         with self._lock:
             try:
@@ -171,7 +158,7 @@ class VirtualArduino(EmulatedBoard):
                 self._process.stdin.write(line.encode() + b"\n")
                 self._process.stdin.flush()
             except (OSError, ValueError) as error:
-                raise self.error("its process has ended") from error
+                raise self._error("its process has ended") from error
             return self._hear()
 
     def _hear(self) -> _State:
@@ -180,9 +167,9 @@ class VirtualArduino(EmulatedBoard):
         if not words:
             self._remarks.seek(0)
             said = self._remarks.read().decode(errors="replace").strip()[-500:]
-            raise self.error(f"its process has ended: {said}")
+            raise self._error(f"its process has ended: {said}")
         if words[0] != b"state":
-            raise self.error("it refused a command; rebuild it from this version's sources")
+            raise self._error("it refused a command; rebuild it from this version's sources")
         return _State(*map(int, words[1:]))
 
     def _drive(self, state: _State) -> PinDrive:
