@@ -172,7 +172,7 @@ class _LiveRun(Supervised):
             self._start("recorder")
         self._start(plan.driver)
         if plan.in_step:
-            node.step = InStep(node, self._addresses["clock"])
+            node.beside.append(InStep(node, self._addresses["clock"]))
 
     def check(self, node: Watch) -> int | None:  # noqa: ARG002
         """Restart processes that may be restarted; over once one is lost, or all samples are judged."""

@@ -10,17 +10,16 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from twinmatch.launching.processes import LaunchError
 from twinmatch.links.kit_link import require_package, require_port
 from twinmatch.nodes.sampler import sources_of, understood
 from twinmatch.nodes.step import PATIENCE
-from twinmatch.parameters.declared import ParameterError, Values, check, flattened, render
+from twinmatch.parameters.declared import Values, check, render, sections_of
 from twinmatch.parameters.twin import at_period, read_settings, table_of, values_of
 from twinmatch.plants import find_plant, written_name
 from twinmatch.sessions.column_map import ColumnMap
-from twinmatch.sessions.documents import DocumentError, read_yaml
 from twinmatch.sessions.mapped import by_signal
 from twinmatch.sessions.sampler import REFERENCE
 
@@ -250,7 +249,7 @@ def attach_plan(
 
 
 def _sampler_values(config: Path | None, said: ColumnMap) -> Values:
-    given = _section(config) if config is not None else {}
+    given = sections_of(config, SAMPLER) if config is not None else {}
     if said.plant:
         given["plant"] = said.plant
     if said.period is not None:
@@ -262,16 +261,3 @@ def _sampler_values(config: Path | None, said: ColumnMap) -> Values:
     values = check(place, understood(place, given), given)
     sources_of(place, values)
     return values
-
-
-def _section(path: Path) -> dict[str, Any]:
-    try:
-        content = read_yaml(path)
-    except DocumentError as error:
-        raise ParameterError(str(error)) from error
-    section = content.get(SAMPLER) if isinstance(content, dict) else None
-    parameters = section.get("ros__parameters") if isinstance(section, dict) else None
-    if not isinstance(parameters, dict):
-        msg = f"{path}: has no section {SAMPLER} with ros__parameters; see config/attach.yaml"
-        raise ParameterError(msg)
-    return flattened(parameters)

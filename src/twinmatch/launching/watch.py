@@ -117,8 +117,7 @@ class Watch(TwinmatchNode):
         """End the processes."""
         run = self.supervised
         run.view.close()
-        if self.step is not None:
-            self.step.close()
+        super().close()
         for name in run.processes.stop(run.STOP_ORDER):
             run.view.say(f"{name} did not end in time and was killed")
         return True

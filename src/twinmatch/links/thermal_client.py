@@ -8,7 +8,6 @@ and reconnects. `region` gives the temperatures of a rectangle of a frame.
 from __future__ import annotations
 
 import contextlib
-import math
 import socket
 import threading
 import time
@@ -20,6 +19,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from twinmatch.links import Background
 from twinmatch.links.thermal_frame import (
     DEFAULT_PORT,
     Exposure,
@@ -134,8 +134,8 @@ class LinkStatus:
     last_error: ThermalLinkError | None = None
 
 
-_NO_COUNT = 0
-_FULL_COUNT = 65535
+NO_COUNT, FULL_COUNT = 0, 65535
+"""Counts at the ends of their range, which are no temperatures."""
 
 
 class RegionError(ThermalLinkError):
@@ -185,11 +185,6 @@ class RegionStatistics:
         """Hottest minus coldest pixel, °C: the non-uniformity of the plate."""
         return self.maximum - self.minimum
 
-    @property
-    def deviation(self) -> float:
-        """Standard deviation over the pixels, °C."""
-        return math.sqrt(self.variance)
-
 
 def celsius(exposure: Exposure) -> FloatArray:
     """The image in °C, shape (rows, columns); NaN where the count is at either end of its range.
@@ -202,7 +197,7 @@ def celsius(exposure: Exposure) -> FloatArray:
         raise RegionError(msg)
     counts = exposure.image
     degrees = counts * exposure.resolution - KELVIN
-    degrees[(counts == _NO_COUNT) | (counts == _FULL_COUNT)] = np.nan
+    degrees[(counts == NO_COUNT) | (counts == FULL_COUNT)] = np.nan
     return np.asarray(degrees, dtype=np.float64)
 
 
@@ -239,7 +234,7 @@ _RECEIVE_BUFFER = 32_768
 _CONNECT_TIMEOUT = 2.0
 
 
-class ThermalClient:
+class ThermalClient(Background):
     """Receives the stream of one camera server in its own thread.
 
     Use as a context manager, or call `start` and `close`. `newest` and `status` never block.
@@ -248,11 +243,10 @@ class ThermalClient:
     def __init__(
         self, host: str = "127.0.0.1", port: int = DEFAULT_PORT, settings: ClientSettings = _DEFAULTS
     ) -> None:
+        super().__init__(f"thermal {host}:{port}", self._keep_receiving, 3.0)
         self.address = (host, port)
         self.settings = settings
-        self._stopping = threading.Event()
         self._arrived = threading.Condition()
-        self._thread = threading.Thread(target=self._run, name=f"thermal {host}:{port}", daemon=True)
         self._socket: socket.socket | None = None
         self._newest: Received | None = None
         self._news: Received | None = None
@@ -260,24 +254,19 @@ class ThermalClient:
         self._errors: Counter[str] = Counter()
         self._mapper = StampMapper()
 
-    def start(self) -> ThermalClient:
-        """Start the reader thread; returns at once, even if there is no server."""
-        self._thread.start()
-        return self
-
-    def close(self, timeout: float = 3.0) -> None:
-        """End the connection and the thread, waiting at most `timeout` seconds for it."""
-        self._stopping.set()
+    def close(self, timeout: float | None = None) -> bool:
+        """End the connection and the thread; returns whether it ended within the timeout (s)."""
+        self.ending.set()
         if (connection := self._socket) is not None:
             with contextlib.suppress(OSError):  # already closed, as intended
                 connection.shutdown(socket.SHUT_RDWR)
         with self._arrived:
             self._arrived.notify_all()
-        if self._thread.is_alive():
-            self._thread.join(timeout)
+        return super().close(timeout)
 
     def __enter__(self) -> ThermalClient:
-        return self.start()
+        self.start()
+        return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
@@ -300,26 +289,26 @@ class ThermalClient:
 
         def ready() -> bool:
             newest = self._newest
-            return self._stopping.is_set() or (newest is not None and newest.number > after)
+            return self.ending.is_set() or (newest is not None and newest.number > after)
 
         with self._arrived:
             self._arrived.wait_for(ready, timeout)
         newest = self._newest
         return newest if newest is not None and newest.number > after else None
 
-    def _run(self) -> None:
+    def _keep_receiving(self) -> None:
         try:
-            while not self._stopping.is_set():
+            while not self.ending.is_set():
                 try:
                     self._stream()
                 except ThermalLinkError as error:
                     self._note(error)
-                self._stopping.wait(back_off(max(1, self._status.failures), self.settings))
+                self.ending.wait(back_off(max(1, self._status.failures), self.settings))
         finally:
             self._status = replace(self._status, state=LinkState.CLOSED)
 
     def _note(self, error: ThermalLinkError) -> None:
-        if self._stopping.is_set():
+        if self.ending.is_set():
             return
         self._errors[type(error).__name__] += 1
         self._status = replace(
@@ -347,7 +336,7 @@ class ThermalClient:
             )
             reader = _Reader(connection, f"thermal camera at {host}:{port}", self.settings.stall_timeout)
             previous: ThermalFrame | None = None
-            while not self._stopping.is_set():
+            while not self.ending.is_set():
                 reader.begin()
                 frame = read_frame(reader.read)
                 self._accept(frame, previous)

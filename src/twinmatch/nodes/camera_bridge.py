@@ -14,6 +14,8 @@ from std_msgs.msg import Float64, Header
 
 from twinmatch.links import Background
 from twinmatch.links.thermal_client import (
+    FULL_COUNT,
+    NO_COUNT,
     ClientSettings,
     LinkState,
     Received,
@@ -56,7 +58,6 @@ class WallToRos:
 
 
 CENTIKELVIN = 0.01
-_NO_COUNT, _FULL_COUNT = 0, 65535
 
 
 def centikelvin(exposure: Exposure) -> NDArray[np.uint16]:
@@ -65,8 +66,8 @@ def centikelvin(exposure: Exposure) -> NDArray[np.uint16]:
     if exposure.resolution == CENTIKELVIN:
         return counts
     scaled = np.rint(counts * (exposure.resolution / CENTIKELVIN))
-    scaled = np.clip(scaled, _NO_COUNT + 1, _FULL_COUNT - 1)
-    invalid = (counts == _NO_COUNT) | (counts == _FULL_COUNT)
+    scaled = np.clip(scaled, NO_COUNT + 1, FULL_COUNT - 1)
+    invalid = (counts == NO_COUNT) | (counts == FULL_COUNT)
     return np.where(invalid, counts, scaled).astype(np.uint16)
 
 
@@ -148,7 +149,7 @@ class CameraBridge(TwinmatchNode):
         self._camera = ThermalClient(values["host"], values["port"], given_to(ClientSettings(), values))
         self._past = WallToRos()
         self._thread = Background("camera", self._run)
-        self.beside.append(self._thread)
+        self.beside += [self._thread, self._camera]
         self._measured_at: int | None = None  # stamp of the last temperature, ns
         self._pictured_at: int | None = None  # when the last images were published, monotonic ns
         self._counted = (0, time.monotonic())  # frames at the last report, and when that was
@@ -163,12 +164,6 @@ class CameraBridge(TwinmatchNode):
         self.report_on()
         self._camera.start()
         self._thread.start()
-
-    def close(self) -> bool:
-        """End the thread and the connection."""
-        ended = super().close()
-        self._camera.close(2.0)
-        return ended
 
     def report(self) -> Report:
         """State of the link, pace and age of the images, state of the camera."""

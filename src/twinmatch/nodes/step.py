@@ -18,6 +18,7 @@ from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 
 from twinmatch.emulation.clock import ClockClient, parse_address
+from twinmatch.links import Background
 from twinmatch.nodes.topics import NEWEST
 
 VARIABLE: Final = "TWINMATCH_IN_STEP"
@@ -46,7 +47,7 @@ class _Task:
             self._call()
 
 
-class InStep:
+class InStep(Background):
     """What this process has done, and the plant time up to which it lets the plant continue; thread-safe.
 
     All times are plant time in ns. `node` receives /clock.
@@ -58,6 +59,7 @@ class InStep:
         Raises:
             ClockError: the address is invalid.
         """
+        super().__init__("in step", self._keep_step)
         self._client = ClockClient(parse_address(address), lambda _: None)
         self._lock = threading.Lock()
         self._news = threading.Event()  # since the last look
@@ -69,11 +71,9 @@ class InStep:
         self._until = 0
         self._busy = False
         self._queues: list[Callable[[], bool]] = []
-        self._ending = False
-        self._thread = threading.Thread(target=self._run, name="in step", daemon=True)
         node.create_subscription(Clock, "/clock", self._on_clock, NEWEST)
         self._client.start()
-        self._thread.start()
+        self.start()
 
     @property
     def now(self) -> int:
@@ -112,17 +112,17 @@ class InStep:
 
     def breathe(self) -> float | None:
         """Let a moment of plant time pass for the board to answer; returns the time, s (None: at the end)."""
-        if self._ending:
+        if self.ending.is_set():
             return None
         self._let(self._now + BREATH, "breathe")
         return self._now / 1e9
 
-    def close(self) -> bool:
+    def close(self, timeout: float | None = None) -> bool:
         """End the connection, so that the plant no longer waits; returns whether its threads ended."""
-        self._ending = True
+        self.ending.set()
         self._news.set()
-        self._thread.join(2.0)
-        return self._client.close() and not self._thread.is_alive()
+        ended = super().close(timeout)
+        return self._client.close() and ended
 
     def _on_clock(self, message: Clock) -> None:
         now = message.clock.sec * 1_000_000_000 + message.clock.nanosec
@@ -134,11 +134,11 @@ class InStep:
         if self._driving or now + LEAD - self._until >= LEAD // 2:
             self._news.set()
 
-    def _run(self) -> None:
-        while not self._ending:
+    def _keep_step(self) -> None:
+        while not self.ending.is_set():
             self._news.clear()
             settled = self._let_if_done()
-            if not self._ending:  # it may have been set before the news were cleared
+            if not self.ending.is_set():  # it may have been set before the news were cleared
                 self._news.wait(IDLE if settled else SOON)
 
     def _let_if_done(self) -> bool:

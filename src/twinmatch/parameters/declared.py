@@ -12,10 +12,11 @@ import difflib
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from pathlib import Path
 from typing import Any, TypeVar
 
 from twinmatch.errors import TwinmatchError
-from twinmatch.sessions.documents import shown
+from twinmatch.sessions.documents import read_yaml, shown
 
 Value = bool | int | float | str | list[float] | list[str]
 Values = dict[str, Any]
@@ -150,6 +151,26 @@ def check(node: str, table: Sequence[Setting], given: Mapping[str, Any]) -> Valu
         name: parameter.accept(given[name], node) if name in given else parameter.default
         for name, parameter in known.items()
     }
+
+
+def sections_of(path: Path, *nodes: str) -> Values:
+    """What a ROS parameter file has for these nodes, by full names; sections of other nodes are ignored.
+
+    Raises:
+        DocumentError: it cannot be read, or is not YAML.
+        ParameterError: it has no section of these nodes, or one that has no parameters.
+    """
+    content = read_yaml(path)
+    tree = content if isinstance(content, dict) else {}
+    given: Values = {}
+    for node in (found := [node for node in nodes if tree.get(node) is not None]):
+        parameters = tree[node].get("ros__parameters") if isinstance(tree[node], dict) else None
+        if not isinstance(parameters, dict):
+            raise ParameterError(f"{path}: section {node} has no ros__parameters; see the files in config/")
+        given |= flattened(parameters)
+    if not found:
+        raise ParameterError(f"{path}: has no section {' or '.join(nodes)}; see the files in config/")
+    return given
 
 
 def flattened(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

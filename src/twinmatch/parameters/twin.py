@@ -34,13 +34,12 @@ from twinmatch.parameters.declared import (
     Setting,
     Values,
     check,
-    flattened,
     group,
     parameters_of,
+    sections_of,
 )
 from twinmatch.plants import Peltier, find_plant, plant_named, written_name
 from twinmatch.plants.records import structure_of
-from twinmatch.sessions.documents import DocumentError, read_yaml
 from twinmatch.twin import ForecastSettings, ScheduleSettings, TrustLimits, TwinError, TwinSettings
 
 UNKNOWN: Final = "unknown"
@@ -279,30 +278,16 @@ def read_settings(path: Path | None, plant: str = "", *, driven: bool = False) -
         driven: whether the data have no set-points; the loop is then unknown, unless the file says otherwise.
 
     Raises:
-        ParameterError: the file is missing or not a parameter file, has a parameter that does not exist or is
-            out of range, or is for another plant.
+        DocumentError: the file is missing, or is not YAML.
+        ParameterError: it is not a parameter file, has a parameter that does not exist or is out of range, or
+            is for another plant.
     """
     wanted = {"plant": written_name(plant_named(plant))} if plant else {}
     if driven:
         wanted["loop"] = UNKNOWN
     if path is None:
         return settings_from(twin_values("twin", wanted))
-    try:
-        content = read_yaml(path)
-    except DocumentError as error:
-        raise ParameterError(str(error)) from error
-    given: dict[str, Any] = {}
-    for node in ("/**", "matcher", "discriminator", "/matcher", "/discriminator"):
-        section = content.get(node) if isinstance(content, dict) else None
-        if section is None:
-            continue
-        parameters = section.get("ros__parameters") if isinstance(section, dict) else None
-        if not isinstance(parameters, dict):
-            raise ParameterError(f"{path}: section {node} has no ros__parameters; see the files in config/")
-        given.update(flattened(parameters))
-    if not given:
-        msg = f"{path}: has no section /**, matcher or discriminator; see the files in config/"
-        raise ParameterError(msg)
+    given = sections_of(path, "/**", "matcher", "discriminator", "/matcher", "/discriminator")
     values = twin_values(str(path), wanted | given)
     try:
         settings = settings_from(values)

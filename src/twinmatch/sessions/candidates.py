@@ -22,7 +22,7 @@ from twinmatch.dynamics import Plant
 from twinmatch.errors import TwinmatchError
 from twinmatch.plants import Peltier, find_plant, plant_named
 from twinmatch.plants.records import parameters_from
-from twinmatch.sessions.documents import DocumentError, parse_yaml, read_text, shown
+from twinmatch.sessions.documents import parse_yaml, read_text, shown
 
 _WORDS = ("name", "plant", "structure")
 MOST_NAME = 200
@@ -37,12 +37,10 @@ def read_candidates(path: Path) -> list[Candidate]:
     """Read initial candidates from a file.
 
     Raises:
-        CandidateFileError: the file does not exist, is not YAML, or an entry is incomplete or wrong.
+        DocumentError: the file does not exist, or is not YAML.
+        CandidateFileError: an entry is incomplete or wrong.
     """
-    try:
-        return parse_candidates(read_text(path), str(path), find_plant)
-    except DocumentError as error:
-        raise CandidateFileError(str(error)) from error
+    return parse_candidates(read_text(path), str(path), find_plant)
 
 
 def parse_candidates(
@@ -54,12 +52,10 @@ def parse_candidates(
     text that the user wrote may.
 
     Raises:
-        CandidateFileError: the text is not YAML, or an entry is incomplete or wrong.
+        DocumentError: the text is not YAML.
+        CandidateFileError: an entry is incomplete or wrong.
     """
-    try:
-        content = parse_yaml(text, path)
-    except DocumentError as error:
-        raise CandidateFileError(str(error)) from error
+    content = parse_yaml(text, path)
     entries = content.get("candidates") if isinstance(content, dict) else None
     if not isinstance(entries, list) or not entries:
         raise CandidateFileError(f"{path}: has no list 'candidates'; add one with an entry per candidate")

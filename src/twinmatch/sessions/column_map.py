@@ -31,7 +31,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from twinmatch.errors import TwinmatchError
-from twinmatch.sessions.documents import DocumentError, read_yaml
+from twinmatch.sessions.documents import read_yaml
 from twinmatch.sessions.files import RecordingError
 from twinmatch.sessions.tables import Table, split_title
 from twinmatch.sessions.times import read_times
@@ -120,12 +120,10 @@ def read_map(path: Path) -> ColumnMap:
     """Read a map from a YAML file.
 
     Raises:
-        RecordingError: the file does not exist, is not YAML, or is not a map.
+        DocumentError: the file does not exist, or is not YAML.
+        RecordingError: it is not a map.
     """
-    try:
-        content = read_yaml(path)
-    except DocumentError as error:
-        raise RecordingError(str(error)) from error
+    content = read_yaml(path)
     columns = content.get("columns") if isinstance(content, dict) else None
     if not isinstance(content, dict) or not isinstance(columns, dict) or not columns:
         raise RecordingError(
