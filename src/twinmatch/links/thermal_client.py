@@ -135,7 +135,7 @@ class LinkStatus:
 
 
 NO_COUNT, FULL_COUNT = 0, 65535
-"""Counts at the ends of their range, which are no temperatures."""
+"""Counts at the ends of their range: they stand for no temperature."""
 
 
 class RegionError(ThermalLinkError):
