@@ -229,7 +229,7 @@ def test_no_field_of_a_candidate_takes_what_it_cannot_be(field: str, value: str)
     with within(10, 50):
         try:
             (found,) = parse_candidates(entry(**{field: value}), "file")
-        except CandidateFileError as error:
+        except TwinmatchError as error:
             assert "\n" not in str(error)  # noqa: PT017 - for names, either outcome is right
             assert str(error).isprintable()  # noqa: PT017
             assert len(str(error)) < 800  # noqa: PT017

@@ -17,6 +17,7 @@ from tests.support.plant_files import plant_file
 from tests.support.plants import Motor
 from tests.support.processes import run_twinmatch
 from twinmatch.dynamics import Plant
+from twinmatch.errors import TwinmatchError
 from twinmatch.offline.judging import terms_from_files
 from twinmatch.plants import find_plant
 from twinmatch.sessions import RecordingError, read_session, write_session
@@ -271,7 +272,7 @@ def test_a_map_in_a_file_says_the_same(tmp_path: Path) -> None:
 def test_files_that_are_not_maps_are_explained(tmp_path: Path, text: str, message: str) -> None:
     path = tmp_path / "map.yaml"
     path.write_text(text)
-    with pytest.raises(RecordingError, match=message):
+    with pytest.raises(TwinmatchError, match=message):
         read_map(path)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tests.support.plants import Box
-from twinmatch.dynamics import Parameters, advance, begin, read, simulate_driven
+from twinmatch.dynamics import advance, begin, read, simulate_driven
 from twinmatch.signals import FloatArray, Sample
 
 PERIOD = 3.0
@@ -13,30 +13,30 @@ TRUTH = Box.model().parameters(air_capacity=650.0, bed_conductance=1.2, box_cond
 _LEVELS = (0.0, 0.4, 0.15, 0.6, 0.3, 0.1, 0.5, 0.2)
 
 
-def step_test(size: int, seed: int, truth: Parameters = TRUTH) -> list[Sample]:
+def step_test(size: int, seed: int) -> list[Sample]:
     """The heater stands still at eight levels, one after the other."""
     rng = np.random.default_rng(seed)
     room, noise = _room(size, rng), Box.output.noise * rng.standard_normal(size)
     heater = np.repeat(_LEVELS, -(-size // len(_LEVELS)))[:size]
-    run = simulate_driven(truth, heater, states=_cold(truth, room), period=PERIOD, disturbances=room[:, None])
+    run = simulate_driven(TRUTH, heater, states=_cold(room), period=PERIOD, disturbances=room[:, None])
     return [
         Sample(k, round(k * PERIOD * 1e9), 0.0, float(y), float(u), (float(r),))
         for k, (y, u, r) in enumerate(zip(run.output + noise, heater, room, strict=True))
     ]
 
 
-def switched(size: int, seed: int, truth: Parameters = TRUTH) -> list[Sample]:
+def switched(size: int, seed: int) -> list[Sample]:
     """A switch keeps 35 °C: below it heats for 20 s, and then waits for 30 s at least."""
     rng = np.random.default_rng(seed)
     room, noise = _room(size, rng), Box.output.noise * rng.standard_normal(size)
-    states, samples, on, since = _cold(truth, room), [], False, np.inf
+    states, samples, on, since = _cold(room), [], False, np.inf
     for k in range(size):
         row = room[k : k + 1]
-        y = read(truth, states, row) + float(noise[k])
+        y = read(TRUTH, states, row) + float(noise[k])
         if (on and since >= 20.0) or (not on and since >= 30.0 and y < 35.0):
             on, since = not on, 0.0
         samples.append(Sample(k, round(k * PERIOD * 1e9), 35.0, y, float(on), (float(room[k]),)))
-        states, since = advance(truth, states, float(on), PERIOD, row), since + PERIOD
+        states, since = advance(TRUTH, states, float(on), PERIOD, row), since + PERIOD
     return samples
 
 
@@ -45,5 +45,5 @@ def _room(size: int, rng: np.random.Generator) -> FloatArray:
     return np.asarray(21.0 + np.cumsum(rng.normal(0.0, 0.01, size)), dtype=np.float64)
 
 
-def _cold(truth: Parameters, room: FloatArray) -> FloatArray:
-    return begin(truth, float(room[0]), disturbances=room[:1])
+def _cold(room: FloatArray) -> FloatArray:
+    return begin(TRUTH, float(room[0]), disturbances=room[:1])

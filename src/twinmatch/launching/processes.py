@@ -68,7 +68,7 @@ class Processes:
         codes = {name: process.poll() for name, (process, _) in self._children.items()}
         return {name: code for name, code in codes.items() if code is not None}
 
-    def stop(self, order: Sequence[str] = (), patience: float = PATIENCE) -> list[str]:
+    def stop(self, order: Sequence[str] = ()) -> list[str]:
         """End all children: those in `order` first, then the others, the latest started first.
 
         Returns:
@@ -80,12 +80,12 @@ class Processes:
             process, reader = self._children[name]
             process.send_signal(signal.SIGTERM)  # as good as SIGINT to our nodes, and quiet while they import
             try:
-                process.wait(patience)
+                process.wait(PATIENCE)
             except subprocess.TimeoutExpired:
                 process.kill()
                 killed.append(name)
                 with suppress(subprocess.TimeoutExpired):
-                    process.wait(patience)
+                    process.wait(PATIENCE)
             reader.join(1.0)  # its last lines have then been shown
         return killed
 

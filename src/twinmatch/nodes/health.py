@@ -34,9 +34,9 @@ class NodeHealth:
     looks once a second. Without problems the report is OK.
     """
 
-    def __init__(self, idle: str = "working") -> None:
-        """Start without problems; `idle` is the message while there are none."""
-        self._idle = idle
+    def __init__(self) -> None:
+        """Start without problems."""
+        self._idle = "working"
         self._values: dict[str, str] = {}
         self._problems: dict[str, tuple[Level, str]] = {}
         self._lock = threading.Lock()

@@ -29,7 +29,7 @@ from twinmatch.sessions.channels import (
 from twinmatch.sessions.column_map import Column, ColumnMap, Source, described
 from twinmatch.sessions.files import ProgressCallback, RecordingError, part_of
 from twinmatch.sessions.mapped import TIME, Mapped, by_signal, map_samples
-from twinmatch.sessions.resampling import Gaps, bridged_up_to
+from twinmatch.sessions.resampling import Gaps, bridged_up_to, held_means
 from twinmatch.sessions.sampler import INPUT, OUTPUT, REFERENCE
 from twinmatch.sessions.tables import Table
 from twinmatch.signals import FloatArray
@@ -341,7 +341,7 @@ def _rows(signals: Mapping[str, _Signal], longest: float | None) -> tuple[dict[s
     begin = int(np.searchsorted(output.time, max(starts)))
     time = output.time[begin:]
     columns = {TIME: time, OUTPUT: output.values[begin:]}
-    if time.size:
+    if time.size > 1:  # fewer are refused
         for name, signal in signals.items():
             if name == INPUT:
                 columns[name] = _means(signal, time, longest)
@@ -355,19 +355,11 @@ def _rows(signals: Mapping[str, _Signal], longest: float | None) -> tuple[dict[s
 def _means(signal: _Signal, time: FloatArray, longest: float | None) -> FloatArray:
     """Mean of the held signal from each time to the next; before a gap and at the end, over a median step."""
     steps = np.diff(time)
-    usual = float(np.median(steps)) if steps.size else 0.0
+    usual = float(np.median(steps))
     ends = np.append(time[1:], time[-1] + usual)
-    if steps.size:
-        wide = np.flatnonzero(steps > bridged_up_to(time, longest))
-        ends[wide] = time[wide] + usual
-    edges = np.union1d(signal.time, np.concatenate([time, ends]))
-    held = signal.values[np.maximum(np.searchsorted(signal.time, edges, side="right") - 1, 0)]
-    integral = np.concatenate([[0.0], np.cumsum(held[:-1] * np.diff(edges))])
-    total = np.interp(ends, edges, integral) - np.interp(time, edges, integral)
-    widths = ends - time
-    before = signal.values[np.maximum(np.searchsorted(signal.time, time, side="right") - 1, 0)]
-    means = np.divide(total, widths, out=before.copy(), where=widths > 0)
-    return np.asarray(np.clip(means, signal.values.min(), signal.values.max()), dtype=np.float64)
+    wide = np.flatnonzero(steps > bridged_up_to(time, longest))
+    ends[wide] = time[wide] + usual
+    return held_means(signal.time, signal.values, time, ends, ends - time)
 
 
 _ENOUGH: Final = 2000

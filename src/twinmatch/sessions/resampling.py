@@ -312,10 +312,20 @@ def _reading(stamps: FloatArray, values: FloatArray, clock: FloatArray, _period:
 
 
 def _held(stamps: FloatArray, values: FloatArray, clock: FloatArray, period: float) -> FloatArray:
-    """Means as differences of the integral, which is linear between rows."""
-    ends = np.append(stamps, max(stamps[-1], clock[-1]) + period)  # the last value is held
-    integral = np.concatenate([[0.0], np.cumsum(values * np.diff(ends))])
-    means = (np.interp(clock + period, ends, integral) - np.interp(clock, ends, integral)) / period
+    return held_means(stamps, values, clock, clock + period, period)
+
+
+def held_means(
+    stamps: FloatArray, values: FloatArray, begins: FloatArray, ends: FloatArray, widths: FloatArray | float
+) -> FloatArray:
+    """Means of a held input from `begins` to `ends`, so many s (`widths`) later, each of shape (M,).
+
+    `values` apply from `stamps` (s, increasing, shape (N,)) on, each until the next, the last for ever. The
+    means are differences of the integral, which is linear between the stamps.
+    """
+    edges = np.append(stamps, max(stamps[-1], begins[-1]) + np.ravel(widths)[-1])
+    integral = np.concatenate([[0.0], np.cumsum(values * np.diff(edges))])
+    means = (np.interp(ends, edges, integral) - np.interp(begins, edges, integral)) / widths
     # Rounding errors of the differences must not exceed a limit of the input.
     return np.asarray(np.clip(means, values.min(), values.max()), dtype=np.float64)
 
