@@ -66,6 +66,7 @@ def test_signal_ends_with_zero_and_leaves_nothing(start_script: Start, number: s
     process.said("^up$")
     files = [name for name in shared_memory(process.id) if Path(name) not in others]
     assert files
+    assert sockets_elsewhere(process.id) == []
     assert process.end(number) == 0
     assert not [name for name in files if Path(name).exists()]
 
@@ -196,12 +197,6 @@ def test_parameters_that_are_refused_are_one_line_and_exit_code_two(
 def test_help_shows_the_parameters(capfd: pytest.CaptureFixture[str]) -> None:
     assert run([Player], ["player", "--help"]) == 0
     assert "rate: 1.0" in capfd.readouterr().out
-
-
-def test_sockets_are_on_loopback(start_script: Start) -> None:
-    process = start_script(program())
-    process.said("^up$")
-    assert sockets_elsewhere(process.id) == []
 
 
 def test_discovery_is_joined_on_loopback_alone(start_script: Start) -> None:
