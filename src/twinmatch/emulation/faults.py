@@ -11,9 +11,9 @@ answer each:
 from __future__ import annotations
 
 import difflib
-import heapq
 import math
 import socket
+from bisect import insort
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -57,8 +57,6 @@ class Change(NamedTuple):
 
     time: float
     """Plant time, s."""
-    number: int
-    """Counts changes, so that simultaneous ones keep their order."""
     kind: str
     begins: bool
 
@@ -117,8 +115,7 @@ class FaultSchedule:
     """Scheduled and active faults."""
 
     def __init__(self, faults: Iterable[RigFault] = ()) -> None:
-        self._changes: list[Change] = []
-        self._count = 0
+        self._changes: list[Change] = []  # by time, simultaneous ones in the order of their commands
         self._on: dict[str, int] = {}
         for fault in faults:
             self.add(fault)
@@ -142,7 +139,6 @@ class FaultSchedule:
         """
         _check_kind(kind)
         self._changes = [change for change in self._changes if change.kind != kind]
-        heapq.heapify(self._changes)
         if kind in self._on:
             self._on[kind] = 1
             self._push(now, kind, begins=False)
@@ -151,7 +147,7 @@ class FaultSchedule:
         """Kinds that turn on or off by this time. If faults of one kind overlap, the last end counts."""
         turned = []
         while self._changes and self._changes[0].time <= now + 1e-9:
-            change = heapq.heappop(self._changes)
+            change = self._changes.pop(0)
             before = self._on.get(change.kind, 0)
             self._on[change.kind] = before + (1 if change.begins else -1)
             if not self._on[change.kind]:
@@ -161,8 +157,7 @@ class FaultSchedule:
         return turned
 
     def _push(self, time: float, kind: str, *, begins: bool) -> None:
-        self._count += 1
-        heapq.heappush(self._changes, Change(time, self._count, kind, begins))
+        insort(self._changes, Change(time, kind, begins), key=lambda change: change.time)
 
 
 class RigControlError(TwinmatchError):
