@@ -107,9 +107,8 @@ def _observer(quick: bool) -> list[Row]:
         states = states + gain * (30.1 - MODEL.kernels.outputs_at(vector, states, MODEL.rest, row)[0][0])
         kept = np.eye(2) - np.outer(gain, slope)
         covariance = kept @ covariance @ kept.T + noise * np.outer(gain, gain)
-        slopes = np.zeros((2, 3))
-        MODEL.kernels.predict(
-            vector, states, np.zeros((2, 2)), np.zeros(2), np.array([10.0]), row, 1.0, steps, nowhere, slopes
+        slopes = MODEL.kernels.predict(
+            vector, states, np.zeros((2, 2)), np.zeros(2), np.array([10.0]), row, 1.0, steps, nowhere
         )
         held["states"] = states
         held["covariance"] = slopes[:, :2] @ covariance @ slopes[:, :2].T + 4e-4 * np.eye(2)

@@ -161,10 +161,9 @@ def test_it_is_observed_like_by_the_textbooks_filter() -> None:
         assert innovations.shape == (2,)
         np.testing.assert_allclose(observer.states, at, rtol=1e-9)
         np.testing.assert_allclose(observer.covariance, covariance, rtol=1e-7)
-        slopes = np.zeros((2, 4))
-        MODEL.kernels.predict(
+        slopes = MODEL.kernels.predict(
             PLANT.vector, at.copy(), np.zeros((2, 2)), np.zeros(2), window.inputs[k], np.zeros(0), 2.0,
-            PLANT.steps(2.0), np.zeros((2, 0), dtype=np.int64), slopes,
+            PLANT.steps(2.0), np.zeros((2, 0), dtype=np.int64),
         )  # fmt: skip
         at = advance(PLANT, at, window.inputs[k], 2.0)
         covariance = slopes[:, :2] @ covariance @ slopes[:, :2].T + 0.05**2 * 2.0 * np.eye(2)

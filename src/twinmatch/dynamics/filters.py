@@ -1,10 +1,11 @@
-"""The compiled halves of a filter's sample: extended Kalman filters over states and some parameters.
+"""The compiled extended Kalman filter over states and, after them, other numbers: `_take` takes one reading,
+`_move` and `_carry` move means and covariance on.
 
-`correct` and `predict` belong to an `Observer`, whose joint covariance is that of all states and, after them,
-of the parameters it estimates; `track` belongs to a `Tracker`.
+`correct` and `predict` use it for an `Observer`, which estimates states and some parameters; `track` for a
+`Tracker`.
 """
 
-# ruff: noqa: PLR0912, PLR0917 (kernels are long and take arrays in a row)
+# ruff: noqa: PLR0917 (kernels take arrays in a row)
 
 from __future__ import annotations
 
@@ -70,28 +71,75 @@ class TrackerConstants(NamedTuple):
 
 
 @compiled(inside=True)
-def _expected(covariance: FloatArray, slope: FloatArray, reach: FloatArray, noise: float) -> float:
-    """The variance expected of a reading with this variance of its own; `reach` gets its covariances."""
-    variance = noise
+def _expected(covariance: FloatArray, slope: FloatArray, reach: FloatArray) -> float:
+    """The variance expected of a reading without noise; `reach` gets its covariances."""
+    variance = 0.0
+    reach[:] = 0.0
     for i in range(slope.size):
-        reach[i] = 0.0
         for j in range(slope.size):
-            reach[i] += covariance[i, j] * slope[j]
+            reach[j] += slope[i] * covariance[i, j]
+    for i in range(slope.size):
         variance += slope[i] * reach[i]
     return variance
 
 
 @compiled(inside=True)
-def _carry(
-    moved: FloatArray, wide: FloatArray, covariance: FloatArray, keeps: FloatArray, noise: FloatArray
-) -> None:
-    """Predict a covariance, in place: `moved` are the rows of the states, shape (n, size), the other numbers
-    fade by `keeps`, and `noise` adds to the diagonal; `wide` is room of the shape of `moved`."""
-    n, size = moved.shape
-    for i in range(n):
+def _take(
+    covariance: FloatArray, slope: FloatArray, reach: FloatArray, innovation: float, variance: float,
+    noise: float, limit: float, at: FloatArray, gain: FloatArray,
+) -> None:  # fmt: skip
+    """Take a reading of this innovation, whose expected variance contains that of its noise, in place.
+
+    The innovation is clipped at `limit` standard deviations: with a reduced gain the reading is less
+    informative, and Joseph's form (I − gain·slopeᵀ)·covariance·(I − gain·slopeᵀ)ᵀ + noise·gain·gainᵀ is
+    correct for any gain.
+    """
+    size, more = slope.size, np.empty(slope.size)
+    most = limit * math.sqrt(variance)
+    weight = (most / abs(innovation) if abs(innovation) > most else 1.0) / variance
+    for i in range(size):
+        gain[i] = weight * reach[i]
+        more[i] = 0.5 * noise * gain[i]
+        at[i] += gain[i] * innovation
+    # First (I − gain·slopeᵀ)·covariance, then, half from each side, the rest: exactly symmetric.
+    for i in range(size):
         for j in range(size):
-            wide[i, j] = 0.0
-            for q in range(size):
+            covariance[i, j] -= weight * (reach[i] * reach[j])
+            more[j] -= 0.5 * slope[i] * covariance[i, j]
+    for i in range(size):
+        for j in range(size):
+            covariance[i, j] += gain[i] * more[j] + gain[j] * more[i]
+
+
+@compiled(inside=True)
+def _move(
+    code: Code, x: FloatArray, u: FloatArray, d: FloatArray, work: Work, period: float, steps: int,
+    which: NDArray[np.int64], moved: FloatArray,
+) -> FloatArray:  # fmt: skip
+    """Move states one period on, in place; returns their derivatives by the m parameters `which`, by the
+    states and by the inputs, shape (n, m + n + inputs); `moved` gets those by states, then parameters."""
+    n, m, inputs = x.size, which.size, u.size
+    columns, du = np.zeros((n, m + n + inputs)), np.zeros((inputs, m + n + inputs))
+    for i in range(n):
+        columns[i, m + i] = 1.0
+    for i in range(inputs):
+        du[i, m + n + i] = 1.0
+    tick_with_tangents(code, x, u, d, work, period, steps, which, columns, du)
+    for i in range(n):
+        for j in range(n + m):
+            moved[i, j] = columns[i, m + j if j < n else j - n]
+    return columns
+
+
+@compiled(inside=True)
+def _carry(moved: FloatArray, covariance: FloatArray, keeps: FloatArray, noise: FloatArray) -> None:
+    """Predict a covariance, in place: `moved` are the rows of the states, shape (n, size), the other numbers
+    fade by `keeps`, and `noise` adds to the diagonal."""
+    n, size = moved.shape
+    wide = np.zeros((n, size))
+    for i in range(n):
+        for q in range(size):
+            for j in range(size):
                 wide[i, j] += moved[i, q] * covariance[q, j]
     for i in range(n, size):
         for j in range(n, size):
@@ -120,7 +168,6 @@ def correct(
     """
     size, n, q, outputs = covariance.shape[0], x.size, code[N_UNKNOWN], y.size
     slope, reach, gain, moved = np.zeros(size), np.zeros(size), np.zeros(size), np.zeros(size)
-    kept, way = np.zeros((size, size)), np.zeros((size, size))
     innovations, variances = np.zeros(outputs), np.zeros(outputs)
     work = work_for(code, vector)
     call(code[OUTPUTS], x, x, d, work.p, work.b, work.seen)
@@ -130,64 +177,30 @@ def correct(
         for i in range(size):
             slope[i] = work.shown[o * n + i] if i < n else work.shown[outputs * n + o * q + which[0, i - n]]
             innovation -= slope[i] * moved[i]
-        variance = _expected(covariance, slope, reach, noise[o] * noise[o])
-        most = limit * np.sqrt(variance)
-        # With a reduced gain the reading is less informative; Joseph's form is correct for any gain.
-        weight = most / abs(innovation) if abs(innovation) > most else 1.0
-        for i in range(size):
-            gain[i] = weight * reach[i] / variance
-            moved[i] += gain[i] * innovation
-        for i in range(size):
-            for j in range(size):
-                kept[i, j] = (1.0 if i == j else 0.0) - gain[i] * slope[j]
-        for i in range(size):
-            for j in range(size):
-                way[i, j] = 0.0
-                for k in range(size):
-                    way[i, j] += kept[i, k] * covariance[k, j]
-        for i in range(size):
-            for j in range(i + 1):
-                total = noise[o] * noise[o] * gain[i] * gain[j]
-                for k in range(size):
-                    total += way[i, k] * kept[j, k]
-                covariance[i, j] = total
-                covariance[j, i] = total
+        own = noise[o] * noise[o]
+        variance = _expected(covariance, slope, reach) + own
+        _take(covariance, slope, reach, innovation, variance, own, limit, moved, gain)
         innovations[o], variances[o] = innovation, variance
-    for i in range(size):
-        if i < n:
-            x[i] += moved[i]
-        else:
-            j = i - n
-            after = vector[which[1, j]] + moved[i]
-            vector[which[1, j]] = min(max(after, bounds[0, j]), bounds[1, j])
+    for i in range(n):
+        x[i] += moved[i]
+    for j in range(size - n):
+        after = vector[which[1, j]] + moved[n + j]
+        vector[which[1, j]] = min(max(after, bounds[0, j]), bounds[1, j])
     return innovations, variances
 
 
 @compiled
 def predict(
     code: Code, vector: FloatArray, x: FloatArray, covariance: FloatArray, process_noise: FloatArray,
-    u: FloatArray, d: FloatArray, period: float, steps: int, which: NDArray[np.int64], columns: FloatArray,
-) -> None:  # fmt: skip
+    u: FloatArray, d: FloatArray, period: float, steps: int, which: NDArray[np.int64],
+) -> FloatArray:  # fmt: skip
     """Predict states and joint covariance one period ahead; `process_noise`, shape (n + m,), adds to its
-    diagonal.
-
-    `columns`, shape (n, m + n + inputs), is filled with the derivatives of the states by the m parameters
-    which[0], by the states and by the inputs.
-    """
-    n, m, inputs = x.size, which.shape[1], u.size
-    size = n + m
-    du, moved, wide = np.zeros((inputs, size + inputs)), np.empty((n, size)), np.empty((n, size))
-    columns[:] = 0.0
-    for i in range(n):
-        columns[i, m + i] = 1.0
-    for i in range(inputs):
-        du[i, size + i] = 1.0
-    work = work_for(code, vector)
-    tick_with_tangents(code, x, u, d, work, period, steps, which[0], columns, du)
-    for i in range(n):
-        for j in range(size):
-            moved[i, j] = columns[i, m + j if j < n else j - n]
-    _carry(moved, wide, covariance, np.ones(size), process_noise)
+    diagonal. Returns the derivatives of the states by the m parameters which[0], by the states and by the
+    inputs, shape (n, m + n + inputs)."""
+    moved = np.empty((x.size, covariance.shape[0]))
+    columns = _move(code, x, u, d, work_for(code, vector), period, steps, which[0], moved)
+    _carry(moved, covariance, np.ones(covariance.shape[0]), process_noise)
+    return columns
 
 
 @compiled
@@ -224,11 +237,9 @@ def follow(
     for i in range(len(sizes)):
         n, m = sizes[i]
         code, vector, at, row = codes[i], vectors[i, :m], x[i, :n], rows[i]
-        covariance, columns = covariances[i, : n * n].reshape((n, n)), np.zeros((n, n + u.shape[1]))
+        covariance = covariances[i, : n * n].reshape((n, n))
         for k in range(len(u)):
-            predict(
-                code, vector, at, covariance, process_noise[i, :n], u[k], row, period, steps[i], none, columns
-            )
+            predict(code, vector, at, covariance, process_noise[i, :n], u[k], row, period, steps[i], none)
             if seen[k]:
                 row[:] = d[k]
                 innovations, variances = correct(
@@ -283,12 +294,12 @@ def track(
     offset, passing, rate = n + m + 1, n + m + 2, size - 1
     vector, inputs, cost = fixed.vector.copy(), np.empty(1), 0.0
     work = work_for(code, vector)
-    slope, gain, reach, noises = np.zeros(size), np.zeros(size), np.zeros(size), np.zeros(size)
-    moved, wide, there = np.zeros((n, size)), np.zeros((n, size)), np.zeros(n)
+    slope, reach, gain, noises = np.zeros(size), np.zeros(size), np.zeros(size), np.zeros(size)
+    moved, there = np.zeros((n, size)), np.zeros(n)
     slope[offset] = slope[passing] = 1.0
+    _use(code, fixed, at, vector, work)
     for k in range(u.size):
         given = disturbances[k]
-        _use(code, fixed, at, vector, work)
         call(code[OUTPUTS], at, inputs, given, work.p, work.b, work.seen)
         call(code[OUTPUT_SLOPES], at, inputs, given, work.p, work.b, work.shown)
         for i in range(n):
@@ -297,35 +308,31 @@ def track(
             by = work.shown[n + fixed.which[j]]
             slope[n + j] = by * vector[fixed.places[j]] if fixed.logged[j] else by
         innovation = y[k + 2] - work.seen[0] - at[offset] - at[passing]
-        expected = _expected(covariance, slope, reach, 0.0)
-        variance, used = _weighed(y, k, innovation, expected, noise[k], passing, covariance, reach)
-        if used:
+        expected = _expected(covariance, slope, reach)
+        variance, own = _weighed(y, k, innovation, expected, noise[k], passing, covariance, reach)
+        if own < STALE:
             cost += 0.5 * math.log(variance) + 0.5 * innovation**2 / variance
-        for i in range(size):
-            gain[i] = reach[i] / variance
-            at[i] += gain[i] * innovation
-        for i in range(size):
-            for j in range(size):
-                covariance[i, j] -= gain[i] * reach[j]
+        _take(covariance, slope, reach, innovation, variance, own, math.inf, at, gain)
         _correct_effects(slope, gain, innovation, variance, effects, hits, weights)
         for j in range(m):
             at[n + j] = min(max(at[n + j], fixed.least[j]), fixed.most[j])
         at[n + m] = min(max(at[n + m], -1.0), 1.0)
         _use(code, fixed, at, vector, work)
-        way = _move(code, fixed, at, vector, work, u[k], given, moved, there)
+        way = _move_belief(code, fixed, at, vector, work, u[k], given, moved, there)
         for i in range(size):
             noises[i] = drift[i] ** 2 * fixed.period
             if k < lasting:
                 noises[i] += opened[i] ** 2 * fixed.period
             if i < n:
                 noises[i] += (swift * way * moved[i, n + m + 3] / fixed.period) ** 2
-        _carry(moved, wide, covariance, fixed.keeps, noises)
+        _carry(moved, covariance, fixed.keeps, noises)
         if rising >= 0:
             at[rising] += at[rate] * fixed.period
             for i in range(size):
                 covariance[rising, i] += covariance[rate, i] * fixed.period
             for i in range(size):
                 covariance[i, rising] += covariance[i, rate] * fixed.period
+            _use(code, fixed, at, vector, work)
         _carry_effects(moved, there, effects, fixed.keeps)
     return cost
 
@@ -334,24 +341,24 @@ def track(
 def _weighed(
     y: FloatArray, k: int, innovation: float, expected: float, noise: float, passing: int,
     covariance: FloatArray, reach: FloatArray,
-) -> tuple[float, bool]:  # fmt: skip
-    """The variance with which a reading counts, and whether it is used: not if it was lost, or is repeated by
+) -> tuple[float, float]:  # fmt: skip
+    """The variance with which a reading counts, and its own in it: `STALE` if it was lost, or is repeated by
     its sensor. One that has just stopped to repeat opens the passing offset."""
-    if math.isinf(noise):
-        return expected + STALE, False
-    variance = expected + noise**2
-    if innovation**2 > SUSPECT**2 * variance:
+    own = STALE if math.isinf(noise) else noise**2
+    if own < STALE and innovation**2 > SUSPECT**2 * (expected + own):
         if y[k + 2] == y[k + 1]:
-            return STALE, False
-        if y[k + 1] == y[k]:
+            own = STALE
+        elif y[k + 1] == y[k]:
             covariance[passing, passing] += innovation**2
             reach[passing] += innovation**2
-            variance += innovation**2
-    return max(variance, (innovation / CLIPPED) ** 2), True
+            expected += innovation**2
+    if own < STALE:
+        own = max(own, (innovation / CLIPPED) ** 2 - expected)
+    return expected + own, own
 
 
 @compiled(inside=True)
-def _move(
+def _move_belief(
     code: Code, fixed: TrackerConstants, at: FloatArray, vector: FloatArray, work: Work, u: float,
     d: FloatArray, moved: FloatArray, there: FloatArray,
 ) -> float:  # fmt: skip
@@ -359,25 +366,20 @@ def _move(
     derivatives of the states by all of its numbers. A push moves them as far as the output shows them."""
     n, m = there.size, fixed.places.size
     share, fading, inputs = n + m, n + m + 3, np.empty(1)
-    columns, du = np.zeros((n, m + n + 1)), np.zeros((1, m + n + 1))
     shows = 0.0
     for i in range(n):
-        columns[i, m + i] = 1.0
         there[i] = at[i]
         shows += work.shown[i] * work.shown[i]
-    du[0, m + n] = u - fixed.rest
     inputs[0] = fixed.rest + (u - fixed.rest) * (1.0 + at[share])
     call(code[OUTPUTS], at, inputs, d, work.p, work.b, work.seen)
     before = work.seen[0]
-    tick_with_tangents(code, there, inputs, d, work, fixed.period, fixed.steps, fixed.which, columns, du)
+    columns = _move(code, there, inputs, d, work, fixed.period, fixed.steps, fixed.which, moved)
     call(code[OUTPUTS], there, inputs, d, work.p, work.b, work.seen)
     for i in range(n):
-        for j in range(n):
-            moved[i, j] = columns[i, m + j]
         for j in range(m):
-            by = columns[i, j]
-            moved[i, n + j] = by * vector[fixed.places[j]] if fixed.logged[j] else by
-        moved[i, share] = columns[i, m + n]
+            if fixed.logged[j]:
+                moved[i, n + j] *= vector[fixed.places[j]]
+        moved[i, share] = columns[i, m + n] * (u - fixed.rest)
         push = work.shown[i] / shows * fixed.period
         moved[i, fading] = moved[i, fading + 1] = push
         at[i] = there[i] + push * (at[fading] + at[fading + 1])

@@ -115,12 +115,11 @@ def linearised_at(
         PlantError: the plant is too fast for the period.
     """
     model = parameters.model
-    row, steps, n = model.disturbance_row(disturbances), parameters.steps(period), states.size
+    row, n = model.disturbance_row(disturbances), states.size
     u = model.row_of("inputs", input)
-    slopes, nowhere = np.zeros((n, n + u.size)), np.zeros((2, 0), dtype=np.int64)
-    model.kernels.predict(
-        parameters.vector, states.copy(), np.zeros((n, n)), np.zeros(n), u, row, float(period), steps,
-        nowhere, slopes,
+    slopes = model.kernels.predict(
+        parameters.vector, states.copy(), np.zeros((n, n)), np.zeros(n), u, row, float(period),
+        parameters.steps(period), np.zeros((2, 0), dtype=np.int64),
     )  # fmt: skip
     hx = model.kernels.slopes_at(parameters.vector, states, u, row)[4]
     return Linear(slopes[:, :n].copy(), slopes[:, n:].copy(), hx, period, Rest(states, u))

@@ -102,7 +102,6 @@ class Observer:
             states = begin(parameters, output, input=input, disturbances=self._row)
         self.states = states
         self._joint = self._first_covariance(start, covariance, [w.start for w in random_walks.values()])
-        self._columns = np.zeros((n, m + n + model.rest.size))
         self.parameters = parameters
 
     @property
@@ -192,7 +191,7 @@ class Observer:
             self._steps = self._model.steps(self._vector, self._period)
         self._kernels.predict(
             self._vector, self._states, self._joint, self._process_noise, u, self._row,
-            self._period, self._steps, self._which, self._columns,
+            self._period, self._steps, self._which,
         )  # fmt: skip
 
     def _first_covariance(

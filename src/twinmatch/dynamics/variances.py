@@ -68,13 +68,13 @@ def foresee(
     )
     if not banded:
         return outputs, inputs, np.zeros((0, noise.size)), np.zeros((0, m))
-    columns, compared = np.zeros((n, k + n + m)), np.zeros((noise.size + m, size))
+    compared = np.zeros((noise.size + m, size))
     strays = np.zeros((size + 1, n + k)) + process_noise  # a parameter does not move
     for i in range(n):
         strays[0, i] += (swift * (begun[i] - x[i])) ** 2
         for j in range(size):
             strays[j + 1, i] += (swift * (states[j + 1, i] - states[j, i])) ** 2
-    predict(code, vector, x, joint, strays[0], u, disturbances[0], period, steps, which, columns)
+    predict(code, vector, x, joint, strays[0], u, disturbances[0], period, steps, which)
     found, _ = run_with_tangents(
         code, vector, which[0], begun, np.eye(n, k + n, k), law, np.zeros(0, dtype=np.int64), memory,
         references, d, period, steps, compared, compared, False, True, np.inf,
