@@ -195,7 +195,7 @@ class CandidatePool:
     def _scored(self, newest: _NewestWindow) -> FamilyScores:
         """The scores of the family, and beside it of the structure with the best forecasts."""
         fitted = {candidate.name: candidate for candidate in self.structures.candidates}
-        best = self.forecaster.best_of(fitted)
+        best = self.forecaster.standings.best_of(fitted)
         beside = [] if best is None else [fitted[best]]
         try:
             return self._compared(newest, beside)

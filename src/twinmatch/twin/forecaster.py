@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 from itertools import accumulate, pairwise, starmap
 from types import MappingProxyType
 from typing import Final, NamedTuple
 
 import numpy as np
 
-from twinmatch.comparing import BASELINES, Candidate, ForecastScore, beaten_words
+from twinmatch.comparing import Candidate, ForecastScore
 from twinmatch.dynamics import Foresight, Law, Plant, PlantError
 from twinmatch.dynamics.forecasts import TwinsNow
 from twinmatch.dynamics.variances import BANDED, MEAN
@@ -27,16 +26,15 @@ from twinmatch.forecasting import (
     StateFilter,
     leads_of,
 )
-from twinmatch.forecasting.outlook import deviations, foresight_of
+from twinmatch.forecasting.outlook import deviations
 from twinmatch.signals import FloatArray, Sample, finite
+from twinmatch.twin.entrants import Entrant, Entrants, Standings
 from twinmatch.twin.settings import ForecastSettings
 from twinmatch.twin.trust import BandCheck, LeaderConfidence, check_band
 
 _RUN_IN: Final = (60.0, 300.0)
 """Newest stretch over which a new candidate tracks the plant before use, s: if its states are known, and if
 the hidden ones have to be estimated. It scales with the time between two forecasts."""
-_SKILLS: Final = tuple(f"{name}_skill" for name in BASELINES)
-"""Fields of `ForecastScore`."""
 _OTHERS_EVERY: Final = 3
 """The bands of candidates that do not lead learn from every third forecast only."""
 
@@ -69,15 +67,6 @@ class _Departure(NamedTuple):
     foresight: Foresight | None
     now: TwinsNow | None
     arx: ArxForecast
-
-
-@dataclass
-class _Twin:
-    """A candidate with the filter of its states and the calibration of its bands."""
-
-    candidate: Candidate
-    state_filter: StateFilter
-    calibration: Calibration = field(repr=False)
 
 
 class Forecaster:
@@ -114,16 +103,14 @@ class Forecaster:
         self._kept = float(np.exp(-self.settings.every / self.settings.memory))
         scale = self.settings.scale
         self._leads = leads_of(period / scale, self._longest)
-        self._twins: dict[str, _Twin] = {}
+        self._twins = Entrants()
+        self.standings = Standings()
+        """How the candidates' forecasts stand."""
         self._ledger: Ledger | None = None
         self._leader_confidence = LeaderConfidence(self._kept)
         self._departures: dict[int, _Departure] = {}
         self._run_in = tuple(round(stretch * scale / period) for stretch in _RUN_IN)
         self._recent: deque[Sample] = deque(maxlen=max(self._longest + self._stride, *self._run_in) + 1)
-        self._external: tuple[str, ...] = ()
-        self._savings: dict[str, float] = {}
-        self._scores: tuple[ForecastScore, ...] = ()
-        self._foresight: Foresight | None = None
         self._waiting: list[Sample] = []
         self._controller = np.zeros(0)
         self._rows = np.zeros((0, 0))
@@ -143,18 +130,7 @@ class Forecaster:
     @property
     def leader(self) -> str | None:
         """The candidate whose forecasts have saved the most characters; None without candidates."""
-        return self.best_of(self._twins)
-
-    def best_of(self, names: Collection[str]) -> str | None:
-        """Of the named candidates, the one whose forecasts have saved the most; None if none is present."""
-        if self._ledger is None:
-            return None
-        if not self._savings:
-            totals = _totals(self._ledger.gains(self.names))
-            savings = np.where(np.isnan(totals), -np.inf, totals).tolist()
-            self._savings = dict(zip(self._twins, savings, strict=True))
-        known = (name for name in self._twins if name in names)
-        return max(known, key=self._savings.__getitem__, default=None)
+        return self.standings.leader
 
     @property
     def confidence(self) -> float:
@@ -164,41 +140,12 @@ class Forecaster:
     @property
     def scores(self) -> tuple[ForecastScore, ...]:
         """Scores of all candidates, in their order."""
-        ledger = self._ledger
-        if ledger is None or self._scores:
-            return self._scores
-        found, every = [], ledger.gains(self.names)
-        for twin, total, gains in zip(self._twins.values(), _totals(every).tolist(), every, strict=True):
-            candidate, name = twin.candidate, twin.candidate.name
-            first, last = candidate.samples
-            found.append(
-                ForecastScore(
-                    name=name,
-                    parameters=candidate.parameters,
-                    first=first,
-                    last=last,
-                    gain=total,
-                    gains=tuple(gains.tolist()),
-                    forecasts=ledger.forecasts(name),
-                    **dict(zip(_SKILLS, map(tuple, ledger.skills(name).tolist()), strict=True)),
-                )
-            )
-        self._scores = tuple(found)
-        return self._scores
+        return self.standings.scores
 
     @property
     def sentence(self) -> str:
         """A sentence on which candidate leads and how certain that is; empty without candidates."""
-        leader = self.leader
-        if leader is None:
-            return ""
-        best = next(score for score in self.scores if score.name == leader)
-        if np.isnan(best.gain):
-            return f"{leader} leads until a forecast can be compared with the samples"
-        saved = f"{leader} forecasts best: it saves {best.gain:.2f} characters per forecast"
-        right = f"in {100 * self.confidence:.0f} % of cases no other was more than 3 % better"
-        beaten = beaten_words(best.beaten(self.settings.horizons))
-        return f"{saved}, and {right}; {beaten}" if beaten else f"{saved}, and {right}"
+        return self.standings.sentence(self.confidence, self.settings.horizons)
 
     def forecasts_of(self, name: str) -> float:
         """Effective number of a candidate's forecasts that could be scored, older ones weighted less."""
@@ -214,7 +161,7 @@ class Forecaster:
         self._recent.append(sample)
         self._waiting.append(sample)
         self._arx.push(sample)
-        for name in self._external:
+        for name in self._twins.external:
             with self._removing_lost(name):
                 self._twins[name].state_filter.push(sample)
         if len(self._waiting) >= self._stride:
@@ -245,8 +192,7 @@ class Forecaster:
                 self._controller = self._gains.follow(
                     self._controller, row[references], row[outputs], row[inputs]
                 )
-        native = [t.state_filter for n, t in self._twins.items() if n not in self._external]
-        self._followers.push(native, samples)
+        self._followers.push([self._twins[name].state_filter for name in self._twins.native], samples)
 
     @property
     def _columns(self) -> tuple[slice, ...]:
@@ -256,17 +202,14 @@ class Forecaster:
     def _departure(self) -> _Departure:
         self._catch_up()
         leader = self.leader or self.names[0]
-        outlooks = {name: self._outlook(name) for name in {*self._external, leader}}
-        names = tuple(name for name in self._twins if name not in self._external)
-        filters = [self._twins[name].state_filter for name in names]
-        now, u = None, self._recent[-1].inputs
+        outlooks = {name: self._outlook(name) for name in {*self._twins.external, leader}}
+        names, foresight, now = self._twins.native, None, None
         if names:
-            twins = [(f.parameters, f.free) for f in filters]
-            self._foresight = self._foresight or foresight_of(twins, self._gains, self.period)
+            filters = [self._twins[name].state_filter for name in names]
+            foresight = self._twins.foresight(self._gains, self.period)
             states, covariances = [f.states for f in filters], [f.joint for f in filters]
-            now = self._foresight.at(states, covariances, u, self._controller)
-        arx = self._arx.departure(self._controller)
-        return _Departure(leader, outlooks, names, self._foresight, now, arx)
+            now = foresight.at(states, covariances, self._recent[-1].inputs, self._controller)
+        return _Departure(leader, outlooks, names, foresight, now, self._arx.departure(self._controller))
 
     def enter(self, candidates: Sequence[Candidate], successors: Mapping[str, str] | None = None) -> None:
         """Set the candidates; those already present with the same parameters continue.
@@ -296,17 +239,13 @@ class Forecaster:
             for name, before in successors.items():
                 if name not in self._twins:
                     self._ledger.inherit(name, before)
-            self._ledger.keep(twins)
-        self._twins = twins
-        self._changed()
+        self._set(twins)
 
-    def _changed(self) -> None:
-        """Forget what was derived from the candidates and their scores."""
-        self._foresight = None
-        self._external = tuple(
-            name for name, twin in self._twins.items() if twin.candidate.parameters.model.is_external
-        )
-        self._savings, self._scores = {}, ()
+    def _set(self, twins: Mapping[str, Entrant]) -> None:
+        self._twins = Entrants(twins)
+        if self._ledger is not None:
+            self._ledger.keep(twins)
+        self.standings = Standings(twins, self._ledger)
 
     def snapshot(self) -> Snapshot:
         """The outlooks of all candidates at the newest sample."""
@@ -378,10 +317,7 @@ class Forecaster:
         except PlantError:
             if not self._twins[name].candidate.parameters.model.is_external:
                 raise
-            del self._twins[name]
-            self._changed()
-            if self._ledger is not None:
-                self._ledger.keep(self._twins)
+            self._set({other: twin for other, twin in self._twins.items() if other != name})
 
     def _conditions(self, came: FloatArray) -> tuple[FloatArray, FloatArray | None]:
         """What forecasts from the first of some samples are made for: set-points (or inputs, if the loop is
@@ -401,7 +337,7 @@ class Forecaster:
         for twin in self._twins.values():
             twin.state_filter.restart()
 
-    def _built(self, candidate: Candidate, before: _Twin | None) -> _Twin:
+    def _built(self, candidate: Candidate, before: Entrant | None) -> Entrant:
         """Build a twin and run it over the newest samples, as far back as they are kept."""
         if before:
             calibration = before.calibration.copy()
@@ -422,7 +358,7 @@ class Forecaster:
             covariance=candidate.known_covariance,
         )
         state_filter.follow(recent)
-        return _Twin(candidate, state_filter, calibration)
+        return Entrant(candidate, state_filter, calibration)
 
     def _learn(self, departure: _Departure, sample: int, place: int) -> None:
         """Score the forecasts made at one sample on the samples up to one of their horizons."""
@@ -445,7 +381,7 @@ class Forecaster:
             wanted = [(n in self._twins) * (BANDED if n in banded else MEAN) for n in departure.names]
             told = departure.foresight.each(departure.now, wanted, given, rows)
             found = {n: (m, v) for n, m, v, use in zip(departure.names, *told, wanted, strict=True) if use}
-        for name in self._external:
+        for name in self._twins.external:
             if name in departure.outlooks:
                 with self._removing_lost(name):
                     predicted = departure.outlooks[name].predicted(given, rows, banded=name in banded)
@@ -462,7 +398,7 @@ class Forecaster:
         new = kept[kept >= before]
         baselines = np.array([measured - last, measured - departure.arx.forecast(given, rows)[:signals]])
         ledger.add(tuple(found), off[:, :, new], baselines[:, :, new], place)
-        self._savings, self._scores = {}, ()
+        self.standings = Standings(self._twins, ledger)
         if ahead == self._longest and departure.leader in found:
             paths = np.sqrt(np.mean(np.square(off[:, :, kept] / ledger.noise[:, None]), axis=(1, 2)))
             leading = paths[list(found).index(departure.leader)]
@@ -474,11 +410,6 @@ def forecast_noise(plant: type[Plant], gains: Law | None) -> FloatArray:
     (signals,)."""
     drives = [] if gains is None else [drive.noise for drive in plant.drives.values()]
     return np.array([*(output.noise for output in plant.outputs.values()), *drives])
-
-
-def _totals(gains: FloatArray) -> FloatArray:
-    """Characters saved at all horizons together, NaN without any, shape (C,)."""
-    return np.where(np.isfinite(gains).any(axis=1), np.nansum(gains, axis=1), np.nan)
 
 
 def _checked(name: str | None, candidates: Mapping[str, object]) -> str:

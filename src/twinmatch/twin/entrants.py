@@ -1,0 +1,117 @@
+"""The candidates that forecast beside the plant, and how their forecasts stand: replaced when they change, so
+what is derived from them is derived once."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from types import MappingProxyType
+from typing import Final
+
+import numpy as np
+
+from twinmatch.comparing import BASELINES, Candidate, ForecastScore, beaten_words
+from twinmatch.dynamics import Foresight, Law
+from twinmatch.forecasting import Calibration, Ledger, StateFilter
+from twinmatch.forecasting.outlook import foresight_of
+
+_SKILLS: Final = tuple(f"{name}_skill" for name in BASELINES)
+"""Fields of `ForecastScore`."""
+
+
+@dataclass
+class Entrant:
+    """A candidate with the filter of its states and the calibration of its bands."""
+
+    candidate: Candidate
+    state_filter: StateFilter
+    calibration: Calibration = field(repr=False)
+
+
+class Entrants(dict[str, Entrant]):
+    """All of them by name, in the order that decides ties; never changed in place."""
+
+    _foresight: Foresight | None = None
+
+    @cached_property
+    def external(self) -> tuple[str, ...]:
+        """Names of those whose equations run elsewhere."""
+        return tuple(n for n, each in self.items() if each.candidate.parameters.model.is_external)
+
+    @cached_property
+    def native(self) -> tuple[str, ...]:
+        """Names of the others."""
+        return tuple(name for name in self if name not in self.external)
+
+    def foresight(self, gains: Law | None, period: float) -> Foresight:
+        """What the native ones forecast with, always with the same law and sample time (s)."""
+        if self._foresight is None:
+            filters = [self[name].state_filter for name in self.native]
+            self._foresight = foresight_of([(f.parameters, f.free) for f in filters], gains, period)
+        return self._foresight
+
+
+class Standings:
+    """How the forecasts of all candidates stand after some samples."""
+
+    def __init__(
+        self, entrants: Mapping[str, Entrant] = MappingProxyType({}), ledger: Ledger | None = None
+    ) -> None:
+        """Of these candidates, if there is a ledger."""
+        self._entrants, self._ledger = entrants, ledger
+
+    def best_of(self, names: Collection[str]) -> str | None:
+        """Of the named candidates, the one whose forecasts have saved the most; None if none is present."""
+        totals = {name: total for name, (total, _) in self._saved.items() if name in names}
+        return max(totals, key=lambda name: np.nan_to_num(totals[name], nan=-np.inf), default=None)
+
+    @cached_property
+    def leader(self) -> str | None:
+        """The best of all."""
+        return self.best_of(self._entrants)
+
+    def sentence(self, confidence: float, horizons: Sequence[float]) -> str:
+        """Who leads and how certain that is; empty without candidates. The horizons are in seconds."""
+        best = next((score for score in self.scores if score.name == self.leader), None)
+        if best is None:
+            return ""
+        if math.isnan(best.gain):
+            return f"{best.name} leads until a forecast can be compared with the samples"
+        saved = f"{best.name} forecasts best: it saves {best.gain:.2f} characters per forecast"
+        right = f"in {100 * confidence:.0f} % of cases no other was more than 3 % better"
+        beaten = beaten_words(best.beaten(horizons))
+        return f"{saved}, and {right}; {beaten}" if beaten else f"{saved}, and {right}"
+
+    @cached_property
+    def scores(self) -> tuple[ForecastScore, ...]:
+        """Scores of all candidates, in their order."""
+        ledger, found = self._ledger, []
+        if ledger is None:
+            return ()
+        for name, (total, gains) in self._saved.items():
+            candidate = self._entrants[name].candidate
+            first, last = candidate.samples
+            found.append(
+                ForecastScore(
+                    name=name,
+                    parameters=candidate.parameters,
+                    first=first,
+                    last=last,
+                    gain=total,
+                    gains=tuple(gains),
+                    forecasts=ledger.forecasts(name),
+                    **dict(zip(_SKILLS, map(tuple, ledger.skills(name).tolist()), strict=True)),
+                )
+            )
+        return tuple(found)
+
+    @cached_property
+    def _saved(self) -> dict[str, tuple[float, list[float]]]:
+        """Characters saved by each at all horizons together, NaN without any, and at each horizon."""
+        if self._ledger is None:
+            return {}
+        gains = self._ledger.gains(tuple(self._entrants))
+        totals = np.where(np.isfinite(gains).any(axis=1), np.nansum(gains, axis=1), np.nan)
+        return dict(zip(self._entrants, zip(totals.tolist(), gains.tolist(), strict=True), strict=True))
