@@ -167,9 +167,7 @@ class Observer:
                 equations have no finite value at the estimated states, and a new observer is needed.
         """
         y = self._model.row_of("outputs", output)
-        self._row = (
-            self._model.disturbances if disturbances is None else self._model.disturbance_row(disturbances)
-        )
+        self._row = self._model.disturbance_row(disturbances)
         found: tuple[FloatArray, FloatArray] = self._kernels.correct(
             self._vector, self._states, self._joint, y, self._row, self._noise, self._limit,
             self._which, self._bounds,
