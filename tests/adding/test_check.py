@@ -19,6 +19,7 @@ from twinmatch.adding import CheckedPlant, check_plant
 from twinmatch.adding.check import ranges
 from twinmatch.adding.dimensions import Dimensions
 from twinmatch.adding.trial import inseparable, time_constants
+from twinmatch.cli import main
 from twinmatch.dynamics import Drive, Equations, Output, Parameter, Plant, State, Structure
 from twinmatch.plants import PLANTS, Peltier, find_plant
 
@@ -205,6 +206,22 @@ def told(plant: type[Plant]) -> list[str]:
     for structure in plant.structures.values():
         looked.check(structure.parts)
     return [found.what for found in looked.findings.values()]
+
+
+def test_columns_of_a_recording_are_named_and_mapped(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = tmp_path / "log.csv"
+    log.write_text("clock,plate,duty\n" + "".join(f"{k},30,0\n" for k in range(90)), encoding="utf-8")
+    asked = ["check-plant", "peltier", "--data", str(log)]
+    assert main(asked) == 2
+    told = capsys.readouterr().err
+    assert (
+        "add --map time=COLUMN output=COLUMN input=COLUMN; its columns are 'clock', 'plate', 'duty'" in told
+    )
+    for words in (["--map", "time=clock"], ["--period", "1", "--map"]):
+        assert main([*asked, *words, "output=plate", "input=duty"]) == 1
+        assert "no window could be matched" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("plant", [Lag, Motor, Tank, *PLANTS.values()], ids=lambda plant: plant.name)

@@ -22,8 +22,8 @@ from twinmatch.fitting import FittingError
 from twinmatch.fitting.gate import Status
 from twinmatch.offline.judging import judge, terms_from_files
 from twinmatch.sessions import Session, open_any
-from twinmatch.sessions.column_map import ColumnMap, read_map
-from twinmatch.sessions.mapped import map_samples, with_plant_names
+from twinmatch.sessions.column_map import ColumnMap
+from twinmatch.sessions.mapped import TIME, map_samples, with_plant_names
 from twinmatch.sessions.sources import session_of
 from twinmatch.sessions.tables import read_table
 from twinmatch.showing.series import root_mean_square
@@ -55,14 +55,15 @@ _FAULTY: Final = (
 )
 
 
-def data_for(path: Path, plant: type[Plant], map_file: Path | None = None) -> Session:
+def data_for(path: Path, plant: type[Plant], given: ColumnMap, period: float | None = None) -> Session:
     """Read a recording as a session of the plant; a table needs a map unless its columns have the names of
-    the signals.
+    the signals, and a sampling period, s, unless it has times.
     """
-    if path.suffix.lower() in {".csv", ".txt", ".tsv"} or map_file is not None:
-        given = read_map(map_file) if map_file is not None else ColumnMap()
+    if path.suffix.lower() in {".csv", ".txt", ".tsv"} or given.sources:
         table = read_table(path)
-        found = map_samples(table, with_plant_names(table, plant, given), plant)
+        whole = with_plant_names(table, plant, given)
+        whole = whole if TIME in whole.sources else whole.joined(ColumnMap(period=period))
+        found = map_samples(table, whole, plant)
         return session_of(path, found.samples, plant=plant.name, has_reference=found.has_reference)
     return open_any(path, plant=plant.name)
 

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import argparse
 import tempfile
-from dataclasses import replace
 from pathlib import Path
 
-from twinmatch.cli.shared import add_options, session_to_record
+from twinmatch.cli.shared import add_options, column_map, session_to_record
 from twinmatch.launching.processes import add_page_options, page_of
 
 
@@ -32,13 +31,12 @@ def run(options: argparse.Namespace) -> int:
         options.parser.error("map topics to signals with --config FILE, --map-file FILE or --map …")
     from twinmatch.launching.live import Live, run_live  # noqa: PLC0415 — needs ROS
     from twinmatch.launching.plan import attach_plan  # noqa: PLC0415
-    from twinmatch.sessions.column_map import ColumnMap, parse_map, read_map  # noqa: PLC0415
+    from twinmatch.sessions.column_map import ColumnMap  # noqa: PLC0415
 
     session = session_to_record(options)
-    written = read_map(options.map_file) if options.map_file else ColumnMap()
-    said = replace(parse_map(options.map), plant=options.plant, period=options.period)
+    said = ColumnMap(plant=options.plant, period=options.period)
     with tempfile.TemporaryDirectory(prefix="twinmatch-attach-") as folder:
         asked = {name: getattr(options, name) for name in ("config", "twin_config", "candidates")}
-        plan = attach_plan(Path(folder), written.joined(said), session=session, **asked)
+        plan = attach_plan(Path(folder), column_map(options).joined(said), session=session, **asked)
         with page_of(options, options.parser, plan.twin_config):
             return run_live(Live(plan))

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from twinmatch.adding import CheckedPlant, check_plant
 from twinmatch.adding.data import check_data, data_for
-from twinmatch.cli.shared import Progress, add_options
+from twinmatch.cli.shared import Progress, add_options, column_map
 from twinmatch.plants import find_plant
 
 
@@ -19,13 +19,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_options(parser, "--period", help="sampling period it will be run with")
     data = "also check a recording of it against the gate"
     parser.add_argument("--data", type=Path, metavar="SESSION|CSV", help=data)
-    add_options(parser, "--map-file", help="map of signals to columns of the .csv")
+    add_options(parser, "--map", help="time=elapsed output=t2 'input=duty; scale=100': columns of the .csv")
+    add_options(parser, "--map-file")
 
 
 def run(options: argparse.Namespace) -> int:
     """Check and print; returns the exit code."""
     plant = find_plant(options.plant)
-    samples = options.data and data_for(options.data, plant, options.map_file)
+    samples = options.data and data_for(options.data, plant, column_map(options), options.period)
     with Progress("checking") as progress:
         checked = check_plant(plant, options.period or (samples.period if samples else None), progress.show)
     _print(checked)

@@ -8,12 +8,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from twinmatch.cli.shared import Progress, add_options, console_for, positive_period
+from twinmatch.cli.shared import Progress, add_options, column_map, console_for, positive_period
 from twinmatch.errors import TwinmatchError
 from twinmatch.plants import find_plant
 from twinmatch.sessions import plant_topics, read_recording, samples_of, write_session
 from twinmatch.sessions.bags import is_bag, map_bag, open_bag
-from twinmatch.sessions.column_map import ColumnMap, columns_of, parse_map, proposed, read_map
+from twinmatch.sessions.column_map import ColumnMap, columns_of, proposed
 from twinmatch.sessions.mapped import map_samples, with_plant_names
 from twinmatch.sessions.metadata import NO_REFERENCE, PLANT
 from twinmatch.sessions.tables import read_table
@@ -106,10 +106,8 @@ def _import_mapped(options: argparse.Namespace) -> int:
 
 
 def _given(options: argparse.Namespace) -> ColumnMap:
-    period, written = positive_period(options, "import"), ColumnMap()
-    if options.map_file:
-        written = read_map(options.map_file)
-    return written.joined(ColumnMap(parse_map(options.map).sources, options.plant or "", period))
+    period = positive_period(options, "import")
+    return column_map(options).joined(ColumnMap(plant=options.plant or "", period=period))
 
 
 def _list(path: Path) -> int:

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from twinmatch.sessions import Session
+    from twinmatch.sessions.column_map import ColumnMap
 
 EXIT_PARTLY: Final = 3
 """Exit code: some of several sessions were used and some skipped."""
@@ -102,6 +103,18 @@ def judging(options: argparse.Namespace, progress: Progress) -> dict[str, Any]:
     """Arguments of whatever reads a session and judges it: the options of `TERMS`, and its progress."""
     given = {name: getattr(options, name) for name in ("config", "candidates", "plant")}
     return {**given, "watch": progress.advance, "progress": partial(progress.show, "reading")}
+
+
+def column_map(options: argparse.Namespace) -> ColumnMap:
+    """The map in `--map-file`, updated with `--map`.
+
+    Raises:
+        TwinmatchError: one of them is not a map.
+    """
+    from twinmatch.sessions.column_map import ColumnMap, parse_map, read_map  # noqa: PLC0415
+
+    written = read_map(options.map_file) if options.map_file else ColumnMap()
+    return written.joined(parse_map(options.map))
 
 
 def positive_period(options: argparse.Namespace, command: str) -> float | None:

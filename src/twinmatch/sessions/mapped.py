@@ -196,7 +196,8 @@ def require_columns(table: Table, given: ColumnMap, needed: Sequence[str] = (OUT
     if missing:
         msg = (
             f"{table.path}: no column is mapped to {' and none to '.join(missing)}; "
-            f"add --map {' '.join(f'{signal}=COLUMN' for signal in missing)} (--list shows the columns)"
+            f"add --map {' '.join(f'{signal}=COLUMN' for signal in missing)}; "
+            f"its columns are {table.titles}"
         )
         rows = ". If the table has no times and its rows are equally far apart, give --period SECONDS instead"
         raise RecordingError(msg + (rows if TIME in missing else ""))
