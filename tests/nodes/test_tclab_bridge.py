@@ -149,6 +149,30 @@ def test_the_cable_is_pulled_and_put_back(start: Start, rig: Rig, kit: BenchKit)
     rig.drive(30.0, kit)
 
 
+class PulledInAnswer(dict[int, float]):
+    """The sensors of a kit whose cable is pulled while it answers the first command that heats."""
+
+    def __init__(self, kit: BenchKit) -> None:
+        super().__init__(kit.shown)
+        self._kit = kit
+
+    def __getitem__(self, number: int) -> float:
+        if self._kit.heaters[0] > 0.0:
+            self._kit.board.unplug()
+        return super().__getitem__(number)
+
+
+def test_a_cable_pulled_before_the_first_answer_is_a_fault_too(start: Start, rig: Rig, kit: BenchKit) -> None:
+    """The heater was on, though nobody was told: it must not come on again by itself."""
+    kit.shown = PulledInAnswer(kit)
+    bridge(start, kit, *PATIENT, "-p", "command_timeout:=10.0")
+    rig.power = 50.0
+    rig.faulted("link", kit)
+    kit.plug()
+    rig.until(lambda: rig.applied[-1].input == 0.0, "a kit that is back")
+    assert kit.heaters == [0.0, 0.0]
+
+
 @pytest.mark.parametrize(("port", "words"), [("/nowhere", "No such file"), ("/dev/null", "cannot be opened")])
 def test_no_kit_is_one_line_and_exit_code_two(start: Start, port: str, words: str) -> None:
     process = start("tclab_bridge", "-p", f"port:={port}")

@@ -58,9 +58,11 @@ class KitDriver(DriverThread[KitLink]):
         # By the wall clock too: a slow or stopped plant clock must not look like the end of this process.
         due = decision.time - self._sent_at >= self._pace.repeat or not self.connected
         if due or wanted != self._sent or time.monotonic() - self._said_at >= LONGEST:
+            heats = wanted != (0.0, 0.0)
+            self._driving = self._driving or heats  # it may heat though its answer is lost
             reading = self.link.drive(*wanted)
             self._sent, self._sent_at, self._said_at = wanted, decision.time, time.monotonic()
-            self._driving, self.connected = wanted != (0.0, 0.0), True
+            self._driving, self.connected = heats, True
             self._tell(reading, decision.sample)
         self._gate.wait(self._pace.poll)
 
