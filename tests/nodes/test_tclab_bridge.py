@@ -163,7 +163,7 @@ class PulledInAnswer(dict[int, float]):
 
 
 def test_a_cable_pulled_before_the_first_answer_is_a_fault_too(start: Start, rig: Rig, kit: BenchKit) -> None:
-    """The heater was on, though nobody was told: it must not come on again by itself."""
+    """The heater was on, though no answer said so: it must not come on again by itself."""
     kit.shown = PulledInAnswer(kit)
     bridge(start, kit, *PATIENT, "-p", "command_timeout:=10.0")
     rig.power = 50.0
