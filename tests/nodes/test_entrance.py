@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import math
+import os
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -266,6 +267,8 @@ OF_RCLPY = "get_type_description"
 """A service that rclpy answers outside Python."""
 EACH = 40
 """Messages of nonsense for each topic and service."""
+MALFORMED = int(os.environ.get("TWINMATCH_FUZZ", "300"))
+"""Malformed messages for each program."""
 
 
 @pytest.fixture
@@ -296,40 +299,77 @@ def serving(program: Inside) -> dict[str, Any]:
     return {name: kind for name, kind in found.items() if OF_RCLPY not in name}
 
 
+class Beside:
+    """Publishes on every topic that a program reads, and asks all its services."""
+
+    def __init__(self, program: Inside, listener: Listener) -> None:
+        self._program, self._listener = program, listener
+        self.topics, self.services = receiving(program), serving(program)
+        qos = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        publisher, client = listener.node.create_publisher, listener.node.create_client
+        self.writers = {name: publisher(kind, name, qos) for name, kind in self.topics.items()}
+        self.clients = [client(kind, name) for name, kind in self.services.items()]
+        self._answers: list[Any] = []
+        listener.spin_until(
+            lambda: (
+                all(writer.get_subscription_count() for writer in self.writers.values())
+                and all(client.service_is_ready() for client in self.clients)
+            ),
+            "the program",
+        )
+
+    def ask(self, client: Any, request: Any) -> None:
+        self._answers.append(client.call_async(request))
+
+    def hear_out(self) -> None:
+        """Until everything is answered: what was published before was then read."""
+        self._listener.spin_until(
+            lambda: all(answer.done() for answer in self._answers) or not self._program.running, "answers"
+        )
+        self._answers.clear()
+        assert self._program.running, self._program.text
+
+    def end(self) -> None:
+        """End the program, which has said what it refused."""
+        told = {k for node in self._program.nodes for k in node.health.report().values if "refused" in k}
+        assert len(told) >= len(self.topics)
+        assert all(len(node.entrance._told) <= MOST_KINDS for node in self._program.nodes)
+        assert self._program.end() == 0, self._program.text
+
+
 @pytest.mark.parametrize("program", PROGRAMS, indirect=True)
 def test_nonsense_on_every_topic_and_service_ends_nothing(program: Inside, listener: Listener) -> None:
     """Every program continues and says what it refused."""
-    topics, services, drawn = receiving(program), serving(program), Nonsense(18)
-    assert topics
-    assert services
-    assert {kind for kind in topics.values() if kind not in MESSAGES} == set()
-    assert {kind.Request for kind in services.values()} <= MESSAGES.keys() | ANYTHING
-    qos = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    writers = {name: listener.node.create_publisher(kind, name, qos) for name, kind in topics.items()}
-    clients = [listener.node.create_client(kind, name) for name, kind in services.items()]
-    listener.spin_until(
-        lambda: (
-            all(w.get_subscription_count() for w in writers.values())
-            and all(client.service_is_ready() for client in clients)
-        ),
-        "the program",
-    )
-    answers = []
+    beside, drawn = Beside(program, listener), Nonsense(18)
+    assert beside.topics
+    assert beside.services
+    assert {kind for kind in beside.topics.values() if kind not in MESSAGES} == set()
+    assert {kind.Request for kind in beside.services.values()} <= MESSAGES.keys() | ANYTHING
     for _ in range(EACH):
-        for name, writer in writers.items():
-            writer.publish(drawn.message(topics[name]))
-        for client in clients:
+        for name, writer in beside.writers.items():
+            writer.publish(drawn.message(beside.topics[name]))
+        for client in beside.clients:
             request = drawn.message(client.srv_type.Request)
             if not turns_time_off(request):
-                answers.append(client.call_async(request))
-        listener.spin_until(
-            lambda: all(answer.done() for answer in answers) or not program.running, "answers"
-        )
-        assert program.running, program.text
-    told = {key for node in program.nodes for key in node.health.report().values if "refused" in key}
-    assert len(told) >= len(topics)
-    assert all(len(node.entrance._told) <= MOST_KINDS for node in program.nodes)
-    assert program.end() == 0, program.text
+                beside.ask(client, request)
+        beside.hear_out()
+    beside.end()
+
+
+@pytest.mark.parametrize("program", PROGRAMS, indirect=True)
+def test_malformed_bytes_on_every_topic_end_nothing(
+    program: Inside, listener: Listener, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Nor does rclpy write about them."""
+    beside, drawn = Beside(program, listener), Nonsense(27)
+    (*_, client) = (client for client in beside.clients if client.srv_type is DescribeParameters)
+    for _ in range(-(-MALFORMED // len(beside.topics))):
+        for name, writer in beside.writers.items():
+            writer.publish(drawn.malformed(beside.topics[name]))
+        beside.ask(client, DescribeParameters.Request())
+        beside.hear_out()
+    beside.end()
+    assert "error state" not in capfd.readouterr().err
 
 
 def turns_time_off(request: Any) -> bool:

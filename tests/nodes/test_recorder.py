@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import time
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -14,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.serialization import deserialize_message
+from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.rosbag2 import Reader
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Image, Temperature
@@ -30,7 +31,7 @@ from twinmatch.nodes.messages import sample_message
 from twinmatch.nodes.recorder import Arrivals
 from twinmatch.nodes.topics import LATCHED, RELIABLE, offered, profile_of, wanted
 from twinmatch.sessions import Qos, Session, SessionError, read_session, recording
-from twinmatch.sessions.messages import SAMPLE, schema_of
+from twinmatch.sessions.messages import SAMPLE, decoded, schema_of
 from twinmatch.sessions.metadata import CANDIDATES, parameters_of
 from twinmatch.sessions.recording import repair_session
 from twinmatch.signals import Sample
@@ -119,6 +120,32 @@ def test_everything_is_recorded_as_it_was_sent(record: Start, rig: Rig, tmp_path
     (sample,) = [topic for topic in session.topics if topic.name == "/plant/sample"]
     assert bare(sample.schema) == bare(SAMPLE.schema)
     assert sample.type_hash == SAMPLE.type_hash
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda data: b"\0\3" + data[2:],
+        lambda data: data.replace(b"plate", b"\xb0C\0C\xff"),
+    ],
+    ids=["encoding", "text"],
+)
+def test_what_only_ros_can_read_is_recorded_so_that_others_can(
+    record: Start, rig: Rig, tmp_path: Path, spoil: Callable[[bytes], bytes]
+) -> None:
+    """One such message would else make a session unreadable."""
+    process = record()
+    rig.wait_for_reader()
+    sent = rig.sample(0)
+    next_one = serialize_message(sample_message(Sample(1, 10**18 + 10**9, 30.0, 25.0, 0.0)))
+    rig.samples.publish(spoil(bytes(next_one)))
+    wait_for_recorded(tmp_path / "run", plant__sample=2)
+    assert process.end() == 0
+    session = read_session(tmp_path / "run")
+    assert [sample.index for sample in session.samples] == [0, 1]
+    first, second = map(decoded, session.messages(["/plant/sample"]))
+    assert first.header.frame_id == sent.header.frame_id
+    assert second.index == 1
 
 
 @pytest.mark.parametrize("after", [0.7, 1.5])

@@ -1,11 +1,15 @@
-"""Well-typed messages that mean nothing, for every topic and service that a node reads."""
+"""Well-typed messages that mean nothing, and bytes that are no message, for all that a node reads."""
 
 from __future__ import annotations
 
 import random
 from array import array
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
+
+from rclpy.serialization import serialize_message
+from rosgraph_msgs.msg import Clock
+from std_msgs.msg import Float64
 
 from twinmatch.errors import TwinmatchError
 from twinmatch.nodes.expected import MESSAGES, Kind, check
@@ -33,6 +37,11 @@ TEXTS = (
     "' (FMU 0ab36ba3)", "32FC1", "mono16", "rate", "paused", "position", "use_sim_time",
     "../../etc/passwd", "output held: zero",
 )  # fmt: skip
+HEAD = b"\0\1\0\0"
+"""What every message begins with: the name of its encoding."""
+LENGTHS = (2**32 - 1, 2**31 - 1, 2**28, 2**24, 2**16)
+FIXED = {Clock: 12, Float64: 12}
+"""Types of one size: their publishers send no more bytes."""
 SIZES = (0, 0, 1, 1, 1, 2, 3, 4, 9, 100)
 
 
@@ -49,6 +58,33 @@ class Nonsense:
             if all_of_it or self._random.random() < 0.3:
                 self._set(message, name, text)
         return message
+
+    def malformed(self, kind: Any) -> bytes:
+        """Bytes that were once a message of a type, or never."""
+        damage = self._random.choice(DAMAGES)
+        return damage(self, kind, bytearray(serialize_message(self.message(kind))))[: FIXED.get(kind)]
+
+    def cut(self, _: Any, data: bytearray) -> bytes:
+        return bytes(data[: self._random.randrange(len(data))])
+
+    def flipped(self, _: Any, data: bytearray) -> bytes:
+        for _ in range(self._random.randint(1, 8)):
+            data[self._random.randrange(len(data))] ^= 1 << self._random.randrange(8)
+        return bytes(data)
+
+    def huge(self, _: Any, data: bytearray) -> bytes:
+        at = self._random.randrange(4, max(5, len(data) - 3), 4)
+        return bytes(data[:at]) + self._random.choice(LENGTHS).to_bytes(4, "little") + bytes(data[at + 4 :])
+
+    def foreign(self, kind: Any, _: bytearray) -> bytes:
+        others = [one for one in MESSAGES if "srv" not in one.__module__ and one is not kind]
+        return bytes(serialize_message(self.message(self._random.choice(others))))
+
+    def noise(self, _: Any, data: bytearray) -> bytes:
+        return self._random.choice((b"", HEAD)) + self._random.randbytes(min(len(data), 300))
+
+    def short(self, _kind: Any, _data: bytearray) -> bytes:
+        return self._random.choice((b"", HEAD, HEAD[:2]))
 
     def refused(self, kind: Any) -> Any:
         """A message that no node of a Peltier rig takes."""
@@ -93,6 +129,11 @@ class Nonsense:
         low, high = (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1) if signed else (0, 2**bits - 1)
         small = (0, 1, 2, 3, 7, 60, 255, 1000, -1, -5)
         return draw.choice((low, high, high - 1, *(v for v in small if low <= v <= high)))
+
+
+DAMAGES: tuple[Callable[[Nonsense, Any, bytearray], bytes], ...] = (
+    Nonsense.cut, Nonsense.flipped, Nonsense.huge, Nonsense.foreign, Nonsense.noise, Nonsense.short,
+)  # fmt: skip
 
 
 def is_sound(message: Any) -> bool:

@@ -1,8 +1,9 @@
 """The entrance to a node: what it receives is checked before anything else sees it.
 
-DDS lets anybody on the domain publish anything of the right type. So every subscription and every service of
-a `TwinmatchNode` is behind its `Entrance`, also those that rclpy makes for itself: /clock and the parameters.
-A message that is not what `expected` says is refused: counted, and told on /diagnostics.
+DDS lets anybody on the domain publish anything under the name of the right type. So every subscription and
+every service of a `TwinmatchNode` is behind its `Entrance`, also those that rclpy makes for itself: /clock
+and the parameters. Bytes that are not a message of the type, and a message that is not what `expected` says,
+are refused: counted, and told on /diagnostics.
 """
 
 from __future__ import annotations
@@ -15,10 +16,10 @@ from typing import Any, Final
 
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
-from rclpy.serialization import deserialize_message
+from rclpy.serialization import deserialize_message, serialize_message
 
 from twinmatch.errors import TwinmatchError
-from twinmatch.nodes.expected import MESSAGES, check
+from twinmatch.nodes.expected import MESSAGES, Kind, check
 from twinmatch.nodes.fields import Expected, MessageError
 from twinmatch.nodes.health import Level, NodeHealth
 
@@ -62,23 +63,25 @@ class Entrance:
         self._senders: dict[str, tuple[float, str]] = {}
 
     def before(self, kind: Any, topic: str, take: Take, *, raw: bool = False) -> Take:
-        """What a subscription calls in place of `take`, which gets what `MESSAGES` makes of a message.
+        """What a raw subscription calls in place of `take`, which gets what `MESSAGES` makes of the bytes.
 
-        Of a raw subscription it gets the bytes as they came.
+        If `raw`, it gets bytes again: those of the message that was checked, without what rclpy reads over
+        and other readers stumble at. Bytes of types that are not in the table pass as they came.
         """
-        if kind not in MESSAGES:
+        if raw and kind not in MESSAGES:
             return take
-        _, read, departs = MESSAGES[kind]
+        expected = MESSAGES.get(kind, Kind())
+        departs = expected.departs
         course = None if departs is None else Course(departs, lambda: self._publishers(topic))
 
-        def receive(came: Any) -> None:
+        def receive(came: bytes) -> None:
             try:
-                message = deserialize_message(came, kind) if raw else came
+                message = _message(came, kind)
                 check(message, self.plant)
                 if course is not None:
                     course.follow(message)
-                found = read(message)
-                take(came if raw else found)
+                found = expected.read(message)
+                take(serialize_message(message) if raw else found)
             except TwinmatchError as error:
                 self.refuse(topic, str(error), topic)
 
@@ -196,6 +199,14 @@ class Course:
         found = self._publishers()
         self._looked = now
         return bool(found) and not found & self._owners
+
+
+def _message(data: bytes, kind: Any) -> Any:
+    """The message of a type that these bytes are."""
+    try:
+        return deserialize_message(data, kind)
+    except Exception as error:  # rclpy raises several kinds for damaged bytes, and gives them no public names
+        raise MessageError(f"{len(data)} bytes are not a {kind.__name__}") from error
 
 
 def _refused(request: Any, response: Any, why: str) -> Any:

@@ -219,9 +219,12 @@ class TwinmatchNode(Node):
     def create_subscription(
         self, msg_type: Any, topic: str, callback: Callable[[Any], None], qos_profile: Any, **options: Any
     ) -> Any:
-        """Subscribe through the entrance: `callback` gets what `expected.MESSAGES` makes of a message."""
+        """Subscribe through the entrance: `callback` gets what `expected.MESSAGES` makes of a message.
+
+        Bytes that are not a message reach it, too; a subscription of rclpy's that is not raw drops them.
+        """
         take = self.entrance.before(msg_type, topic, callback, raw=options.get("raw", False))
-        return super().create_subscription(msg_type, topic, take, qos_profile, **options)
+        return super().create_subscription(msg_type, topic, take, qos_profile, **(options | {"raw": True}))
 
     def create_service(
         self, srv_type: Any, srv_name: str, callback: Callable[[Any, Any], Any], **options: Any

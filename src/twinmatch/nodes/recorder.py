@@ -1,4 +1,4 @@
-"""Records every topic of its namespace into a session, byte for byte."""
+"""Records every topic of its namespace into a session, as the bytes that the entrance hands on."""
 
 from __future__ import annotations
 

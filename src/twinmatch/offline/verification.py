@@ -16,6 +16,7 @@ from twinmatch.offline.judging import Judgement, Watch, judge, prefix_of, record
 from twinmatch.record import Tree, comparable, differences, tree_of, tree_of_message
 from twinmatch.sessions import Session, open_any
 from twinmatch.sessions.files import ProgressCallback
+from twinmatch.sessions.messages import decoded
 from twinmatch.signals import Sample, bridge
 from twinmatch.twin import MatchReport
 
@@ -162,15 +163,7 @@ def _once(matches: list[Tree]) -> list[Tree]:
 
 def _messages(session: Session, name: str) -> Iterator[Any]:
     """The messages of a topic, if the session has it."""
-    from mcap.records import Schema  # noqa: PLC0415 - the command line starts without it
-    from mcap_ros2.decoder import DecoderFactory  # noqa: PLC0415
-
-    for topic in [topic for topic in session.topics if topic.name == name][:1]:
-        schema = Schema(id=1, data=topic.schema.encode(), encoding="ros2msg", name=topic.type)
-        decode = DecoderFactory().decoder_for("cdr", schema)
-        if decode is None:
-            raise VerifyError(f"session {session.name}: {name} cannot be decoded")
-        yield from (decode(message.data) for message in session.messages([name]))
+    return map(decoded, session.messages([name]) if name in session.counts else ())
 
 
 class _Comparison:

@@ -242,14 +242,24 @@ def current(message: Message) -> Message:
     topic = current_topic(message.topic)
     if topic == message.topic:
         return message
-    try:
-        found = _decoder(message.topic)(message.data)
-    except Exception as error:  # the library raises many kinds for damaged bytes
-        msg = f"session: a LoopSample of {len(message.data)} bytes does not match its definition ({error})"
-        raise SessionError(msg) from error
+    found = decoded(message)
     stamp = found.header.stamp.sec * NANOSECONDS + found.header.stamp.nanosec
     sample = Sample(found.index, stamp, found.reference, found.temperature, found.pwm)
     return message._replace(topic=topic, data=encode_sample(sample, found.header.frame_id))
+
+
+def decoded(message: Message) -> Any:
+    """The fields of a message, by the definition in its file.
+
+    Raises:
+        SessionError: the message does not match it.
+    """
+    name = message.topic.type.rsplit("/", 1)[-1]
+    try:
+        return _decoder(message.topic)(message.data)
+    except Exception as error:  # the library raises many kinds for damaged bytes
+        msg = f"session: a {name} of {len(message.data)} bytes does not match its definition ({error})"
+        raise SessionError(msg) from error
 
 
 @lru_cache(maxsize=16)
