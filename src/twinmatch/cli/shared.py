@@ -223,16 +223,18 @@ class Progress:
 
 
 def add_serving_options(parser: argparse.ArgumentParser, port: int) -> None:
-    """Add the options for the address, the port (default `port`) and the namespace of a server."""
+    """Add the options for the address, the port (default `port`), the names and the namespace of a server."""
     here = "serve on this address; any but 127.0.0.1 is open to other machines"
     parser.add_argument("--address", default="127.0.0.1", help=here)
     free = f"TCP port (default: {port}); 0: any free port"
     parser.add_argument("--port", type=int, default=port, help=free)
+    known = "a name it answers to, besides localhost and its address, or whose pages may use it; repeatable"
+    parser.add_argument("--host", action="append", metavar="NAME", dest="hosts", help=known)
     parser.add_argument("--namespace", default="", metavar="/RIG", help="namespace of the plant to show")
 
 
 def serving_words(command: str, options: argparse.Namespace, library: str, **parameters: Any) -> list[str]:
-    """The command line of a server's node: address, port, namespace and these parameters, None left out.
+    """The command line of a server's node: address, port, names, namespace, these parameters; None left out.
 
     Raises:
         ServingError: an option has an invalid value, or ROS or `library` (of the extra named `command`) is
@@ -248,7 +250,8 @@ def serving_words(command: str, options: argparse.Namespace, library: str, **par
     if options.namespace and re.fullmatch(r"(/?[A-Za-z_][A-Za-z0-9_]*)+", options.namespace) is None:
         raise ServingError(f"{command}: {options.namespace!r} is not a namespace; give one such as /rig_a")
     words = [command, "--ros-args"]
-    for name, value in {"address": options.address, "port": options.port, **parameters}.items():
+    given = {name: getattr(options, name) for name in ("address", "port", "hosts")}
+    for name, value in {**given, **parameters}.items():
         if value is not None:
             text = json.dumps(str(value) if isinstance(value, Path) else value, ensure_ascii=False)
             words += ["-p", f"{name}:={text}"]

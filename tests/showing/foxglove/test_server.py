@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import json
 import re
+import socket
 import struct
 import time
 from collections.abc import Callable, Iterator
@@ -13,11 +14,15 @@ from typing import Any
 import pytest
 
 from twinmatch.showing.foxglove.node import BACKLOG, GraphServer, StreamTime
-from twinmatch.showing.serving import ServingError
+from twinmatch.showing.foxglove.relay import MOST_TOLD, hidden_address
+from twinmatch.showing.serving import Hosts, ServingError
 
 pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup")
 
+from tests.showing.foxglove.conftest import PROTOCOL
+from tests.support.odd_requests import odd_requests
 from tests.support.places import PROJECT
+from tests.support.sockets import UPGRADE, ask, exchange
 from twinmatch.plants import Peltier
 from twinmatch.plants.records import description_of
 from twinmatch.showing.foxglove.layout import APPLIED, IMAGE, OUTSIDE, TOPICS, layout
@@ -115,6 +120,57 @@ def test_a_viewer_that_does_not_keep_up_loses_the_oldest_and_holds_nobody_back(
     stamps = [message.at for message in viewer.messages]
     assert stamps == sorted(stamps)
     assert len(stamps) < many
+
+
+@pytest.mark.parametrize(
+    ("name", "origin", "let_in"),
+    [
+        ("", None, True),
+        ("localhost:8765", None, True),
+        ("", "http://localhost:8080", True),
+        ("", "file://", True),
+        ("", "https://viewer.example", True),
+        ("evil.example", None, False),
+        ("evil.example:8765", "http://evil.example:8765", False),
+        ("", "http://evil.example", False),
+        ("", "null", False),
+        ("192.0.2.1", None, False),
+    ],
+)
+def test_a_foreign_name_or_page_is_refused(
+    name: str, origin: str | None, let_in: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    server = GraphServer("rig", "127.0.0.1", 0, Hosts.of("127.0.0.1", ["viewer.example"]))
+    headers = (*UPGRADE, f"Sec-WebSocket-Protocol: {PROTOCOL}", *([f"Origin: {origin}"] if origin else []))
+    for _ in range(3):
+        status, why = ask(server.url, "/", *headers, host=name or None)
+        assert status == (101 if let_in else 403)
+        assert ("--host" in why) == (not let_in)
+    server.close()
+    assert capsys.readouterr().out == ("" if let_in else f"foxglove: refused: {why}")
+
+
+def test_what_is_behind_it_has_an_address_that_no_page_can_guess(server: GraphServer) -> None:
+    assert server.url.startswith("ws://127.0.0.1:")
+    assert len({hidden_address() for _ in range(50)}) == 50
+    with socket.socket() as elsewhere:  # nothing of the SDK listens there
+        elsewhere.bind(("127.0.0.2", int(server.url.rsplit(":", 1)[1])))
+
+
+def test_odd_requests_end_nothing_and_print_nothing_but_refusals(
+    server: GraphServer, view: Callable[[str], Any], capfd: pytest.CaptureFixture[str]
+) -> None:
+    for k, request in enumerate(odd_requests(seed=28, count=500)):
+        answer = exchange(server.url, request)
+        assert answer == b"" or answer[9:10] in b"14", (k, request, answer)
+    viewer = view(server.url)
+    viewer.wait(lambda: viewer.info, "the server's greeting")
+    told = capfd.readouterr()
+    assert told.err == ""
+    assert 0 < len(told.out.splitlines()) <= MOST_TOLD
+    assert all(
+        line.startswith("foxglove: refused: ") and line.isprintable() for line in told.out.splitlines()
+    )
 
 
 def test_a_port_that_is_taken_is_one_clear_line(server: GraphServer) -> None:

@@ -23,6 +23,8 @@ const deep = (root) => [...root.querySelectorAll('*')].flatMap(
     (e) => e.shadowRoot ? [e, ...deep(e.shadowRoot)] : [e]);
 """
 """Bokeh's widgets live in shadow trees, which selectors do not look into."""
+FOREIGN = "evil.example"
+"""A name of somebody else that resolves to this machine, as after DNS rebinding."""
 
 
 @pytest.fixture(scope="session")
@@ -46,7 +48,7 @@ def page_process(ros: None, tmp_path_factory: pytest.TempPathFactory) -> Iterato
 
 
 class Browser:
-    """Headless Chromium that reaches nothing but this machine."""
+    """Headless Chromium that reaches nothing but this machine, which has a foreign name, too."""
 
     def __init__(self, profile: Path) -> None:
         from selenium import webdriver
@@ -55,7 +57,8 @@ class Browser:
         options = webdriver.ChromeOptions()
         options.binary_location = str(shutil.which("chromium"))
         flags = "--window-size=1440,1000 --js-flags=--expose-gc --disable-quic --headless"
-        alone = "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1"
+        names = f"MAP {FOREIGN} 127.0.0.1, MAP * ~NOTFOUND, EXCLUDE 127.0.0.1, EXCLUDE localhost"
+        alone = f"--host-resolver-rules={names}"
         for flag in (*flags.split(), *CHROMIUM, alone, f"--user-data-dir={profile}"):
             options.add_argument(flag)
         options.set_capability("goog:loggingPrefs", {"browser": "ALL"})

@@ -4,7 +4,6 @@ which subscribes to every topic of its namespace and forwards the bytes."""
 from __future__ import annotations
 
 import logging
-import re
 import time
 from functools import partial
 from pathlib import Path
@@ -24,7 +23,8 @@ from twinmatch.parameters.declared import Setting
 from twinmatch.sessions import SessionError
 from twinmatch.sessions.messages import schema_of
 from twinmatch.showing.foxglove.layout import APPLIED, IMAGE, OUTSIDE, TOPICS, layout, write_layout
-from twinmatch.showing.serving import ServingError, place_settings, unusable, warn_if_open
+from twinmatch.showing.foxglove.relay import Relay, hidden_address
+from twinmatch.showing.serving import Hosts, ServingError, listen, place_settings, warn_if_open
 from twinmatch_msgs.msg import PlantDescription
 
 BACKLOG = 1024
@@ -50,8 +50,10 @@ class GraphServer(ServerListener):
     although the next may be minutes away.
     """
 
-    def __init__(self, name: str, address: str, port: int) -> None:
+    def __init__(self, name: str, address: str, port: int, hosts: Hosts | None = None) -> None:
         """Serve on this address; port 0 takes any free port.
+
+        `hosts` are the names that it answers to; None: those of the address alone.
 
         Raises:
             ServingError: the address or port cannot be used.
@@ -61,15 +63,12 @@ class GraphServer(ServerListener):
         self._channels: dict[str, Channel] = {}
         self._last: dict[int, _Last] = {}
         self._viewers: dict[int, set[int]] = {}
-        try:
-            place: dict[str, Any] = {"name": name, "host": address, "port": port, "context": self._context}
-            able: dict[str, Any] = {"capabilities": [Capability.Time], "message_backlog_size": BACKLOG}
-            self._server = start_server(**place, **able, server_listener=self)
-        except RuntimeError as error:
-            cause = re.sub(r"^.*Failed to bind port: | \(os error \d+\)$", "", str(error))
-            raise unusable("foxglove", address, port, cause) from error
-        host = f"[{address}]" if ":" in address else address
-        self.url = f"ws://{host}:{self._server.port}"
+        bound, place = listen("foxglove", address, port)
+        inner: dict[str, Any] = {"name": name, "host": hidden_address(), "port": 0, "context": self._context}
+        able: dict[str, Any] = {"capabilities": [Capability.Time], "message_backlog_size": BACKLOG}
+        self._server = start_server(**inner, **able, server_listener=self)
+        self._relay = Relay(bound, hosts or Hosts.of(address), (inner["host"], self._server.port))
+        self.url = f"ws://{place}"
         """Address to open in the viewer."""
 
     @property
@@ -119,6 +118,7 @@ class GraphServer(ServerListener):
     def close(self) -> None:
         """Stop; viewers reconnect automatically."""
         self._server.stop()
+        self._relay.close()
 
     def on_subscribe(self, client: Client, channel: ChannelView) -> None:
         """Send a viewer the newest message of a channel; called by a thread of the SDK, as the next."""
@@ -188,7 +188,8 @@ class Foxglove(TwinmatchNode):
     def open(self) -> None:
         """Start the server, and watch for topics."""
         address = self.values["address"]
-        self._server = GraphServer("twinmatch", address, self.values["port"])
+        hosts = Hosts.of(address, self.values["hosts"])
+        self._server = GraphServer("twinmatch", address, self.values["port"], hosts)
         self._serving = True
         self._time = StreamTime()
         self._following = Following(self, raw=True)

@@ -25,9 +25,10 @@ from twinmatch.parameters.twin import read_settings
 from twinmatch.plants import plant_named
 from twinmatch.plants.records import description_of
 from twinmatch.showing.page.requests import Requests
+from twinmatch.showing.page.server import PageServer
 from twinmatch.showing.page.state import DashboardState, DriveReport, TwinRow, update_sentence
-from twinmatch.showing.page.tab import PageServer, Tab
-from twinmatch.showing.serving import place_settings, warn_if_open
+from twinmatch.showing.page.tab import Tab
+from twinmatch.showing.serving import Hosts, place_settings, warn_if_open
 from twinmatch.signals import one_of_each
 from twinmatch.twin import TwinSettings
 from twinmatch_msgs.msg import (
@@ -104,7 +105,10 @@ class Dashboard(TwinmatchNode):
         self.create_timer(POLL, self._run_requests, clock=Clock(clock_type=ClockType.STEADY_TIME))
         address = self.values["address"]
         self._server = PageServer(
-            address, self.values["port"], lambda document: Tab(self.state, self._requests).build(document)
+            address,
+            self.values["port"],
+            lambda document: Tab(self.state, self._requests).build(document),
+            Hosts.of(address, self.values["hosts"]),
         )
         able = "read this page and command the plant" if self.values["control"] else "read this page"
         warn_if_open("PAGE", address, able)

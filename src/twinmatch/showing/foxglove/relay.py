@@ -1,0 +1,124 @@
+"""Checks viewers' requests before they reach the SDK's server, which takes every Host and Origin."""
+
+from __future__ import annotations
+
+import asyncio
+import secrets
+import socket
+import threading
+from contextlib import suppress
+from typing import Final
+
+from twinmatch.showing.serving import Hosts
+
+REQUEST: Final = 1 << 14
+"""Most bytes of a request."""
+PATIENCE: Final = 10.0
+"""Time for a request to arrive, s."""
+LEAVE: Final = 0.5
+"""Time for connections to end at the end, s."""
+MOST: Final = 200
+"""Most connections at once."""
+MOST_TOLD: Final = 8
+"""Most reasons of refusals that are printed."""
+
+
+def hidden_address() -> str:
+    """A loopback address that no page can guess; with the port there are 2³⁸ of them."""
+    return f"127.{secrets.randbelow(254) + 1}.{secrets.randbelow(256)}.{secrets.randbelow(254) + 1}"
+
+
+class Relay:
+    """Reads the request of each connection, answers 403 or passes it and all that follows on, in a thread."""
+
+    def __init__(self, bound: socket.socket, hosts: Hosts, inner: tuple[str, int]) -> None:
+        """Take the connections of a listening socket, and let those of `hosts` reach the server `inner`."""
+        self._bound, self._hosts, self._inner = bound, hosts, inner
+        self._open: set[asyncio.Task[None]] = set()
+        self._told: set[str] = set()
+        self._loop = asyncio.new_event_loop()
+        self._thread = threading.Thread(target=self._run, name="relay", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """End all connections; what their server has said before its end is passed on first."""
+        self._loop.call_soon_threadsafe(self._loop.stop)
+        self._thread.join(3.0)
+
+    def _run(self) -> None:
+        asyncio.set_event_loop(self._loop)
+        serving = asyncio.start_server(self._accept, sock=self._bound, limit=REQUEST)
+        server = self._loop.run_until_complete(serving)
+        self._loop.run_forever()
+        server.close()
+        self._loop.run_until_complete(self._finish())
+        self._loop.close()
+
+    async def _finish(self) -> None:
+        if self._open:
+            _, late = await asyncio.wait(self._open, timeout=LEAVE)
+            for task in late:
+                task.cancel()
+            await asyncio.gather(*late, return_exceptions=True)
+
+    def _accept(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        if len(self._open) >= MOST:
+            writer.close()
+            return
+        task = self._loop.create_task(self._take(reader, writer))
+        self._open.add(task)
+        task.add_done_callback(self._open.discard)
+
+    async def _take(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        try:
+            request = await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), PATIENCE)
+            why = self._refusal(request)
+            if why:
+                await _refuse(writer, why)
+                return
+            await self._pass_on(request, reader, writer)
+        except (OSError, EOFError, asyncio.LimitOverrunError, asyncio.TimeoutError):
+            return  # it has gone, sends something else, or too slowly
+        finally:
+            writer.close()
+
+    async def _pass_on(
+        self, request: bytes, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
+    ) -> None:
+        back, there = await asyncio.open_connection(*self._inner)
+        ways = [self._loop.create_task(_copy(*way)) for way in ((reader, there), (back, writer))]
+        try:
+            there.write(request)
+            await asyncio.wait(ways, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            for way in ways:
+                way.cancel()
+            there.close()
+
+    def _refusal(self, request: bytes) -> str:
+        """Why a request is refused; empty if it is not."""
+        found: dict[str, str] = {}
+        for line in request.decode("latin-1").split("\r\n")[1:]:
+            name, _, value = line.partition(":")
+            name = name.strip().lower()
+            found[name] = f"{found[name]}, {value.strip()}" if name in found else value.strip()
+        why = self._hosts.refusal(found.get("host"), found.get("origin"), beside=True)
+        if why and why not in self._told and len(self._told) < MOST_TOLD:
+            self._told.add(why)
+            print(f"foxglove: refused: {why}", flush=True)
+        return why
+
+
+async def _refuse(writer: asyncio.StreamWriter, why: str) -> None:
+    body = f"{why}\n".encode()
+    head = "HTTP/1.1 403 Forbidden\r\nContent-Type: text/plain; charset=utf-8\r\nConnection: close\r\n"
+    writer.write(f"{head}Content-Length: {len(body)}\r\n\r\n".encode() + body)
+    await writer.drain()
+
+
+async def _copy(source: asyncio.StreamReader, sink: asyncio.StreamWriter) -> None:
+    """Pass bytes on until one side ends; a side that does not read holds back only its own."""
+    with suppress(OSError):
+        while data := await source.read(1 << 16):
+            sink.write(data)
+            await sink.drain()
