@@ -36,25 +36,23 @@ class Relay:
         self._bound, self._hosts, self._inner = bound, hosts, inner
         self._open: set[asyncio.Task[None]] = set()
         self._told: set[str] = set()
-        self._loop = asyncio.new_event_loop()
+        self._loop, self._over = asyncio.new_event_loop(), asyncio.Event()
         self._thread = threading.Thread(target=self._run, name="relay", daemon=True)
         self._thread.start()
 
     def close(self) -> None:
         """End all connections; what their server has said before its end is passed on first."""
-        self._loop.call_soon_threadsafe(self._loop.stop)
+        self._loop.call_soon_threadsafe(self._over.set)
         self._thread.join(3.0)
 
     def _run(self) -> None:
-        asyncio.set_event_loop(self._loop)
-        serving = asyncio.start_server(self._accept, sock=self._bound, limit=REQUEST)
-        server = self._loop.run_until_complete(serving)
-        self._loop.run_forever()
-        server.close()
-        self._loop.run_until_complete(self._finish())
+        self._loop.run_until_complete(self._serve())
         self._loop.close()
 
-    async def _finish(self) -> None:
+    async def _serve(self) -> None:
+        server = await asyncio.start_server(self._accept, sock=self._bound, limit=REQUEST)
+        await self._over.wait()
+        server.close()
         if self._open:
             _, late = await asyncio.wait(self._open, timeout=LEAVE)
             for task in late:
