@@ -17,6 +17,7 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import Log
 from rcl_interfaces.srv import DescribeParameters, GetParameterTypes
+from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rich.console import Console
 from rosgraph_msgs.msg import Clock
@@ -31,7 +32,7 @@ from twinmatch.fitting import Fit, Match, Status
 from twinmatch.launching.live import Live, _LiveRun
 from twinmatch.launching.plan import LivePlan
 from twinmatch.launching.watch import Settled, Watch
-from twinmatch.nodes.entrance import MOST_KINDS, Course
+from twinmatch.nodes.entrance import MOST_KINDS, MOST_NAMES, MOST_REASONS, Course
 from twinmatch.nodes.expected import MESSAGES, check
 from twinmatch.nodes.fields import MessageError
 from twinmatch.nodes.messages import message_of, request_message, sample_message
@@ -393,6 +394,31 @@ def test_a_refusal_is_reported_once_with_its_sender(
     assert {message.count(said) for message in told} == {1}
     listener.send(steps[:3])
     listener.spin_until(lambda: "2" in listener.values("sample"), "the samples after it")
+
+
+def test_many_kinds_of_nonsense_on_a_topic_are_counted_and_few_are_told(
+    start: Callable[..., Inside], listener: Listener
+) -> None:
+    """Nobody knows of whom they are: many possible senders are not named one by one."""
+    assert not listener.health
+    start("twin_simulator")
+    listener.spin_until(listener.samples.get_subscription_count, "the simulator")
+    others = [Node(f"other_{k}", context=listener.node.context) for k in range(MOST_NAMES)]
+    for node in others:
+        node.create_publisher(messages.LoopSample, "plant/sample", 10)
+    many = MOST_NAMES + 1
+    listener.spin_until(lambda: listener.node.count_publishers("plant/sample") == many, "the publishers")
+    draw = Nonsense(seed=27)
+    for _ in range(60):
+        listener.samples.publish(draw.refused(messages.LoopSample))
+    listener.spin_until(lambda: "60" in listener.values("refused: plant/sample"), "the count")
+    listener.spin_until(
+        lambda: listener.said(f"(published by one of {many} nodes; ros2 topic"), "the senders"
+    )
+    told = [status.message.count("refused: ") for status in listener.reports("twin_simulator: health")]
+    assert max(told) == MOST_REASONS
+    for node in others:
+        node.destroy_node()
 
 
 @pytest.mark.parametrize(

@@ -29,6 +29,10 @@ REMEMBER: Final = 60.0
 """Time for which a refusal stays on /diagnostics after the last of its kind, wall s."""
 MOST_KINDS: Final = 20
 """Most kinds of refusals on /diagnostics; all are counted."""
+MOST_REASONS: Final = 3
+"""Most kinds of them for one topic or service."""
+MOST_NAMES: Final = 3
+"""Most publishers of a topic that are named as possible senders."""
 LONGEST: Final = 200
 """Longest reason told, characters."""
 LOOK: Final = 0.5
@@ -48,6 +52,8 @@ class _Told:
     at: float
     """When a message was last refused for it, wall s."""
     text: str
+    name: str
+    """Of the topic or service."""
     topic: str
     """Whose publisher is to be named as soon as it is known; empty if it was, or for a service."""
 
@@ -117,9 +123,10 @@ class Entrance:
         kind = f"{name}: {_FIGURES.sub('', why)}"
         now = time.monotonic()
         if kind not in self._told:
-            if len(self._told) >= MOST_KINDS:
+            like = sum(told.name == name for told in self._told.values())
+            if like >= MOST_REASONS or len(self._told) >= MOST_KINDS:
                 return
-            self._told[kind] = _Told(now, f"refused: {name}: {why}", topic)
+            self._told[kind] = _Told(now, f"refused: {name}: {why}", name, topic)
             self._tell(kind)
         self._told[kind].at = now
 
@@ -146,7 +153,10 @@ class Entrance:
         at, names = self._senders.get(topic, (-LOOK, ""))
         if time.monotonic() - at > LOOK:
             found = {info.node_name for info in self._node.get_publishers_info_by_topic(topic)}
-            names = "" if _UNKNOWN in found else " or ".join(sorted(found)) or "a node that is gone"
+            names = " or ".join(sorted(found)) or "a node that is gone"
+            if len(found) > MOST_NAMES:
+                names = f"one of {len(found)} nodes; ros2 topic info -v {topic} lists them"
+            names = "" if _UNKNOWN in found else names
             self._senders[topic] = time.monotonic(), names
         return names
 
