@@ -4,6 +4,7 @@
 #include <util/atomic.h>
 #include <util/delay.h>
 
+#include "boot.h"
 #include "config.h"
 
 namespace output {
@@ -16,6 +17,14 @@ volatile uint16_t remaining = 0;  // ms until the deadline
 volatile uint8_t settle = 0;      // ms until nSF may be believed
 volatile uint8_t low_for = 0;     // ms nSF has been low
 volatile uint8_t beats = 0;
+
+// PWM·ms at which the budget is spent. One addition of at most kPwmLimit goes beyond it before a trip stops
+// them, so 32 bits are enough for half an hour.
+constexpr int32_t kWhole = (config::kPwmLimit - config::kHoldPwm) * 1000L * config::kFullDriveSeconds;
+static_assert(kWhole <= INT32_MAX - config::kPwmLimit, "the budget must fit into 32 bits");
+
+// PWM·ms spent. Neither a host nor a restart of the processor gives any back, only rest does.
+volatile int32_t spent __attribute__((section(".noinit")));
 
 // Lets go of the compare unit and holds the pin low. Interrupts are off, or this is one.
 void pwm_off() {
@@ -70,6 +79,13 @@ void watch_driver() {
   }
 }
 
+void watch_budget() {
+  const int16_t magnitude = level < 0 ? -level : level;  // zero while the driver is off
+  const int32_t sum = spent + (magnitude - config::kHoldPwm);
+  spent = sum > 0 ? sum : 0;
+  if (sum > kWhole) latch(kBudget);
+}
+
 // Stops the output if its sign is about to change, and turns the direction pin after a pause at zero.
 void turn(bool heat) {
   const uint8_t wanted = heat == config::kHeatLevel ? HIGH : LOW;
@@ -84,6 +100,9 @@ void turn(bool heat) {
 }  // namespace
 
 void begin() {
+  // After power-up the memory holds anything.
+  if (boot::count() == 0 || spent < 0 || spent > kWhole) spent = 0;
+
   digitalWrite(config::kEnablePin, LOW);
   pinMode(config::kEnablePin, OUTPUT);
   digitalWrite(config::kPwmPin, LOW);
@@ -123,7 +142,7 @@ void clear() {
   ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
     disable();
     remaining = 0;
-    state = 0;
+    state = (state & kBudget) && spent > kWhole / 2 ? kTripped | kBudget : 0;
   }
 }
 
@@ -152,6 +171,7 @@ ISR(TIMER3_COMPA_vect) {
   ++beats;
   watch_host();
   watch_driver();
+  watch_budget();
 }
 
 }  // namespace output

@@ -1,4 +1,5 @@
-// The driver's pins, and the first two layers of safety: the host deadline and the driver's fault flag.
+// The driver's pins, and what trips on its own: the host deadline, the driver's fault flag, the budget
+// of high drive.
 //
 // A trip lets go of the PWM pin, holds it low, lowers enable, and stays until clear().
 #ifndef TWINMATCH_OUTPUT_H
@@ -16,6 +17,7 @@ enum Flag : uint8_t {
   kDriver = 0x08,     // nSF low while enabled
   kReset = 0x10,      // the board started since the last clear
   kDuplicate = 0x20,  // set by the caller: the request was answered before and had no effect now
+  kBudget = 0x40,     // high drive for longer than the plant needs
 };
 
 void begin();
@@ -23,7 +25,8 @@ void begin();
 // Applies a set-point, −255..255, and feeds the deadline. False, and nothing applied, while tripped.
 bool apply(int16_t pwm);
 
-// Lets go of the trips. The output is zero and off until the next apply().
+// Lets go of the trips. The output is zero and off until the next apply(). A trip of the budget stays while
+// more than half of it is spent, and what is spent stays in any case.
 void clear();
 
 // Zero and off, without a trip: a new host has to command before anything flows.

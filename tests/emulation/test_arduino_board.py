@@ -54,7 +54,7 @@ def test_it_says_who_it_is(wire: Wire) -> None:
     assert isinstance(banner, Banner)
     assert banner.protocol == PROTOCOL
     assert banner.deadline_ms == DEADLINE * 1000
-    assert banner.firmware.removeprefix("standin-") == "1.0.0"
+    assert banner.firmware.removeprefix("standin-") == "1.1.0"
 
 
 def test_it_starts_off_and_latched(board: Board, wire: Wire) -> None:

@@ -49,11 +49,13 @@ def config(name: str) -> int:
 
 
 def test_host_and_firmware_agree_on_what_both_spell_out() -> None:
-    from twinmatch.emulation.arduino import DEADLINE_MS
+    from twinmatch.emulation.arduino import DEADLINE_MS, FULL_DRIVE_SECONDS, HOLD_PWM
     from twinmatch.links.pwm_protocol import PROTOCOL, PWM_LIMIT
 
     assert config("kProtocol") == PROTOCOL
     assert config("kDeadlineMs") == DEADLINE_MS
+    assert config("kHoldPwm") == HOLD_PWM
+    assert config("kFullDriveSeconds") == FULL_DRIVE_SECONDS
     assert config("kPwmLimit") == PWM_LIMIT
 
 
@@ -64,6 +66,8 @@ def test_host_and_firmware_agree_on_what_both_spell_out() -> None:
         ("kDeadlineMs = 1000", "kDeadlineMs = 400"),
         ("kPwmTop = 799", "kPwmTop = 639"),
         ("kReversalMs = 2", "kReversalMs = 0"),
+        ("kHoldPwm = 220", "kHoldPwm = 255"),
+        ("kFullDriveSeconds = 480", "kFullDriveSeconds = 3600"),
     ],
 )
 def test_unsafe_settings_do_not_compile(tmp_path: Path, line: str, instead: str) -> None:

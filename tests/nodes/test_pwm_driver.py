@@ -14,7 +14,8 @@ import pytest
 from tests.support import boards
 from tests.support.boards import StandIn
 from tests.support.waiting import wait_for
-from twinmatch.links.pwm_link import Applied, LinkSettings, PwmLink
+from twinmatch.emulation import arduino
+from twinmatch.links.pwm_link import Applied, LinkSettings, PwmLatchedError, PwmLink
 from twinmatch.links.pwm_protocol import Flags
 from twinmatch.nodes.gated import ClockTimes, DriverPace, OutputGate
 from twinmatch.nodes.health import Level, NodeHealth
@@ -238,6 +239,32 @@ def test_a_board_that_had_tripped_on_its_driver_is_not_cleared_by_itself() -> No
         bench.stays_at_zero()
         bench.clear()
         bench.drive(50.0)
+
+
+def test_a_board_that_ended_high_drive_is_not_cleared_by_itself_and_ends_it_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(arduino, "FULL_DRIVE_SECONDS", 1)
+    board = StandIn()
+    board.run(SLOWLY)
+    with PwmLink(board.port, PATIENT) as link:
+        link.clear()
+        with pytest.raises(PwmLatchedError, match="drove high for longer than a plant needs"):
+            wait_for(lambda: not link.command(255.0), "the board's trip")
+    with closing(Bench(board).start()) as bench:
+        bench.pwm = 255.0
+        bench.until(lambda: bench.kind() is FaultKind.BOARD)
+        assert "high drive for longer than a plant needs; check sensor" in str(bench.gate.fault)
+        bench.stays_at_zero()
+
+        def drives() -> bool:
+            if bench.kind() is not None:  # clearing counts only after a rest
+                bench.clear()
+            return board.drive().pwm == 255.0
+
+        bench.until(drives)
+        bench.until(lambda: bench.kind() is FaultKind.BOARD)
+        bench.stays_at_zero()
 
 
 def test_a_board_that_does_something_else_than_it_was_sent_is_a_fault(

@@ -24,6 +24,7 @@ from twinmatch.errors import TwinmatchError
 from twinmatch.links.pwm_link import AMPERES_PER_COUNT
 from twinmatch.links.pwm_protocol import (
     PROTOCOL,
+    PWM_LIMIT,
     SEQUENCES,
     Banner,
     BoardStatus,
@@ -43,10 +44,14 @@ from twinmatch.links.pwm_protocol import (
 _log = logging.getLogger(__name__)
 _Own = TypeVar("_Own", bound="EmulatedBoard")
 
-FIRMWARE = "standin-1.0.0"
+FIRMWARE = "standin-1.1.0"
 """Firmware name in the banner, which cannot be mistaken for the real firmware."""
 
 DEADLINE_MS = 1000
+HOLD_PWM = 220
+"""Largest magnitude of the PWM that may stay for ever; the budget counts what is above it."""
+FULL_DRIVE_SECONDS = 480
+"""Time at full drive that spends the whole budget, s."""
 _WATCHDOG_MS = 500
 _REVERSAL_MS = 2
 _SETTLE_MS = 10
@@ -177,6 +182,8 @@ class ArduinoModel:
         self.level = 0
         """PWM on the pins, −255 to 255."""
         self._time_ms = 0
+        self._spent = 0  # of the budget, PWM·ms; a restart keeps it
+        self._whole = (round(PWM_LIMIT) - HOLD_PWM) * 1000 * FULL_DRIVE_SECONDS
         self._reader = FrameReader()
         self._boot(_POWER_ON)
 
@@ -196,6 +203,7 @@ class ArduinoModel:
         self._time_ms = (self._time_ms + 1) % 2**32
         self._watch_host()
         self._watch_driver()
+        self._watch_budget()
         self._input += self._reader.feed(data)
         out = self._finish_turn() if self._turn else []
         while self._input and not self._turn:
@@ -234,6 +242,11 @@ class ArduinoModel:
             self._low = self._low + 1 if self.fault else 0
             if self._low >= _DEBOUNCE_MS:
                 self._latch(Flags.DRIVER)
+
+    def _watch_budget(self) -> None:
+        self._spent = max(0, self._spent + abs(self.level) - HOLD_PWM)
+        if self._spent > self._whole:
+            self._latch(Flags.BUDGET)
 
     def _latch(self, reason: Flags) -> None:
         self._disable()
@@ -297,7 +310,8 @@ class ArduinoModel:
             return self._status(request, Flags.DUPLICATE)
         self._disable()
         self._remaining = 0
-        self._flags = Flags.NONE
+        unrested = self._flags & Flags.BUDGET and self._spent > self._whole / 2
+        self._flags = Flags.TRIPPED | Flags.BUDGET if unrested else Flags.NONE
         return self._status(request)
 
     def _is_new(self, request: Request) -> bool:

@@ -295,6 +295,8 @@ class PwmLink:
     def clear(self) -> Applied:
         """Clear a trip of the board; its output is zero until the next command.
 
+        A trip on high drive stays until half of the board's budget is back, which takes 38 s of rest.
+
         Raises:
             PwmLinkError: the link failed; see `pwm_errors`.
         """
@@ -384,6 +386,7 @@ class PwmLink:
         causes = {
             Flags.DEADLINE: "it received no command in time",
             Flags.DRIVER: "the motor driver reported a fault (short circuit, over-temperature, supply)",
+            Flags.BUDGET: "it drove high for longer than a plant needs (check sensor and drive, let it cool)",
             Flags.RESET: "it has just started",
         }
         cause = " and ".join(text for flag, text in causes.items() if flags & flag)

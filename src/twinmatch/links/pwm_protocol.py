@@ -150,7 +150,7 @@ class Flags(IntFlag):
     ENABLED = 0x01
     """The driver is enabled."""
     TRIPPED = 0x02
-    """The output is off until it is cleared; one of the next three is the cause."""
+    """The output is off until it is cleared; `DEADLINE`, `DRIVER`, `RESET` or `BUDGET` is the cause."""
     DEADLINE = 0x04
     """No command within the deadline."""
     DRIVER = 0x08
@@ -159,6 +159,8 @@ class Flags(IntFlag):
     """The board restarted since it was last cleared."""
     DUPLICATE = 0x20
     """The request repeats one already answered; it had no effect."""
+    BUDGET = 0x40
+    """The drive was high for longer than a plant needs; a clear counts only after a rest."""
 
 
 @dataclass(frozen=True, slots=True)

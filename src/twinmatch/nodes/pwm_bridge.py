@@ -61,6 +61,9 @@ class PwmDriver(DriverThread[PwmLink]):
         if flags & Flags.DRIVER:
             tripped = "the board has tripped because the motor driver reported a fault"
             self._gate.trip(FaultKind.DRIVER, tripped)
+        elif flags & Flags.BUDGET:
+            tripped = "the board has switched off: high drive for longer than a plant needs"
+            self._gate.trip(FaultKind.BOARD, f"{tripped}; check sensor and drive, let it cool")
         elif not self._known:
             self.link.clear()
         elif flags & Flags.RESET:
@@ -122,7 +125,7 @@ class PwmDriver(DriverThread[PwmLink]):
             PwmLatchedError: the board tripped for another reason.
         """
         flags = self.link.query().flags
-        if flags & (Flags.DRIVER | Flags.RESET):
+        if flags & (Flags.DRIVER | Flags.RESET | Flags.BUDGET):
             self.link.command(0.0)  # refused, with the reason
         elif flags & Flags.TRIPPED:
             self.link.clear()
