@@ -96,7 +96,7 @@ class Host:
         return True
 
     def open_again(self) -> None:
-        """Open the port anew, as another program would."""
+        """Open the port again, as another program would."""
         self.wire.close()
         self._open(40_000)
 
