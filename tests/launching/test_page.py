@@ -18,7 +18,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from mcap.reader import make_reader
-from rich.console import Console
 
 from tests.support import faulty_rig
 from twinmatch.comparing import Verdict
@@ -29,6 +28,7 @@ from twinmatch.offline.judging import judge, terms_from_files
 from twinmatch.offline.summary import Tally, conclude, summarise
 from twinmatch.sessions import Recording, open_any, read_session
 from twinmatch.sessions.messages import SAMPLE, encode_sample
+from twinmatch.showing.console import Console
 from twinmatch.showing.terminal import MOST_EVENTS, Screen
 from twinmatch.showing.verdicts import events
 from twinmatch.signals import Sample

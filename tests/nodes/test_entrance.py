@@ -19,7 +19,6 @@ from rcl_interfaces.msg import Log
 from rcl_interfaces.srv import DescribeParameters, GetParameterTypes
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from rich.console import Console
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Image, Temperature
 from std_srvs.srv import SetBool, Trigger
@@ -39,6 +38,7 @@ from twinmatch.nodes.messages import message_of, request_message, sample_message
 from twinmatch.nodes.topics import EVERYTHING
 from twinmatch.nodes.twin import MOST_WAITING
 from twinmatch.plants import Peltier
+from twinmatch.showing.console import Console
 from twinmatch.showing.foxglove.node import Foxglove
 from twinmatch.showing.page.node import Dashboard
 from twinmatch.showing.terminal import Screen

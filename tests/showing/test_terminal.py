@@ -7,12 +7,12 @@ import re
 from collections.abc import Sequence
 
 import pytest
-from rich.console import Console
 
 from tests.support.steps import drive_lost
 from twinmatch.offline.judging import Judgement, judge_samples
 from twinmatch.offline.summary import nominal_score
 from twinmatch.plants import Peltier
+from twinmatch.showing.console import Console
 from twinmatch.showing.family import FIGURES
 from twinmatch.showing.lines import Lines
 from twinmatch.showing.quantities import number, parameter_format

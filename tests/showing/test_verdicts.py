@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rich.console import Console
 
 from tests.support.plants import Tank
 from tests.support.rig import rig
@@ -21,6 +20,7 @@ from twinmatch.errors import TwinmatchError
 from twinmatch.fitting import Match, Status
 from twinmatch.offline.summary import SessionSummary, Tally, TrustRange, summarise, trust_range
 from twinmatch.plants import Peltier
+from twinmatch.showing.console import Console
 from twinmatch.showing.figures.session import draw_verdict
 from twinmatch.showing.lines import Lines, header_text, line_text
 from twinmatch.showing.summary import closing_lines, document, sentence

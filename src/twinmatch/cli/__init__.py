@@ -16,6 +16,7 @@ from typing import Any, Final
 from twinmatch import __version__
 from twinmatch.errors import EXIT_USER_ERROR, TwinmatchError
 from twinmatch.offline.processes import GARBAGE
+from twinmatch.printing import printable_output
 
 __all__ = ["main"]
 
@@ -64,6 +65,11 @@ class _Parser(argparse.ArgumentParser):
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code: 0 done, 2 an error the user can correct, 130 interrupted."""
     gc.set_threshold(GARBAGE)
+    with printable_output():
+        return _run(arguments)
+
+
+def _run(arguments: Sequence[str] | None) -> int:
     parser = _parser()
     options = parser.parse_args(arguments)
     command: Callable[[argparse.Namespace], int] = options.command

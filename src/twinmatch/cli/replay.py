@@ -92,11 +92,10 @@ def _display(session: Session) -> Iterator[tuple[Screen | Lines, Callable[[Twin,
     done, total, redrawn = 0, len(session.samples), redraws(sys.stdout)
     view: Screen | Lines = Lines(session.period)
     if redrawn:
-        from rich.console import Console  # noqa: PLC0415 — only a terminal needs it
-
+        from twinmatch.showing.console import Console  # noqa: PLC0415 — only a terminal needs it
         from twinmatch.showing.terminal import Screen  # noqa: PLC0415
 
-        view = Screen(Console(highlight=False), session.name, session.period, total)
+        view = Screen(Console(), session.name, session.period, total)
 
     def advance(_twin: Twin, _sample: Sample, outcome: Outcome) -> None:
         nonlocal done

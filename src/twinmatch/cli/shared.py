@@ -19,10 +19,10 @@ from twinmatch.errors import TwinmatchError
 
 if TYPE_CHECKING:
     from rich import progress
-    from rich.console import Console
 
     from twinmatch.sessions import Session
     from twinmatch.sessions.column_map import ColumnMap
+    from twinmatch.showing.console import Console
 
 EXIT_PARTLY: Final = 3
 """Exit code: some of several sessions were used and some skipped."""
@@ -177,9 +177,9 @@ def write_json(path: Path | None, content: Callable[[], Any]) -> None:
 
 def console_for(width: int) -> Console:
     """A console for tables, of this width, in characters, where the output is not a terminal."""
-    from rich.console import Console  # noqa: PLC0415 — needed only to print tables
+    from twinmatch.showing.console import Console  # noqa: PLC0415 — needed only to print tables
 
-    console = Console(highlight=False)
+    console = Console()
     if not console.is_terminal:
         console.width = width
     return console
@@ -212,8 +212,9 @@ class Progress:
     def show(self, doing: str, done: int, total: int) -> None:
         """Show what is being done, and that `done` of `total` parts of it are."""
         if self._bar is None and self._shown:
-            from rich.console import Console  # noqa: PLC0415 — needed only for the bar
-            from rich.progress import Progress as Bar  # noqa: PLC0415
+            from rich.progress import Progress as Bar  # noqa: PLC0415 — needed only for the bar
+
+            from twinmatch.showing.console import Console  # noqa: PLC0415
 
             self._bar = Bar(console=Console(stderr=True), transient=True, redirect_stdout=False)
             self._task = self._bar.add_task(doing, total=None)

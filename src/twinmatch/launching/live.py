@@ -5,11 +5,12 @@ from __future__ import annotations
 import re
 import threading
 import time
+from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from diagnostic_msgs.msg import DiagnosticArray
-from rich.console import Console
 
 from twinmatch.comparing import Verdict
 from twinmatch.launching.plan import LivePlan
@@ -21,7 +22,9 @@ from twinmatch.nodes.step import PATIENCE, VARIABLE, InStep
 from twinmatch.nodes.topics import EVERYTHING
 from twinmatch.offline.summary import SessionSummary, Tally, conclude
 from twinmatch.parameters.twin import read_settings
+from twinmatch.printing import one_line
 from twinmatch.sessions.spool import SampleSpool
+from twinmatch.showing.console import Console
 from twinmatch.showing.lines import Lines
 from twinmatch.showing.summary import closing_lines
 from twinmatch.showing.terminal import Screen, view_on
@@ -115,28 +118,55 @@ def _run_live(live: Live) -> int:
 
 
 MOST = 64
-"""Most parts of nodes whose errors are shown at a time; one graph does not have more."""
+"""Most parts of nodes whose errors are followed at a time; one graph does not have more."""
+MOST_LINES = 10
+"""Most lines about a part of a node within `SPAN`; the page and /diagnostics show the others."""
+LONGEST = 400
+"""Longest error shown, characters."""
 _DIGITS = re.compile(r"[\d.,]+")
 
 
-class _Errors:
-    """Errors on /diagnostics, each shown once while it stands, even if the figures in it change."""
+class Errors:
+    """Errors on /diagnostics, each shown once while it stands, even if the figures in it change.
 
-    def __init__(self, view: Screen | Lines) -> None:
-        self._view = view
-        self._standing: dict[str, str] = {}
+    Of a report that has several, only those are shown that no node has standing: a message that several
+    nodes refuse is one error.
+    """
+
+    def __init__(self, say: Callable[[str, str], None]) -> None:
+        """Show lines, with their style, by `say`."""
+        self._say = say
+        self._standing: dict[str, frozenset[str]] = {}
+        self._shown: dict[str, deque[float]] = {}
 
     def take(self, message: DiagnosticArray) -> None:
+        """Take a message."""
         for status in message.status:
-            level = int.from_bytes(status.level, "little")
-            if level < Level.ERROR:
+            if int.from_bytes(status.level, "little") < Level.ERROR:
                 if self._standing.pop(status.name, None) is not None:
-                    self._view.say(f"{status.name}: recovered", "green")
-            elif self._standing.get(status.name) != (kind := _DIGITS.sub("", status.message)):
-                if status.name not in self._standing and len(self._standing) >= MOST:
-                    continue
-                self._standing[status.name] = kind
-                self._view.say(f"{status.name}: {status.message}", "red")
+                    self._show(status.name, "recovered", "green")
+                continue
+            if status.name not in self._standing and len(self._standing) >= MOST:
+                continue
+            found = {_DIGITS.sub("", text): text for text in re.split("; (?=refused: )", status.message)}
+            known = frozenset[str]().union(*self._standing.values())
+            self._standing[status.name] = frozenset(found)
+            new = [text for kind, text in found.items() if kind not in known]
+            if new:
+                self._show(status.name, "; ".join(new), "red")
+
+    def _show(self, name: str, text: str, style: str) -> None:
+        now = time.monotonic()
+        for old in [key for key, at in self._shown.items() if now - at[-1] > SPAN]:
+            del self._shown[old]
+        if name not in self._shown and len(self._shown) >= 2 * MOST:
+            return
+        shown = self._shown.setdefault(name, deque(maxlen=MOST_LINES))
+        if len(shown) == MOST_LINES and now - shown[0] < SPAN:
+            return
+        shown.append(now)
+        text = text if len(text) <= LONGEST else f"{text[:LONGEST]}…"
+        self._say(one_line(f"{name[:LONGEST]}: {text}"), style)
 
 
 class _LiveRun(Supervised):
@@ -148,7 +178,7 @@ class _LiveRun(Supervised):
         super().__init__(view)
         self._live = live
         self._plan = live.plan
-        self._errors = _Errors(view)
+        self._errors = Errors(view.say)
         self._addresses: dict[str, str] = {}
         self._ready = threading.Event()
         self._restarts: dict[str, list[float]] = {}

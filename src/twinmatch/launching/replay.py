@@ -7,8 +7,6 @@ import time
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from rich.console import Console
-
 from twinmatch.comparing import Verdict
 from twinmatch.launching.plan import ros_arguments
 from twinmatch.launching.processes import LaunchError
@@ -17,6 +15,7 @@ from twinmatch.offline.summary import SessionSummary, summarise
 from twinmatch.parameters.twin import UNKNOWN, at_period, read_settings
 from twinmatch.plants import written_name
 from twinmatch.sessions import Session, samples_of, write_session
+from twinmatch.showing.console import Console
 from twinmatch.showing.lines import Lines
 from twinmatch.showing.summary import closing_lines
 from twinmatch.showing.terminal import Screen, view_on
@@ -40,7 +39,7 @@ class Replay:
     """Recorded seconds per second; 0: as fast as possible."""
     candidates: Path | None = None
     config: Path | None = None
-    console: Console = field(default_factory=lambda: Console(soft_wrap=True, highlight=False))
+    console: Console = field(default_factory=lambda: Console(soft_wrap=True))
     verdicts: list[Verdict] = field(default_factory=list)
     matches: list[MatchReport] = field(default_factory=list)
     summary: SessionSummary | None = None

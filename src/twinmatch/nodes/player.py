@@ -23,6 +23,7 @@ from twinmatch.nodes.health import Level, Report
 from twinmatch.nodes.node import READERS, Readers, TwinmatchNode
 from twinmatch.nodes.topics import DEPTH, MessageTypeError, message_class, profile_of
 from twinmatch.parameters.declared import Setting, Values
+from twinmatch.printing import one_line
 from twinmatch.sessions import Message, Qos, Topic, read_session
 
 
@@ -148,7 +149,7 @@ class Player(TwinmatchNode):
         self._pace = Pace(self.values["rate"], self._session.start / 1e9)
         self.create_service(SetBool, "~/pause", self._on_pause)
         for note in self._session.notes:
-            self.get_logger().warning(note)
+            self.get_logger().warning(one_line(note))
         self.health.say("waiting for readers")
         self.report_on()
         self._thread.start()

@@ -35,6 +35,7 @@ from twinmatch.nodes import network
 from twinmatch.nodes.node import TwinmatchNode
 from twinmatch.nodes.step import InStep, step_of
 from twinmatch.parameters.declared import render
+from twinmatch.printing import printable_output
 from twinmatch.sessions.documents import DocumentError, read_yaml
 
 try:
@@ -70,7 +71,11 @@ def run(kinds: Sequence[type[TwinmatchNode]], arguments: Sequence[str] | None = 
         The exit code: 0 after a signal, that of the node that finished, `EXIT_USER_ERROR` after a
         `TwinmatchError` (its one line is on stderr), `EXIT_DEFECT` after any other error.
     """
-    arguments = list(sys.argv if arguments is None else arguments)
+    with printable_output():
+        return _run(kinds, list(sys.argv if arguments is None else arguments))
+
+
+def _run(kinds: Sequence[type[TwinmatchNode]], arguments: list[str]) -> int:
     # A client that cannot be answered has gone, or was not yet connected and asks again.
     warnings.filterwarnings("ignore", "failed to send response", RuntimeWarning)
     stop = Event()

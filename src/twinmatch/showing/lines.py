@@ -7,11 +7,12 @@ from collections.abc import Sequence
 from typing import IO, TYPE_CHECKING, Final
 
 from twinmatch.comparing import TrustLevel, Verdict
+from twinmatch.printing import one_line
 from twinmatch.showing.verdicts import COLUMNS, News, row
 from twinmatch.twin import MatchReport
 
 if TYPE_CHECKING:
-    from rich.console import Console
+    from twinmatch.showing.console import Console
 
 
 STYLES: Final = {
@@ -45,7 +46,7 @@ def header_text() -> str:
 
 
 def _columns(cells: Sequence[str]) -> str:
-    return "  ".join(f"{cell:<{width}}" for cell, width in zip(cells, _WIDTHS, strict=True))
+    return "  ".join(f"{one_line(cell):<{width}}" for cell, width in zip(cells, _WIDTHS, strict=True))
 
 
 def redraws(stream: IO[str]) -> bool:
@@ -85,4 +86,4 @@ class Lines:
         if self._console is None:
             print(text, flush=True)
         else:
-            self._console.print(text, style=style, markup=False, highlight=False, soft_wrap=True)
+            self._console.print(text, style=style, soft_wrap=True)

@@ -10,7 +10,8 @@ from math import nan
 from typing import Final
 
 from rich.cells import cell_len
-from rich.console import Console, ConsoleOptions, Group, RenderableType, RenderResult
+from rich.console import Console as AnyConsole
+from rich.console import ConsoleOptions, Group, RenderableType, RenderResult
 from rich.live import Live
 from rich.progress_bar import ProgressBar
 from rich.segment import Segment
@@ -20,6 +21,7 @@ from rich.text import Text
 from twinmatch.comparing import CandidateScore, TrustLevel, Verdict
 from twinmatch.dynamics import Plant
 from twinmatch.offline.summary import nominal_score
+from twinmatch.showing.console import Console
 from twinmatch.showing.family import CRITERIA, FIGURES, Column, chosen_score, for_both
 from twinmatch.showing.lines import STYLES, Lines, redraws
 from twinmatch.showing.quantities import number, parameter_format, percent
@@ -118,7 +120,7 @@ class Screen:
         ended = time.monotonic()
         self._next = ended + max(LEAST_WAIT, (ended - began) / SHARE)
 
-    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+    def __rich_console__(self, console: AnyConsole, options: ConsoleOptions) -> RenderResult:
         verdict = self._verdict
         lines = console.render_lines(Group(*self._fixed(verdict, options.max_width)), options, pad=False)
         room = MOST_EVENTS if self._over else console.size.height - len(lines) - 2
@@ -150,7 +152,7 @@ class Screen:
         grid.add_row(*parts)
         return grid
 
-    def _newest(self, console: Console, options: ConsoleOptions, room: int) -> list[list[Segment]]:
+    def _newest(self, console: AnyConsole, options: ConsoleOptions, room: int) -> list[list[Segment]]:
         """The newest events that fit, oldest first."""
         shown: list[list[Segment]] = []
         for event in reversed(self._events):
@@ -167,7 +169,7 @@ def view_on(console: Console, title: str, period: float = 1.0, total: int | None
     """A view that is redrawn where the console supports it, otherwise lines."""
     if console.is_terminal and redraws(console.file):
         # A separate console: the given one may not wrap and would draw past the terminal's edge.
-        return Screen(Console(file=console.file, highlight=False), title, period, total)
+        return Screen(Console(file=console.file), title, period, total)
     return Lines(period, console)
 
 

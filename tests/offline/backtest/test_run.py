@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from rich.console import Console
 
 from tests.offline.backtest.forecasts import linear_loop, set_points
 from tests.support.places import SHIPPED
@@ -50,6 +49,7 @@ from twinmatch.offline.backtest.scoring import (
 from twinmatch.offline.judging import judge_samples, terms_from_files
 from twinmatch.plants import Peltier
 from twinmatch.sessions import open_any, samples_of, write_session
+from twinmatch.showing.console import Console
 from twinmatch.showing.figures.drawing import save
 from twinmatch.showing.figures.forecasts import draw_backtest
 from twinmatch.showing.forecasts import backtest_tables, backtest_words, card_columns
