@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import signal
 import threading
 import time
@@ -18,17 +19,21 @@ from sensor_msgs.msg import Temperature
 
 from tests.support import boards
 from tests.support.boards import StandIn
-from tests.support.heaters import HeaterRig
+from tests.support.heaters import UNWATCHED, HeaterRig
 from tests.support.processes import Start
 from tests.support.ros import Listener
+from tests.support.verdicts import verdict
+from twinmatch.comparing import TrustLevel
 from twinmatch.links.pwm_protocol import Flags
+from twinmatch.nodes.messages import message_of
 from twinmatch.nodes.network import sockets_elsewhere
-from twinmatch_msgs.msg import LoopSample, PwmApplied, PwmCommand
+from twinmatch_msgs.msg import LoopSample, ModelScore, PwmApplied, PwmCommand
 
 pytestmark = pytest.mark.ros
 
-QUIET = ["-p", "timeout:=0.5", "-p", "command_timeout:=3.0", "-p", "temperature_timeout:=8.0"]
+PATIENT = ["-p", "timeout:=0.5", "-p", "command_timeout:=3.0", "-p", "temperature_timeout:=8.0"]
 """For tests that are not about time, on a busy machine."""
+QUIET = [*PATIENT, *UNWATCHED]
 SLOW = 0.1
 """Speed of a board whose deadline, a second of its own time, is not to pass before the test has looked."""
 
@@ -188,7 +193,7 @@ DOUBTS: tuple[tuple[str, str, float | None], ...] = (
 
 
 def test_doubt_is_zero_and_latches_until_cleared(start: Start, rig: Rig, board: StandIn) -> None:
-    limits = ["-p", "command_timeout:=2.0", "-p", "temperature_timeout:=3.0"]
+    limits = ["-p", "command_timeout:=2.0", "-p", "temperature_timeout:=3.0", *UNWATCHED]
     start("pwm_bridge", "-p", f"port:={board.port}", *limits)
     for kind, name, value in DOUBTS:
         rig.drive(120.0, board)
@@ -213,6 +218,51 @@ def test_a_runaway_is_zero(start: Start, rig: Rig, board: StandIn, reference: fl
     rig.drive(pwm, board)
     rig.reference = reference
     rig.wait_for_fault("runaway", board)
+    rig.stays_at_zero(board)
+
+
+def test_a_sensor_that_does_not_see_the_heat_is_zero(start: Start, rig: Rig, board: StandIn) -> None:
+    """Any set-point or none: the drive alone says where the plate must be."""
+    start("pwm_bridge", "-p", f"port:={board.port}", *PATIENT)
+    rig.drive(255.0, board)
+    rig.wait_for_fault("disagrees", board)
+    assert re.fullmatch(
+        r"disagrees: by its drive the plate is at \d+ ± \d+ °C, but the camera reads 25.0 °C: the drive "
+        r"is lost, or the camera does not see the plate; check both",
+        rig.fault,
+    )
+    rig.stays_at_zero(board)
+
+
+def test_drive_that_the_readings_do_not_explain_is_zero(start: Start, rig: Rig, board: StandIn) -> None:
+    limits = [*PATIENT, "-p", "observer.band:=150.0", "-p", "budget.least:=400.0", "-p", "budget.each:=0.0"]
+    start("pwm_bridge", "-p", f"port:={board.port}", *limits)
+    rig.drive(255.0, board)
+    rig.wait_for_fault("budget", board)
+    assert "PWM·s more drive than the readings explain" in rig.fault
+    assert rig.call("clear_fault").success  # which does not refill it
+    rig.wait_for_fault("budget", board)
+
+
+def test_what_a_trusted_twin_says_against_drive_or_sensor_is_zero(
+    start: Start, rig: Rig, board: StandIn
+) -> None:
+    start("pwm_bridge", "-p", f"port:={board.port}", *QUIET)
+    scores = rig.listener.node.create_publisher(ModelScore, "twin/model_score", 10)
+    rig.drive(120.0, board)
+
+    def say(level: TrustLevel, sample: int, **more: Any) -> None:
+        seen = len(rig.applied)
+        scores.publish(message_of(verdict(level, sample, **more), time.time_ns()))
+        rig.until(lambda: len(rig.applied) >= seen + 3, "reports")
+
+    rig.until(scores.get_subscription_count, "the bridge")
+    say(TrustLevel.FAULT, 350, fault="drive-lost", fault_since=340, reason="no effect")
+    assert rig.fault == ""  # nobody has trusted this twin yet
+    say(TrustLevel.TRUSTED, 360)
+    say(TrustLevel.FAULT, 370, fault="drive-lost", fault_since=365, reason="no effect")
+    rig.wait_for_fault("twin", board)
+    assert rig.fault == "twin: the twin, trusted at sample 360, reports drive-lost: no effect"
     rig.stays_at_zero(board)
 
 

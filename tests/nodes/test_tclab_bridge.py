@@ -15,7 +15,7 @@ pytest.importorskip("tclab", reason="pip install 'twinmatch[tclab]'")
 
 from rclpy.qos import QoSProfile, qos_profile_sensor_data
 
-from tests.support.heaters import HeaterRig
+from tests.support.heaters import UNWATCHED, HeaterRig
 from tests.support.kits import BenchKit
 from tests.support.processes import Process, Start
 from tests.support.ros import Listener
@@ -26,7 +26,9 @@ from twinmatch_msgs.msg import PlantApplied, PlantCommand, PlantReading
 
 pytestmark = pytest.mark.ros
 
-PATIENT = ("-p", "command_timeout:=3.0", "-p", "temperature_timeout:=8.0", "-p", "deadline:=4.0")
+PATIENT = (
+    "-p", "command_timeout:=3.0", "-p", "temperature_timeout:=8.0", "-p", "deadline:=4.0", *UNWATCHED
+)  # fmt: skip
 """For tests that are not about time, on a busy machine."""
 
 

@@ -10,6 +10,9 @@ from std_srvs.srv import Trigger
 
 from tests.support.ros import Listener
 
+UNWATCHED = ["-p", "observer.band:=150.0", "-p", "budget.least:=1000000.0"]
+"""For benches whose sensor shows what the test says, whatever is driven."""
+
 
 class HeaterRig:
     """Controller and sensor as a bridge sees them, and what it says; a subclass publishes in `feed`."""

@@ -30,10 +30,16 @@ KINDS: Final = {
     "camera-gone": "the camera's program is killed; at the end of the fault it is restarted",
     "garbage-camera": "another program at the camera's address sends noise",
     "sensor-frozen": "the camera repeats its last image and frame counter",
+    "sensor-drifts": "the readings fall by 0.8 °C each second",
+    "sensor-slips": "the sensor slips off within 20 s, and then reads the room",
     "fan-failed": "the fan stops: the heat sink keeps a tenth of its convection",
     "ambient-step": "the surroundings become 10 °C warmer",
 }
 """Every fault and its effect."""
+_DRIFTS = 0.8
+"""Rate at which the readings of `sensor-drifts` fall, °C/s."""
+_SLIPS = 20.0
+"""Time constant of `sensor-slips`, s."""
 _PATIENCE = 5.0
 """Longest wait for the answer to a command, s."""
 
@@ -117,6 +123,7 @@ class FaultSchedule:
     def __init__(self, faults: Iterable[RigFault] = ()) -> None:
         self._changes: list[Change] = []  # by time, simultaneous ones in the order of their commands
         self._on: dict[str, int] = {}
+        self._since: dict[str, float] = {}
         for fault in faults:
             self.add(fault)
 
@@ -124,6 +131,15 @@ class FaultSchedule:
     def active(self) -> tuple[str, ...]:
         """Active kinds, in the order in which they started."""
         return tuple(self._on)
+
+    def lasted(self, kind: str, now: float) -> float:
+        """For how long a kind has been active, s; 0 if it is not."""
+        return now - self._since[kind] if kind in self._on else 0.0
+
+    def told(self, true: float, room: float, now: float) -> float:
+        """What a sensor tells of a temperature that may drift or slip off, °C."""
+        kept = math.exp(-self.lasted("sensor-slips", now) / _SLIPS)
+        return room + (true - room) * kept - _DRIFTS * self.lasted("sensor-drifts", now)
 
     def add(self, fault: RigFault) -> None:
         """Put a fault on the schedule."""
@@ -153,6 +169,7 @@ class FaultSchedule:
             if not self._on[change.kind]:
                 del self._on[change.kind]
             if bool(before) != (change.kind in self._on):
+                self._since[change.kind] = change.time
                 turned.append(change)
         return turned
 

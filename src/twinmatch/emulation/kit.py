@@ -116,7 +116,16 @@ class VirtualKit(VirtualPlantTime):
 
     STANDING = 0.002  # its host waits for answers meanwhile
     KINDS: ClassVar = frozenset(
-        {"drive-lost", "sensor-frozen", "cable-pulled", "garbage-serial", "ambient-step", "board-hung"}
+        {
+            "drive-lost",
+            "sensor-frozen",
+            "sensor-drifts",
+            "sensor-slips",
+            "cable-pulled",
+            "garbage-serial",
+            "ambient-step",
+            "board-hung",
+        }
     )
 
     def make(self, stack: ExitStack) -> dict[str, str]:
@@ -180,5 +189,6 @@ class VirtualKit(VirtualPlantTime):
 
     def _reading(self, number: int) -> float:
         if "sensor-frozen" not in self.schedule.active:
-            self._shown[number] = float(self._model.T1 if number == 1 else self._model.T2)
+            true = float(self._model.T1 if number == 1 else self._model.T2)
+            self._shown[number] = self.schedule.told(true, float(self._model.Ta), self.elapsed)
         return self._shown[number]

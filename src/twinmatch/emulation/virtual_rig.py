@@ -90,6 +90,11 @@ class VirtualPlant:
         """Temperature of the heat sink, °C."""
         return self._celsius("sink")
 
+    @property
+    def room(self) -> float:
+        """Temperature of the room, °C."""
+        return self.parameters["ambient"] - Peltier.output.absolute
+
     def advance(self, drive: PinDrive, seconds: float) -> None:
         """Advance under a drive. If the driver is off or the wire broken, the circuit is open."""
         found = self._under(enabled=drive.enabled and not self.wire_broken)
@@ -175,7 +180,8 @@ class VirtualRig(VirtualPlantTime):
         before, self.ms = self.ms, self.ms + self.slice
         if self.ms // _FEEDBACK_EVERY != before // _FEEDBACK_EVERY:
             self._board.set_current(self.plant.feedback(self.drive))
-        self._camera.see(self.elapsed, self.plant.seen, self.stamp)
+        seen = self.schedule.told(self.plant.seen, self.plant.room, self.elapsed)
+        self._camera.see(self.elapsed, seen, self.stamp)
 
     def _advance_board(self) -> None:
         if "garbage-serial" not in self.schedule.active:

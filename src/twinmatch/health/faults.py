@@ -164,8 +164,8 @@ class FaultSentences:
         moved, shown = signed(effect.expected), signed(effect.share * effect.expected)
         reason = (
             f"the drive should have moved {self.output} by {moved}{self.unit} in "
-            f"{effect.length * self._period:g} s; the readings show {shown}{self.unit} of that: "
-            "look at drive, wires and supply"
+            f"{effect.length * self._period:g} s; the readings show {shown}{self.unit} of that: the drive is "
+            f"lost, or {self.sensor} does not see it; look at drive, wires, supply and sensor"
         )
         return Evidence(Fault.DRIVE_LOST, sure, index - effect.length, reason)
 

@@ -9,6 +9,7 @@ deadline, and for a kit the process that holds its port.
 from __future__ import annotations
 
 import contextlib
+import itertools
 import threading
 import time
 from abc import ABC, abstractmethod
@@ -18,6 +19,8 @@ from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
 from std_srvs.srv import Trigger
 
+from twinmatch.comparing import TrustLevel, Verdict
+from twinmatch.dynamics import Plant
 from twinmatch.errors import TwinmatchError
 from twinmatch.links import Background
 from twinmatch.links.kit_link import KitLink
@@ -29,15 +32,18 @@ from twinmatch.nodes.step import FOREVER, InStep
 from twinmatch.nodes.topics import RELIABLE
 from twinmatch.parameters.declared import Setting, given_to, parameters_of
 from twinmatch.safety import (
+    ACCUSED,
+    Accusations,
     ClockLimits,
+    DriveObserver,
     FaultKind,
     GuardFault,
     GuardLimits,
     OutputGuard,
     SafetyClock,
 )
-from twinmatch.signals import Sample
-from twinmatch_msgs.msg import LoopSample
+from twinmatch.signals import FloatArray, Sample
+from twinmatch_msgs.msg import LoopSample, ModelScore
 
 
 class ClockTimes(NamedTuple):
@@ -72,11 +78,14 @@ class OutputGate:
         read_clocks: Callable[[], ClockTimes],
         limits: GuardLimits | None = None,
         clock_limits: ClockLimits | None = None,
+        observer: DriveObserver | None = None,
     ) -> None:
         """Start with the output at zero, waiting for inputs."""
         self._read_clocks = read_clocks
-        self._guard = OutputGuard(limits)
+        self._guard = OutputGuard(limits, observer)
         self._safety_clock = SafetyClock(clock_limits)
+        self.beside: FloatArray | None = None
+        """The plant's disturbances while commands pass; None: none."""
         self._index = 0
         self.commanded = 0
         """Stamp of the newest command, ns."""
@@ -137,7 +146,7 @@ class OutputGate:
                     message = f"/clock has stood still for {clock.standing:.1f} s; is the simulator running?"
                     self._guard.trip(FaultKind.CLOCK, message, now)
                 return Decision(0.0, False, self._index, now)
-            value = self._guard.output(now)
+            value = self._guard.output(now, self.beside)
             return Decision(value, self._guard.armed, self._index, now)
 
     def wait(self, timeout: float) -> None:
@@ -163,6 +172,7 @@ def gate_table(usual: GuardLimits, note: str = "") -> tuple[Setting, ...]:
     names = {"y": usual.unit, "u": usual.drive_unit, "note": note}
     silence, *others = parameters_of(usual, **names)
     *runaway, full = parameters_of(usual.runaway, "runaway.", **names)
+    heat = (parameters_of(getattr(usual, name), f"{name}.", **names) for name in ("budget", "observer"))
     clock = "Zero when /clock stands still for this long, by the wall clock."
     return (
         silence,
@@ -171,6 +181,13 @@ def gate_table(usual: GuardLimits, note: str = "") -> tuple[Setting, ...]:
         *others[1:],
         *runaway,
         replace(full, low=most / 255.0, high=most),
+        *itertools.chain.from_iterable(heat),
+        Setting(
+            "act_on",
+            sorted(ACCUSED),
+            "What ends the drive when a trusted twin accuses it; an empty list: nothing.",
+            choices=tuple(sorted(ACCUSED)),
+        ),
     )
 
 
@@ -180,7 +197,8 @@ def gate_limits(usual: GuardLimits, values: Mapping[str, Any]) -> GuardLimits:
     Raises:
         SafetyError: values contradict each other.
     """
-    return replace(given_to(usual, values), runaway=given_to(usual.runaway, values, "runaway."))
+    parts = {n: given_to(getattr(usual, n), values, f"{n}.") for n in ("runaway", "budget", "observer")}
+    return replace(given_to(usual, values), **parts)
 
 
 Link = TypeVar("Link", PwmLink, KitLink)
@@ -318,13 +336,28 @@ class GatedNode(TwinmatchNode):
     """Name of the hardware in messages."""
     LIMITS: ClassVar[GuardLimits]
     """The usual limits, whose `gate_table` is part of the parameters."""
+    PLANT: ClassVar[type[Plant]]
+    STRUCTURE: ClassVar[str]
+    """The structure with which the observer follows the drive."""
 
     def read_parameters(self) -> None:
         """Create the gate."""
         limits, clock = gate_limits(self.LIMITS, self.values), ClockLimits(self.values["clock_timeout"])
-        self.gate = OutputGate(self._read_clocks, limits, clock)
+        self.gate = OutputGate(self._read_clocks, limits, clock, self.observer(limits))
+        self._accusations = Accusations(self.values["act_on"])
         self._reported_fault: GuardFault | None = None
         self._sampled_at = 0.0
+
+    @classmethod
+    def observer(cls, limits: GuardLimits) -> DriveObserver:
+        """What follows the drive without the sensor."""
+        return DriveObserver(
+            cls.PLANT.model(cls.STRUCTURE).typical(),
+            limits.observer,
+            thing=limits.thing,
+            sensor=limits.sensor,
+            highest=limits.highest,
+        )
 
     @property
     def pace(self) -> DriverPace:
@@ -346,6 +379,7 @@ class GatedNode(TwinmatchNode):
             self.create_service(Trigger, f"{place}/clear_fault", self._on_clear)
             self.create_service(Trigger, f"{place}/stop", self._on_stop)
         self.create_subscription(LoopSample, "plant/sample", self._on_sample, RELIABLE)
+        self.create_subscription(ModelScore, "twin/model_score", self._on_verdict, RELIABLE)
         self.report_on()
         driver.start()
 
@@ -385,6 +419,17 @@ class GatedNode(TwinmatchNode):
     def _on_sample(self, sample: Sample) -> None:
         self._sampled_at = time.monotonic()
         self.gate.sample(sample.reference, sample.output, sample.input)
+
+    def _on_verdict(self, verdict: Verdict) -> None:
+        said = self._accusations.take(
+            verdict.sample,
+            trusted=verdict.level is TrustLevel.TRUSTED,
+            fault=verdict.fault,
+            reason=verdict.reason,
+        )
+        if said is not None and self.gate.armed:
+            self.gate.trip(FaultKind.TWIN, said)
+            self.note_fault()
 
     def _on_clear(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         fault = self.gate.fault

@@ -136,6 +136,8 @@ class PwmBridge(GatedNode):
 
     NAME = "pwm_bridge"
     BOARD = "PWM board"
+    PLANT: ClassVar = Peltier
+    STRUCTURE: ClassVar = Peltier.followed
     LIMITS: ClassVar = GuardLimits(unit=Peltier.output.unit, drive_unit=unit_of(Peltier.drive))
     PARAMETERS: ClassVar = (
         Setting("port", "/dev/ttyACM0", "Serial port of the PWM board."),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from typing import ClassVar
 
+import numpy as np
 from rclpy.qos import qos_profile_sensor_data
 
 from twinmatch.links.kit_link import KitAbsentError, KitError, KitLink, KitReading, KitSilentError
@@ -14,7 +15,7 @@ from twinmatch.nodes.topics import RELIABLE
 from twinmatch.parameters.declared import Setting
 from twinmatch.parameters.twin import unit_of
 from twinmatch.plants import TCLab
-from twinmatch.safety import FaultKind, GuardLimits, RunawayLimits
+from twinmatch.safety import BudgetLimits, FaultKind, GuardLimits, RunawayLimits
 from twinmatch_msgs.msg import PlantApplied, PlantCommand, PlantReading
 
 _PORT = "Serial port of the kit, such as /dev/ttyACM0; empty: the first on the USB bus."
@@ -85,7 +86,11 @@ class TCLabBridge(GatedNode):
         drive_unit=unit_of(TCLab.drive),
         # A heater at full power gains 8 °C in 30 s at first, and 2 °C near its highest temperature.
         runaway=RunawayLimits(gain=1.5, gain_time=30.0, full_drive=95.0),
+        # Typical heaters are held by 1.3 % per °C; a degree costs 235 %·s, and the reading lags by 18 s.
+        budget=BudgetLimits(hold=2.5, least=4000.0, each=250.0),
     )
+    PLANT: ClassVar = TCLab
+    STRUCTURE: ClassVar = "sensor lag, neighbour"
     PARAMETERS: ClassVar = (
         Setting("port", "", _PORT),
         Setting("second", 0.0, "Power of heater 2 while heater 1 is driven.", "%", 0.0, 100.0),
@@ -108,6 +113,7 @@ class TCLabBridge(GatedNode):
         self._applied = self.create_publisher(PlantApplied, "plant/applied", RELIABLE)
         driver = KitDriver(self._link, self.gate, self._tell, self.health, self.pace)
         driver.other = self.values["second"]
+        self.gate.beside = np.array([driver.other])
         self.drive(driver, "plant/command", "plant/reading")
 
     def _on_command(self, message: PlantCommand) -> None:

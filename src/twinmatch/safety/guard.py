@@ -1,9 +1,4 @@
-"""Decide when the output must go to zero.
-
-State machines without clocks, wires or threads: the caller passes the time. `OutputGuard` decides what may
-reach the driver, `Runaway` checks that the plate follows the drive, and `SafetyClock` derives a time that
-only runs forward from a clock that may not.
-"""
+"""The guard: which command may reach the driver."""
 
 from __future__ import annotations
 
@@ -11,175 +6,12 @@ import math
 from dataclasses import dataclass, field
 from enum import Enum
 
-from twinmatch.errors import TwinmatchError
+from twinmatch.safety.budget import BudgetLimits, HeatBudget
+from twinmatch.safety.limits import SafetyError, within_a_minute
+from twinmatch.safety.observer import DriveObserver, ObserverLimits
+from twinmatch.safety.runaway import Runaway, RunawayLimits
 from twinmatch.settings import setting
-
-__all__ = [
-    "ClockLimits",
-    "FaultKind",
-    "GuardFault",
-    "GuardLimits",
-    "OutputGuard",
-    "Runaway",
-    "RunawayLimits",
-    "SafetyClock",
-    "SafetyError",
-]
-
-
-class SafetyError(TwinmatchError):
-    """Limits under which nothing is protected."""
-
-
-NANOSECONDS = 1_000_000_000
-
-
-def _within_a_minute(place: str, **times: float) -> None:
-    for name, time in times.items():
-        if not 0 < time <= 60:
-            raise SafetyError(f"{place} limits: {name} is {time} s; it must be within 0 to 60 s")
-
-
-@dataclass(frozen=True)
-class ClockLimits:
-    """A clock stands still if it does not advance by `progress` within `patience`, or has never advanced."""
-
-    patience: float = 1.0
-    """Wall time, s."""
-    progress: float = 0.05
-    """Plant time, s; a rig slowed down more than twentyfold is therefore not driven either."""
-
-    def __post_init__(self) -> None:
-        _within_a_minute("clock", patience=self.patience, progress=self.progress)
-
-
-class SafetyClock:
-    """Time for safety decisions, which sums the forward steps of a clock that cannot be trusted.
-
-    Deadlines are in plant time, which a simulation may stop, set back or run faster than the wall clock. A
-    step back counts as zero, and later steps count as usual: a running deadline continues from where it
-    was, however far and however often the clock jumps back. A jump forward counts in full, so that deadlines
-    err towards zero output.
-    """
-
-    def __init__(self, limits: ClockLimits | None = None) -> None:
-        """Start at zero with the first reading."""
-        self.limits = limits or ClockLimits()
-        self.standing = math.inf
-        """Wall time since the plant's clock last made progress, s; infinite before the first."""
-        self._now = 0
-        self._plant: int | None = None
-        self._mark = 0  # derived time of the last progress, ns
-        self._seen: int | None = None  # wall time of the last progress, ns
-
-    @property
-    def stopped(self) -> bool:
-        """Whether the clock stands still."""
-        return self.standing > self.limits.patience
-
-    def read(self, plant: int, wall: int) -> float:
-        """The derived time, s, given the plant's clock and a monotonic wall clock (both ns)."""
-        if self._plant is not None:
-            self._now += max(0, plant - self._plant)
-        self._plant = plant
-        if self._now - self._mark >= self.limits.progress * NANOSECONDS:
-            self._mark, self._seen = self._now, wall
-        if self._seen is not None:
-            self.standing = (wall - self._seen) / NANOSECONDS
-        return self._now / NANOSECONDS
-
-
-@dataclass(frozen=True)
-class RunawayLimits:
-    """Limits from which a drive without effect is a fault."""
-
-    hysteresis: float = setting(5.0, "Control error that is always tolerated.", "{y}", 0.1, 100.0)
-    patience: float = setting(
-        120.0, "Integral of the error beyond it, without progress, that is a fault.", "{y}·s", 1.0, 1e5
-    )
-    gain: float = setting(2.0, "Movement towards the set-point that counts as progress.", "{y}", 0.01, 100.0)
-    gain_time: float = setting(20.0, "Time for that movement.", "s", 1.0, 3600.0)
-    wrong_way: float = setting(3.0, "Movement away at full drive that is a fault.", "{y}", 0.1, 100.0)
-    full_drive: float = setting(250.0, "Magnitude from which the drive counts as full.", "{u}", 1.0, 255.0)
-
-    def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if not (math.isfinite(value) and value > 0):
-                msg = f"runaway limits: {name} is {value}; it must be positive"
-                raise SafetyError(msg)
-
-
-class Runaway:
-    """Monitors set-point, temperature and drive for runaway: the plant does not follow the drive.
-
-    Modelled on the heater checks of 3D-printer firmware (Klipper's `verify_heater`, Marlin's thermal
-    protection), but for both directions, since a Peltier plate is cooled as well as heated. It uses no model
-    of the plant; it detects a lost drive, a detached sensor, or reversed polarity.
-    """
-
-    def __init__(self, limits: RunawayLimits | None = None, thing: str = "plate", unit: str = "°C") -> None:
-        """Start without history; `thing` names what is driven, `unit` is that of its output, for messages."""
-        self._thing, self._unit = thing, unit
-        self.limits = limits or RunawayLimits()
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget the history."""
-        self._time: float | None = None
-        self._reference = 0.0
-        self._heating = True
-        self._unexplained = 0.0  # in the output's unit times s
-        self._goal = 0.0  # distance from the set-point that will count as progress
-        self._deadline = 0.0
-        self._nearest_at_full = math.inf  # smallest distance since the drive became full
-
-    def check(self, now: float, reference: float, temperature: float, drive: float) -> str | None:
-        """Take one tick (s, twice the output's unit, the drive's unit); returns an error message, or None.
-
-        If the clock jumps back, the check starts over.
-        """
-        heating = reference >= temperature
-        distance = abs(reference - temperature)
-        elapsed = 0.0 if self._time is None else now - self._time
-        new_task = heating != self._heating or abs(reference - self._reference) >= self.limits.gain
-        if self._time is None or elapsed < 0 or new_task:
-            self._heating, self._reference = heating, reference
-            self._start(now, distance)
-            elapsed = 0.0
-        self._time = now
-        limits = self.limits
-        pushing = drive >= limits.full_drive if heating else drive <= -limits.full_drive
-        self._nearest_at_full = min(self._nearest_at_full, distance) if pushing else math.inf
-        if pushing and distance - self._nearest_at_full >= limits.wrong_way:
-            word, away = "heating" if heating else "cooling", distance - self._nearest_at_full
-            return (
-                f"at full {word} the {self._thing} moved {away:.1f} {self._unit} away from the set-point; "
-                "check drive, polarity and sensor"
-            )
-        return self._progress(now, elapsed, distance, drive)
-
-    def _start(self, now: float, distance: float) -> None:
-        self._unexplained = 0.0
-        self._nearest_at_full = math.inf
-        self._goal = distance - self.limits.gain
-        self._deadline = now + self.limits.gain_time
-
-    def _progress(self, now: float, elapsed: float, distance: float, drive: float) -> str | None:
-        limits = self.limits
-        if distance <= limits.hysteresis or distance <= self._goal:
-            self._start(now, distance)
-            return None
-        if now < self._deadline:
-            return None
-        pushing = abs(drive) >= limits.full_drive / 2
-        self._unexplained += (distance - limits.hysteresis) * elapsed if pushing else 0.0
-        if self._unexplained < limits.patience:
-            return None
-        word = "heating" if self._heating else "cooling"
-        return (
-            f"{word} makes no progress: {distance:.1f} {self._unit} from the set-point, less than "
-            f"{limits.gain:g} {self._unit} closer in {limits.gain_time:g} s; check drive, fan and sensor"
-        )
+from twinmatch.signals import FloatArray
 
 
 class FaultKind(Enum):
@@ -192,6 +24,12 @@ class FaultKind(Enum):
     OVER_TEMPERATURE = "over_temperature"
     UNDER_TEMPERATURE = "under_temperature"
     RUNAWAY = "runaway"
+    BUDGET = "budget"
+    """More drive passed than the readings explain."""
+    DISAGREES = "disagrees"
+    """The sensor reads something else than the drive must have done."""
+    TWIN = "twin"
+    """The twin, trusted until then, no longer believes sensor or drive."""
     DRIVER = "driver"
     """The motor driver reports a short circuit, over-temperature or under-voltage."""
     BOARD = "board"
@@ -238,10 +76,12 @@ class GuardLimits:
     drive_unit: str = "PWM"
     """Unit of the commands."""
     runaway: RunawayLimits = field(default_factory=RunawayLimits)
+    budget: BudgetLimits = field(default_factory=BudgetLimits)
+    observer: ObserverLimits = field(default_factory=ObserverLimits)
 
     def __post_init__(self) -> None:
         timeouts = {n: getattr(self, n) for n in ("command_timeout", "temperature_timeout")}
-        _within_a_minute("guard", **timeouts)
+        within_a_minute("guard", **timeouts)
         if not self.lowest < self.highest:
             low, high = f"{self.lowest} {self.unit}", f"{self.highest} {self.unit}"
             msg = f"guard limits: lowest {low} must be below highest {high}"
@@ -266,10 +106,14 @@ class OutputGuard:
     fault: GuardFault | None
     """The latched fault, if any."""
 
-    def __init__(self, limits: GuardLimits | None = None) -> None:
-        """Start waiting, with the output at zero."""
+    def __init__(self, limits: GuardLimits | None = None, observer: DriveObserver | None = None) -> None:
+        """Start waiting, with the output at zero; an `observer` follows what passes."""
         self.limits = limits or GuardLimits()
         self._runaway = Runaway(self.limits.runaway, self.limits.thing, self.limits.unit)
+        self._budget = HeatBudget(self.limits.budget, self.limits.thing, self.limits.drive_unit)
+        self._observer = observer
+        self._reference = self.limits.highest  # before anybody says what is wanted
+        self._passed, self._passed_at = 0.0, math.nan
         self._held = False
         self.clear()
 
@@ -318,6 +162,7 @@ class OutputGuard:
         """Take one tick of the control loop, for the runaway watch."""
         if self.fault is not None or not all(map(math.isfinite, (reference, temperature, drive))):
             return
+        self._reference = reference
         found = self._runaway.check(now, reference, temperature, drive)
         if found is not None:
             self.trip(FaultKind.RUNAWAY, found, now)
@@ -334,8 +179,35 @@ class OutputGuard:
             self.fault = GuardFault(kind, message, now)
         self._armed = False
 
-    def output(self, now: float) -> float:
-        """The value that may be sent now: the newest command, or zero."""
+    def output(self, now: float, beside: FloatArray | None = None) -> float:
+        """The value that may be sent now: the newest command, or zero.
+
+        `beside` are the disturbances, shape (d,), that go with commands that pass, such as a second heater.
+        """
+        self._judge_heat(now, beside if self._armed else None)
+        self._passed, self._passed_at = self._decide(now), now
+        return self._passed
+
+    def _judge_heat(self, now: float, beside: FloatArray | None) -> None:
+        """Judge what has passed since the last decision, by what the sensor shows of it."""
+        elapsed, reading = now - self._passed_at, self._temperature.value
+        if not (elapsed > 0.0 and self._temperature.known):
+            return
+        # Without a new decision the board has gone to zero.
+        drove = min(elapsed, self.limits.command_timeout)
+        for drive, span in ((self._passed, drove), (0.0, elapsed - drove)):
+            if span <= 0.0:
+                continue
+            spent = self._budget.take(span, drive, self._reference, reading)
+            if spent is not None:
+                self.trip(FaultKind.BUDGET, spent, now)
+            if self._observer is None:
+                continue
+            off = self._observer.take(span, drive, reading, beside, believed=self.fault is None)
+            if off is not None and self._armed:
+                self.trip(FaultKind.DISAGREES, off, now)
+
+    def _decide(self, now: float) -> float:
         if self.fault is not None:
             return 0.0
         silence, age = self._command.age(now), self._temperature.age(now)
@@ -370,6 +242,11 @@ class _Input:
     def __init__(self) -> None:
         self.value = 0.0
         self._since = -math.inf
+
+    @property
+    def known(self) -> bool:
+        """Whether there is a value."""
+        return self._since > -math.inf
 
     def take(self, value: float, since: float) -> None:
         self.value, self._since = value, max(self._since, since)

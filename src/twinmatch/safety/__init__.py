@@ -1,0 +1,34 @@
+"""Decide when the output must go to zero.
+
+State machines without clocks, wires or threads: the caller passes the time. `OutputGuard` decides what may
+reach the driver. It is fed by `SafetyClock`, a time that only runs forward, and judges what heats by what it
+does: `Runaway` checks that the plate follows the drive, `HeatBudget` that no more drive passes than the
+reading explains, `DriveObserver` that the sensor reads what the drive must have done. `Accusations` acts on
+what a trusted twin says.
+"""
+
+from twinmatch.safety.accusations import ACCUSED, Accusations
+from twinmatch.safety.budget import BudgetLimits, HeatBudget
+from twinmatch.safety.clock import ClockLimits, SafetyClock
+from twinmatch.safety.guard import FaultKind, GuardFault, GuardLimits, OutputGuard
+from twinmatch.safety.limits import SafetyError
+from twinmatch.safety.observer import DriveObserver, ObserverLimits
+from twinmatch.safety.runaway import Runaway, RunawayLimits
+
+__all__ = [
+    "ACCUSED",
+    "Accusations",
+    "BudgetLimits",
+    "ClockLimits",
+    "DriveObserver",
+    "FaultKind",
+    "GuardFault",
+    "GuardLimits",
+    "HeatBudget",
+    "ObserverLimits",
+    "OutputGuard",
+    "Runaway",
+    "RunawayLimits",
+    "SafetyClock",
+    "SafetyError",
+]

@@ -1,0 +1,195 @@
+"""An observer without the sensor: where the drive alone must have taken the plant.
+
+A reading that lies is followed by every filter that corrects its states with it, only more slowly. So here
+the states get nothing but the drive. A model with typical parameters and one for each parameter at either
+side of its typical value run side by side; the readings only decide, late, which of them this plant is like:
+
+    y = y₀ + Σ zᵢ·Dᵢ,    Dᵢ = (yᵢ₊ − yᵢ₋)/2,    z ~ N(0, I) before the first reading,
+
+with y₀ of the typical model and yᵢ± of those with parameter i moved. A Kalman filter estimates z, a random
+walk, from readings that are `LEARNED_AFTER` old: what a lie has taught must not explain it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from twinmatch.dynamics import Parameters, advance, begin, readings
+from twinmatch.safety.limits import positive
+from twinmatch.settings import setting
+from twinmatch.signals import FloatArray
+
+PERIOD: Final = 1.0
+"""Interval between two comparisons, s."""
+LEARNED_AFTER: Final = 240.0
+"""Age at which a reading is learned from, s: a drift of 0.05 °C/s has left the band by then."""
+MEMORY: Final = 3600.0
+"""Time in which z may move by one, s: rooms and fans change from hour to hour."""
+DOUBT: Final = 0.3
+"""Standard deviation of reading minus model, in bands: the errors of consecutive samples are alike, so it is
+far above the sensor's noise."""
+SIGMAS: Final = 3.0
+HOTTER: Final = 2.0
+"""Bands by which a reading may be above the estimate: that something else heats is no work of the drive."""
+LOST: Final = 600.0
+"""Time without a look after which the observer begins again, s."""
+
+
+@dataclass(frozen=True)
+class ObserverLimits:
+    """Limits from which a reading contradicts the drive."""
+
+    band: float = setting(9.0, "Distance of the reading from what the drive explains.", "{y}", 1.0, 150.0)
+    patience: float = setting(4.0, "Time beyond it that is a fault.", "s", 1.0, 600.0)
+    spread: float = setting(
+        0.25, "Usual relative difference of the plant's parameters from the typical ones.", "", 0.01, 1.0
+    )
+
+    def __post_init__(self) -> None:
+        positive("observer", vars(self))
+
+
+class DriveObserver:
+    """Follows a plant with one input and one output by its drive, and compares the sensor with that."""
+
+    def __init__(
+        self,
+        typical: Parameters,
+        limits: ObserverLimits | None = None,
+        *,
+        thing: str = "plate",
+        sensor: str = "camera",
+        highest: float = math.inf,
+    ) -> None:
+        """Begin with the first reading.
+
+        Args:
+            typical: parameters of a usual plant of this kind.
+            limits: when a reading contradicts the drive.
+            thing: what is driven, for messages.
+            sensor: what measures it, for messages.
+            highest: output, in its unit, that the plant must not reach.
+        """
+        self.limits = limits or ObserverLimits()
+        self.estimate = math.nan
+        """Output to which the drive has taken the plant, in its unit; NaN before the first comparison."""
+        self._typical, self._thing, self._sensor, self._highest = typical, thing, sensor, highest
+        self._unit = typical.model.plant.output.unit
+        self._sides = list(_either_side(typical, self.limits.spread))
+        # Loading the compiled step takes a quarter of a second: too long while a drive is waited for.
+        self._begin(float(np.mean(typical.model.plant.output.span)), None)
+        self._step(0.0, None)
+        self._compare(0.0)
+        self._begun, self.estimate = False, math.nan
+
+    def take(
+        self, elapsed: float, drive: float, reading: float, disturbances: FloatArray | None = None,
+        *, believed: bool = True,
+    ) -> str | None:  # fmt: skip
+        """Take the drive of the last `elapsed` seconds and the newest reading; returns an error message, or
+        None. Nothing is compared or learned while the reading is not `believed`."""
+        if not self._begun or elapsed > LOST:
+            self._begin(reading, disturbances)
+            self._begun = True
+            return None
+        message = None
+        while elapsed > 0.0:
+            part = min(elapsed, PERIOD - self._passed)
+            elapsed -= part
+            self._passed += part
+            self._drive += drive * part
+            if self._passed >= PERIOD - 1e-9:
+                self._step(self._drive / self._passed, disturbances)
+                message = self._compare(reading, believed=believed) or message
+        return message
+
+    def _begin(self, reading: float, disturbances: FloatArray | None) -> None:
+        model = self._typical.model
+        self._twins = [self._typical, *(side for pair in self._sides for side in pair)]
+        self._states = [begin(twin, reading, disturbances=disturbances) for twin in self._twins]
+        # Sensors are off by some degrees, and the first reading may be a frozen one.
+        for first in (reading - self.limits.band / 2, reading + self.limits.band / 2):
+            self._twins.append(self._typical)
+            self._states.append(begin(self._typical, first, disturbances=disturbances))
+        for name in model.structure.free_starts:  # what no sensor shows may have any temperature
+            place = model.states.index(name)
+            for side in (-1.0, 1.0):
+                moved = self._states[0].copy()
+                moved[place] += side * model.declared_states[place].scale
+                self._twins.append(self._typical)
+                self._states.append(moved)
+        size = len(self._twins) // 2
+        self._z, self._covariance = np.zeros(size), np.eye(size)
+        self._waiting: deque[tuple[FloatArray, float]] = deque()
+        self._passed = self._drive = self._doubted = 0.0
+
+    def _step(self, drive: float, disturbances: FloatArray | None) -> None:
+        self._states = [
+            advance(twin, states, drive, PERIOD, disturbances)
+            for twin, states in zip(self._twins, self._states, strict=True)
+        ]
+        self._passed = self._drive = 0.0
+
+    def _compare(self, reading: float, *, believed: bool = True) -> str | None:
+        each = np.array([
+            float(readings(twin, states)[0]) for twin, states in zip(self._twins, self._states, strict=True)
+        ])  # fmt: skip
+        slopes, typical = (each[2::2] - each[1::2]) / 2, float(each[0])
+        self.estimate = estimate = typical + float(slopes @ self._z)
+        band = max(self.limits.band, SIGMAS * math.sqrt(max(slopes @ self._covariance @ slopes, 0.0)))
+        if not believed:
+            self._waiting.clear()
+            self._doubted = 0.0
+            return None
+        off = reading - estimate
+        beyond = off < -band or off > HOTTER * band or estimate - band > self._highest
+        self._waiting.append((slopes, math.nan if beyond else reading - typical))
+        if len(self._waiting) > LEARNED_AFTER / PERIOD:
+            self._learn(*self._waiting.popleft())
+        self._doubted = self._doubted + PERIOD if beyond else 0.0
+        if self._doubted < self.limits.patience:
+            return None
+        return self._sentence(reading, estimate, band)
+
+    def _learn(self, slopes: FloatArray, off: float) -> None:
+        """One step of the Kalman filter of z; a reading that contradicted the drive teaches nothing."""
+        covariance = self._covariance + np.eye(slopes.size) * PERIOD / MEMORY
+        if math.isnan(off):
+            self._covariance = covariance
+            return
+        shown, off = covariance @ slopes, off - float(slopes @ self._z)
+        doubt = DOUBT * self.limits.band
+        doubt *= max(1.0, abs(off) / doubt)  # far from what was expected, a reading counts less
+        gain = shown / (float(slopes @ shown) + doubt**2 / PERIOD)
+        self._z = self._z + gain * off
+        covariance -= np.outer(gain, shown)
+        self._covariance = (covariance + covariance.T) / 2
+
+    def _sentence(self, reading: float, estimate: float, band: float) -> str:
+        unit, thing, sensor = self._unit, self._thing, self._sensor
+        other = ", something else heats it" if reading > estimate else ""
+        return (
+            f"by its drive the {thing} is at {estimate:.0f} ± {band:.0f} {unit}, but the {sensor} reads "
+            f"{reading:.1f} {unit}: the drive is lost{other}, or the {sensor} does not see the {thing}; "
+            "check both"
+        )
+
+
+def _either_side(typical: Parameters, spread: float) -> list[tuple[Parameters, Parameters]]:
+    """For each free parameter, the plant with it below and above its typical value, within its bounds."""
+    pairs = []
+    for name in typical.model.structure.free:
+        declared, value = typical.model.declared[name], typical[name]
+        low, high = declared.bounds
+
+        step = spread * declared.scale
+        ratio = math.exp(spread)
+        sides = (value / ratio, value * ratio) if declared.relative else (value - step, value + step)
+        below, above = (typical.replace(**{name: min(max(side, low), high)}) for side in sides)
+        pairs.append((below, above))
+    return pairs

@@ -1,0 +1,124 @@
+"""A plant in its loop behind the guard, with a sensor that begins to lie."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from tests.support.faulty_rig import CAMERA, RICH_RIG
+from twinmatch.dynamics import Controller, Law, Parameters, Sensor, advance, begin, read
+from twinmatch.nodes.gated import GatedNode
+from twinmatch.nodes.pwm_bridge import PwmBridge
+from twinmatch.nodes.tclab_bridge import TCLabBridge
+from twinmatch.plants import Peltier, TCLab
+from twinmatch.safety import GuardFault, OutputGuard
+
+BEGINS = 600
+"""Sample at which the sensor begins to lie."""
+ROOM = 22.0
+"""What a sensor reads that has slipped off, °C."""
+
+
+class Bench(NamedTuple):
+    """A kind of plant with what stands between its command and its heater."""
+
+    typical: Parameters
+    spread: tuple[str, ...]
+    """Parameters that differ from plant to plant."""
+    loop: Law
+    sensor: Sensor
+    bridge: type[GatedNode]
+
+    def guard(self) -> OutputGuard:
+        """As its bridge makes it."""
+        return OutputGuard(self.bridge.LIMITS, self.bridge.observer(self.bridge.LIMITS))
+
+    def plant(self, seed: int, spread: float = 0.25) -> Parameters:
+        """A plant with parameters that differ by up to `spread`, in some room."""
+        random = np.random.default_rng(seed)
+        moved = {name: self.typical[name] * random.uniform(1 - spread, 1 + spread) for name in self.spread}
+        return self.typical.replace(**moved, ambient=random.uniform(288.0, 301.0))
+
+
+RIG = Bench(
+    RICH_RIG.replace(conductance=0.6, heat_capacity=28.0, sink_heat_capacity=300.0, sink_convection=4.5),
+    ("seebeck", "conductance", "heat_capacity", "sink_heat_capacity", "sink_convection"),
+    replace(Peltier.loop, back_calculation=1.0), CAMERA, PwmBridge,
+)  # fmt: skip
+KIT = Bench(
+    TCLab.model("sensor lag").typical(), ("losses", "heating", "heat_capacity", "sensor_lag"),
+    TCLab.loop, replace(TCLab.sensor, noise=0.12), TCLabBridge,
+)  # fmt: skip
+
+Lie = Callable[[int, Sequence[float]], float]
+"""What the sensor reads, so many seconds after it began to lie, of a plant with these temperatures."""
+
+
+def drifting(rate: float) -> Lie:
+    return lambda t, y: y[-1] + rate * t
+
+
+def sliding_off(seconds: float) -> Lie:
+    return lambda t, y: ROOM + (y[-1] - ROOM) * math.exp(-t / seconds)
+
+
+def late(seconds: int) -> Lie:
+    return lambda t, y: y[-1 - min(t, seconds)]
+
+
+def scaled(factor: float, within: float) -> Lie:
+    return lambda t, y: (1.0 - (1.0 - factor) * min(t / within, 1.0)) * y[-1]
+
+
+RATES = (0.05, 0.1, 0.2, 0.4, 0.8, 2.0)
+LIES: dict[str, Lie] = {
+    **{f"drifts by {rate:+g} °C/s": drifting(rate) for rate in (*(-r for r in RATES), *RATES)},
+    **{f"slides off within {seconds:g} s": sliding_off(seconds) for seconds in (5.0, 20.0, 60.0)},
+    "stuck at 20 °C": lambda _, __: 20.0,
+    **{f"{seconds} s late": late(seconds) for seconds in (5, 10, 20, 60)},
+    "scaled by 0.7": scaled(0.7, 1e-9),
+    "scaled by 0.7 within 60 s": scaled(0.7, 60.0),
+}
+
+
+@dataclass
+class Ending:
+    """What came of it."""
+
+    highest: float = -math.inf
+    """Highest temperature of the plant since the lie began, °C."""
+    after: int | None = None
+    """Seconds from the lie to zero output; None: never."""
+    fault: GuardFault | None = None
+
+
+def lie_to(  # noqa: PLR0917 (a case of the table)
+    bench: Bench, guard: OutputGuard, plant: Parameters, references: Sequence[float], lie: Lie | None = None,
+    seed: int = 0, begins: int = BEGINS,
+) -> Ending:  # fmt: skip
+    """Run the loop over set-points, a second each, with a guard that decides twice a second."""
+    size, absolute = len(references), bench.typical.model.plant.output.absolute
+    realised, controller = bench.sensor.realise(size, 1.0, seed), Controller(bench.loop)
+    states, true, ending, seen = begin(plant, plant["ambient"] - absolute), list[float](), Ending(), 0.0
+    for k, reference in enumerate(references):
+        true.append(read(plant, states))
+        told = true[-1] if lie is None or k < begins else lie(k - begins, true)
+        seen = seen if realised.frozen[k] and k else told + float(realised.noise[k])
+        command = controller.step(float(reference), seen)[0]
+        if lie is None or k >= begins:
+            ending.highest = max(ending.highest, true[-1])
+        for half in (0.0, 0.5):
+            now = k + half
+            guard.command(command, now)
+            guard.temperature(seen, now)
+            guard.loop(reference, seen, command, now)
+            states = advance(plant, states, guard.output(now), 0.5)
+        if guard.fault is not None and ending.fault is None:
+            ending.fault, ending.after = guard.fault, k - begins
+        if ending.fault is not None and k > begins + (ending.after or 0) + 30:
+            break
+    return ending
