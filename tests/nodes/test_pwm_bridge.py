@@ -149,6 +149,7 @@ def test_a_killed_bridge_costs_at_most_the_boards_deadline(
     start_process: Start, rig: Rig, any_board: Any
 ) -> None:
     bridge = start_process("pwm_bridge", "-p", f"port:={any_board.port}", *QUIET)
+    any_board.run(SLOW)
     rig.drive(200.0, any_board)
     any_board.pause()
     bridge.kill()

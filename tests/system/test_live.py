@@ -38,7 +38,9 @@ CHILDREN = ("rig", "twin", "recorder", "plant_clock", "virtual_rig")
 class LiveRun:
     """live.py in a process of its own."""
 
-    def __init__(self, processes: Processes, folder: Path, *options: str, ends: bool = True) -> None:
+    def __init__(
+        self, processes: Processes, folder: Path, *options: str, ends: bool = True, recorded: bool = True
+    ) -> None:
         self.folder, self.session = folder, folder / "run"
         config = folder / "rig.yaml"
         config.write_text(
@@ -46,7 +48,8 @@ class LiveRun:
             "    profile.levels: [30.0, 45.0, 30.0]\n    profile.holds: [40.0, 90.0, 40.0]\n"
             f"    profile.repeat: {str(not ends).lower()}\n    exit_at_end: {str(ends).lower()}\n"
         )
-        words = ("--virtual", "--speed", "max", "--config", config, "--session", self.session)
+        words = ("--virtual", "--speed", "max", "--config", config)
+        words += ("--session", self.session) if recorded else ()
         self.process = processes.python(LIVE, *words, *options)
 
     @property
@@ -192,6 +195,25 @@ def test_without_the_virtual_rig_the_run_ends_and_says_so(live_run: Callable[...
     run.shoot("virtual_rig")
     assert run.process.wait() == 3, run.text
     assert "virtual_rig was lost" in run.text
+
+
+@pytest.mark.slow
+def test_a_camera_whose_readings_fall_ends_the_heat(live_run: Callable[..., LiveRun]) -> None:
+    """By 0.8 °C/s, at a set-point of 45 °C: the controller asks for full drive, and nothing reads too hot."""
+    run = live_run("--fault", "sensor-drifts@80", "--no-record", recorded=False)
+    run.process.said("sensor-drifts begins")
+    hottest = 0.0
+
+    def look() -> bool:
+        nonlocal hottest
+        hottest = max(hottest, run.state()["plate"])
+        return "output is zero" in run.text
+
+    run.wait_until(look, "zero")
+    assert re.search(r"output is zero: (disagrees|budget|twin): ", run.text)
+    assert "camera does not see" in run.text
+    assert run.process.wait() == 0
+    assert 45.0 < hottest < 60.0
 
 
 @pytest.mark.parametrize(

@@ -27,7 +27,8 @@ from twinmatch.signals import FloatArray
 PERIOD: Final = 1.0
 """Interval between two comparisons, s."""
 LEARNED_AFTER: Final = 240.0
-"""Age at which a reading is learned from, s: a drift of 0.05 °C/s has left the band by then."""
+"""Age at which a reading is learned from, s: a drift of 0.05 °C/s has left the band by then. At the start,
+when little is known, it is half the time that has passed."""
 MEMORY: Final = 3600.0
 """Time in which z may move by one, s: rooms and fans change from hour to hour."""
 DOUBT: Final = 0.3
@@ -127,6 +128,7 @@ class DriveObserver:
         self._z, self._covariance = np.zeros(size), np.eye(size)
         self._waiting: deque[tuple[FloatArray, float]] = deque()
         self._passed = self._drive = self._doubted = 0.0
+        self._compared = 0
 
     def _step(self, drive: float, disturbances: FloatArray | None) -> None:
         self._states = [
@@ -149,7 +151,8 @@ class DriveObserver:
         off = reading - estimate
         beyond = off < -band or off > HOTTER * band or estimate - band > self._highest
         self._waiting.append((slopes, math.nan if beyond else reading - typical))
-        if len(self._waiting) > LEARNED_AFTER / PERIOD:
+        self._compared += 1
+        while len(self._waiting) > min(LEARNED_AFTER / PERIOD, self._compared / 2):
             self._learn(*self._waiting.popleft())
         self._doubted = self._doubted + PERIOD if beyond else 0.0
         if self._doubted < self.limits.patience:

@@ -1,0 +1,80 @@
+"""How hot a plant gets when its sensor lies: the figures of docs/safety.md.
+
+    python -m benchmarks.lies rig 8
+    python -m benchmarks.lies kit 8
+    python -m benchmarks.lies healthy 1000
+
+The numbers are those of plants for each lie and set-point, with parameters that differ by up to 25 %, or of
+healthy hours.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+
+import numpy as np
+
+from tests.support.faulty_rig import profile
+from tests.support.liar import BEGINS, KIT, LIES, RIG, Bench, Ending, lie_to
+from twinmatch.safety import BudgetLimits, OutputGuard
+
+LEVELS = {"rig": (RIG, (30.0, 60.0, 90.0)), "kit": (KIT, (30.0, 50.0, 65.0))}
+LASTS = 900
+"""Longest lie, s."""
+
+
+def without(bench: Bench) -> OutputGuard:
+    """A guard that knows neither budget nor observer."""
+    return OutputGuard(replace(bench.bridge.LIMITS, budget=BudgetLimits(hold=255.0, least=1e6)))
+
+
+def shown(endings: list[Ending]) -> str:
+    after = [ending.after for ending in endings if ending.after is not None]
+    never = len(endings) - len(after)
+    times = f"{min(after):4d} to {max(after):4d}" if after else "           "
+    kinds = sorted({ending.fault.kind.value for ending in endings if ending.fault is not None})
+    missed = f", {never} not" if never else ""
+    return f"{max(ending.highest for ending in endings):6.1f} {times} {', '.join(kinds)}{missed}"
+
+
+def measure(name: str, plants: int) -> None:
+    bench, levels = LEVELS[name]
+    print(f"{name}: highest temperature of {plants} plants, °C; seconds to zero; by what\n")
+    for level in levels:
+        for lie, told in LIES.items():
+            cases = [
+                [
+                    lie_to(bench, guard, bench.plant(seed), [level] * (BEGINS + LASTS), told, seed=seed)
+                    for seed in range(plants)
+                    for guard in [make(bench)]
+                ]
+                for make in (without, Bench.guard)
+            ]
+            before, after = map(shown, cases)
+            print(f"{level:3.0f} {lie:26s} | {before:42s} | {after}", flush=True)
+
+
+def healthy(hours: int) -> None:
+    """Rig and kit in turn."""
+    latched = 0
+    for seed in range(hours):
+        bench = (RIG, KIT)[seed % 2]
+        references = np.clip(profile(seed, 3600), *((20.0, 100.0) if bench is RIG else (25.0, 70.0)))
+        ending = lie_to(bench, bench.guard(), bench.plant(10_000 + seed), references, seed=seed)
+        if ending.fault is not None:
+            latched += 1
+            print(f"hour {seed}: {ending.fault}", flush=True)
+    print(f"{latched} of {hours} healthy hours latched a fault")
+
+
+def main() -> None:
+    what, number = sys.argv[1], int(sys.argv[2])
+    if what == "healthy":
+        healthy(number)
+    else:
+        measure(what, number)
+
+
+if __name__ == "__main__":
+    main()
