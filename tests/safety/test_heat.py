@@ -108,7 +108,7 @@ def test_no_healthy_hour_of_the_real_rig_comes_near(
     assert most < (0.7 if number == 1 else 0.35)  # the sensor of the first really is frozen at its start
 
 
-def test_the_lost_drive_of_a_real_hour_is_told_with_both_rivals(
+def test_the_lost_drive_of_a_real_hour_is_reported_with_both_rivals(
     recorded_hour: Callable[[int], Window],
 ) -> None:
     at, words, _ = judged(recorded_hour(27))

@@ -87,7 +87,7 @@ LIES: dict[str, Lie] = {
 
 @dataclass
 class Ending:
-    """What came of it."""
+    """How a run ended."""
 
     highest: float = -math.inf
     """Highest temperature of the plant since the lie began, °C."""

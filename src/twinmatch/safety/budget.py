@@ -38,7 +38,7 @@ class HeatBudget:
 
     A plant that is heated gets warmer, and then needs the drive that holds it. Drive for which the reading
     shows nothing adds up, near the set-point or far from it; it drains while less drive passes than the
-    reading needs. So a sensor that reads too cold runs out of budget, whoever asks for the heat. Clearing a
+    reading needs. So a sensor that reads too cold runs out of budget, whatever the set-point. Clearing a
     fault does not refill it. Only drive that heats counts.
     """
 

@@ -36,7 +36,7 @@ DOUBT: Final = 0.3
 far above the sensor's noise."""
 SIGMAS: Final = 3.0
 HOTTER: Final = 2.0
-"""Bands by which a reading may be above the estimate: that something else heats is no work of the drive."""
+"""Bands by which a reading may be above the estimate: what else heats is not the work of the drive."""
 LOST: Final = 600.0
 """Time without a look after which the observer begins again, s."""
 
