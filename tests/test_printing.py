@@ -70,7 +70,7 @@ def test_a_table_and_a_view_have_the_consoles_own_control_sequences_alone() -> N
     shown = stream.getvalue()
     assert shown.count(r"\x1b]0;owned") >= 6  # rich itself leaves out bells
     assert shown.count(r"\x1b[2J\x9b31m\u202egnp.") >= 4
-    assert "\x1b[31m" in shown  # a colour of ours
+    assert "\x1b[31m" in shown  # a colour of the project
     for bad in ("\x1b]0;", "\x1b[2J", "\x9b", "\x07", "\u202e"):
         assert bad not in shown
 

@@ -396,7 +396,7 @@ def test_a_refusal_is_reported_once_with_its_sender(
     listener.spin_until(lambda: "2" in listener.values("sample"), "the samples after it")
 
 
-def test_many_kinds_of_nonsense_on_a_topic_are_counted_and_few_are_told(
+def test_many_kinds_of_nonsense_on_a_topic_are_counted_and_few_are_reported(
     start: Callable[..., Inside], listener: Listener
 ) -> None:
     """Nobody knows of whom they are: many possible senders are not named one by one."""

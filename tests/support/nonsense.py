@@ -1,4 +1,4 @@
-"""Well-typed messages that mean nothing, and bytes that are no message, for all that a node reads."""
+"""Well-typed messages that mean nothing, and bytes without a message, for all that a node reads."""
 
 from __future__ import annotations
 
