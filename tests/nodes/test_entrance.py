@@ -8,6 +8,7 @@ import os
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from rcl_interfaces.msg import Log
 from rcl_interfaces.srv import DescribeParameters, GetParameterTypes
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.time import Time
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Image, Temperature
 from std_srvs.srv import SetBool, Trigger
@@ -26,16 +28,17 @@ from std_srvs.srv import SetBool, Trigger
 from tests.support.nonsense import Nonsense
 from tests.support.ros import Inside, Listener
 from tests.support.verdicts import LED, verdict
+from tests.support.waiting import wait_for
 from twinmatch.comparing import TrustLevel
 from twinmatch.fitting import Fit, Match, Status
 from twinmatch.launching.live import Live, _LiveRun
 from twinmatch.launching.plan import LivePlan
 from twinmatch.launching.watch import Settled, Watch
-from twinmatch.nodes.entrance import MOST_KINDS, MOST_NAMES, MOST_REASONS, Course
+from twinmatch.nodes.entrance import ALONE, MOST_KINDS, MOST_NAMES, MOST_REASONS, Course
 from twinmatch.nodes.expected import MESSAGES, check
 from twinmatch.nodes.fields import MessageError
 from twinmatch.nodes.messages import message_of, request_message, sample_message
-from twinmatch.nodes.topics import EVERYTHING
+from twinmatch.nodes.topics import EVERYTHING, NEWEST
 from twinmatch.nodes.twin import MOST_WAITING
 from twinmatch.plants import Peltier
 from twinmatch.showing.console import Console
@@ -167,7 +170,7 @@ def passed(course: Course, *indices: int) -> list[int]:
     found = []
     for index in indices:
         try:
-            course.follow(at(index, index))
+            course.follow(at(index, index), time.monotonic())
         except MessageError:
             continue
         found.append(index)
@@ -191,7 +194,7 @@ def test_samples_that_go_back_are_refused(course: Course) -> None:
 def test_an_index_does_not_run_ahead_of_its_stamp(course: Course) -> None:
     assert passed(course, 0, 1) == [0, 1]
     with pytest.raises(MessageError, match="sample 1000000 came 1 s after sample 1"):
-        course.follow(at(1_000_000, 2.0))
+        course.follow(at(1_000_000, 2.0), time.monotonic())
     assert passed(course, 2) == [2]
 
 
@@ -210,15 +213,121 @@ def test_another_publisher_begins_another_session(course: Course, publishers: Pu
     assert passed(course, 0, 1) == [0, 1]
 
 
-def test_a_clock_that_goes_back_is_refused() -> None:
-    course = Course(MESSAGES[Clock].departs, Publishers())
-    back = Clock()
-    for seconds in (5, 5, 6):
-        forth = Clock()
-        forth.clock.sec = seconds
-        course.follow(forth)
-    with pytest.raises(MessageError, match="the time goes back by 6 s"):
-        course.follow(back)
+def time_of(seconds: float) -> Clock:
+    return Clock(clock=Time(nanoseconds=round(seconds * 1e9)).to_msg())
+
+
+class ClockCourse(Course):
+    """That of /clock, with publishers that come and go; a step of it is a twentieth of a second."""
+
+    def __init__(self) -> None:
+        self.others = Publishers()
+        super().__init__(MESSAGES[Clock].departs, self.others, owned=True)
+        self.second = self.seen
+        self.now, self._several = 1000.0, False
+
+    def meet(self, *there: bytes) -> None:
+        self.others.there = frozenset(there)
+        self._several = True
+
+    def seen(self) -> bool:
+        seen, self._several = self._several, len(self.others.there) > 1
+        return seen
+
+    def passed(self, *times: float) -> list[float]:
+        """Those of the times that follow."""
+        found = []
+        for seconds in times:
+            self.now += 0.05
+            with suppress(MessageError):
+                self.follow(time_of(seconds), self.now)
+                found.append(seconds)
+        return found
+
+
+FAR = 2e9
+
+
+def test_a_time_that_goes_back_or_jumps_beyond_what_the_wall_clock_allows_is_refused() -> None:
+    course = ClockCourse()
+    course.meet(b"one", b"two")
+    assert course.passed(5, 6, FAR, FAR + 1, FAR + 2, 7) == [5, 6, 7]
+    with pytest.raises(MessageError, match="the time goes back by 7 s"):
+        course.follow(time_of(0), course.now)
+    with pytest.raises(MessageError, match=r"the time jumps ahead by 2e\+09 s within 0 s"):
+        course.follow(time_of(FAR), course.now)
+
+
+def test_one_publisher_alone_may_jump_ahead_and_be_set_back() -> None:
+    """A player at a gap of its session; a plant that was started again, which is believed the third time."""
+    assert ClockCourse().passed(5, 6, 7000, 7001, 1, 2, 3, 4) == [5, 6, 7000, 7001, 3, 4]
+
+
+@pytest.mark.parametrize("forged", [[FAR + k for k in range(9)], [0.1 * k for k in range(9)]])
+def test_who_began_owns_the_clock(forged: list[float]) -> None:
+    """However many times another one agrees with itself, also while the owner is silent, and just after."""
+    course = ClockCourse()
+    assert course.passed(5, 6) == [5, 6]
+    course.meet(b"one", b"two")
+    assert course.passed(*forged) == []
+    course.meet(b"one")
+    assert course.passed(*forged) == []
+    assert course.passed(7, 8) == [7, 8]
+
+
+def test_a_clock_whose_owner_was_replaced_is_believed() -> None:
+    course = ClockCourse()
+    assert course.passed(FAR) == [FAR]  # from one who began too early
+    course.meet(b"one", b"two")
+    assert course.passed(5, 6, 7, 8) == []
+    course.meet(b"two")
+    course.now += ALONE
+    assert course.passed(9, 10, 11, 12) == [9, 10, 11, 12]
+
+
+@pytest.mark.parametrize("forged", [FAR, 0.0])
+def test_a_forged_clock_is_not_time(start: Callable[..., Inside], listener: Listener, forged: float) -> None:
+    """From real publishers that come, publish and go at once, or stay."""
+    (node,) = start("twin_simulator", "-p", "use_sim_time:=true").nodes
+    owner = listener.node.create_publisher(Clock, "/clock", 10)
+    listener.spin_until(owner.get_subscription_count, "the simulator")
+    told = 10.0
+
+    def goes_on() -> None:
+        """Time goes on, and is that of the owner."""
+        nonlocal told
+        told += 1.0
+        wait_for(
+            lambda: heard() == told,
+            lambda: f"{told} s, not {heard()}",
+            meanwhile=lambda: (owner.publish(time_of(told)), listener.spin_once()),
+        )
+
+    def heard() -> float:
+        return node.get_clock().now().nanoseconds / 1e9
+
+    def refused() -> int:
+        assert heard() <= told
+        return int(node.health.report().values.get("refused: /clock", "0"))
+
+    goes_on()
+    for _ in range(10):
+        forger, before = listener.node.create_publisher(Clock, "/clock", 10), refused()
+        listener.spin_until(forger.get_subscription_count, "the simulator")
+        for k in range(3):
+            forger.publish(time_of(forged + k))
+        listener.node.destroy_publisher(forger)
+        listener.spin_until(lambda before=before: refused() > before, "the refusal")
+        goes_on()
+    forger = listener.node.create_publisher(Clock, "/clock", NEWEST)
+    for k in range(20):
+        before = refused()
+        wait_for(
+            lambda before=before: refused() > before,
+            "the refusal",
+            meanwhile=lambda k=k: (forger.publish(time_of(forged + k)), listener.spin_once()),
+        )
+        goes_on()
 
 
 def test_counts_of_a_report_are_read_as_they_are_written() -> None:

@@ -8,10 +8,12 @@ import re
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
+from itertools import count
 from pathlib import Path
 
 import pytest
@@ -20,10 +22,14 @@ pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
 pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup")
 
 from rclpy.serialization import deserialize_message
+from rclpy.time import Time
+from rosgraph_msgs.msg import Clock
+from std_srvs.srv import Trigger
 
 from tests.support.places import LAUNCH_SCRIPTS, PROJECT
 from tests.support.processes import Process, Processes, run_twinmatch
 from tests.support.recorded import wait_for_recorded
+from tests.support.ros import Listener, listening
 from tests.support.waiting import PATIENCE, wait_for
 from twinmatch.emulation.faults import tell
 from twinmatch.offline.verification import verify_session
@@ -186,6 +192,58 @@ def test_processes_are_restarted_and_without_the_rig_the_output_is_off(
     assert indices == list(range(len(indices))), "the pieces of the run are one session, and it is whole"
     assert len(indices) > 3
     assert verify_session(run.session).identical
+
+
+@contextmanager
+def forger(listener: Listener, seconds: float) -> Iterator[None]:
+    """Somebody who publishes a /clock of his own beside that of the run."""
+    published, ended = listener.node.create_publisher(Clock, "/clock", 10), threading.Event()
+
+    def forge() -> None:
+        for k in count():
+            published.publish(Clock(clock=Time(nanoseconds=round((seconds + k / 50) * 1e9)).to_msg()))
+            if ended.wait(0.02):
+                return
+
+    thread = threading.Thread(target=forge)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
+        listener.node.destroy_publisher(published)
+
+
+@pytest.mark.slow
+def test_a_forged_clock_costs_the_run_nothing_or_the_drive_until_its_fault_is_cleared(
+    live_run: Callable[..., LiveRun],
+) -> None:
+    """Nothing once the run has a clock; a forger who was there before keeps the output off until he goes."""
+    with listening() as listener:
+        clearing = listener.node.create_client(Trigger, "plant/clear_fault")
+
+        def cleared() -> bool:
+            answer = clearing.call_async(Trigger.Request())
+            listener.spin_until(answer.done, "an answer")
+            return run.state()["pwm"] != 0.0
+
+        with forger(listener, 2e9):
+            run = live_run(ends=False)
+            run.process.said("/clock is published by listener and plant_clock")
+            run.process.said("refused: /clock: ")
+            listener.spin_until(clearing.service_is_ready, "the bridge")
+        listener.spin_until(cleared, "a driven plate")
+        for seconds in (2e9, 0.0):
+            for _ in range(3):
+                before = run.state()["time"]
+                with forger(listener, seconds):
+                    run.wait_until(lambda before=before: run.state()["time"] > before + 5.0, "plant time")
+        run.wait_until(lambda: abs(run.state()["pwm"]) > 5, "a driven plate")
+        assert run.process.end(signal.SIGINT) == 0, run.text
+    assert "Traceback" not in run.text
+    indices = [sample.index for sample in read_session(run.session).samples]
+    assert len(indices) > 3
 
 
 @pytest.mark.slow

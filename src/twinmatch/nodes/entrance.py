@@ -8,13 +8,17 @@ are refused: counted, and told on /diagnostics.
 
 from __future__ import annotations
 
+import math
 import re
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Final
 
 from rcl_interfaces.msg import SetParametersResult
+from rclpy.event_handler import QoSSubscriptionEventType
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
 
@@ -39,6 +43,8 @@ LOOK: Final = 0.5
 """Shortest interval between two looks at who publishes a topic, wall s."""
 AGREEING: Final = 3
 """Messages in a row that follow each other but not those before, from which on they are believed."""
+ALONE: Final = 2.0
+"""Time since a second publisher was last there, wall s: until then a message of his may still be queued."""
 
 _UNKNOWN: Final = "_NODE_NAME_UNKNOWN_"
 """What rmw gives for a publisher that it knows before its node."""
@@ -68,7 +74,16 @@ class Entrance:
         self._told: dict[str, _Told] = {}
         self._senders: dict[str, tuple[float, str]] = {}
 
-    def before(self, kind: Any, topic: str, take: Take, *, raw: bool = False) -> Take:
+    def course(self, kind: Any, topic: str) -> Course | None:
+        """What the messages of a topic have to follow, if anything."""
+        expected = MESSAGES.get(kind, Kind())
+        if expected.departs is None:
+            return None
+        return Course(expected.departs, partial(self._publishers, topic), owned=expected.owned)
+
+    def before(
+        self, kind: Any, topic: str, take: Take, course: Course | None = None, *, raw: bool = False
+    ) -> Take:
         """What a raw subscription calls in place of `take`, which gets what `MESSAGES` makes of the bytes.
 
         If `raw`, it gets bytes again: those of the message that was checked, without what rclpy reads over
@@ -77,15 +92,13 @@ class Entrance:
         if raw and kind not in MESSAGES:
             return take
         expected = MESSAGES.get(kind, Kind())
-        departs = expected.departs
-        course = None if departs is None else Course(departs, lambda: self._publishers(topic))
 
         def receive(came: bytes) -> None:
             try:
                 message = _message(came, kind)
                 check(message, self.plant)
                 if course is not None:
-                    course.follow(message)
+                    course.follow(message, time.monotonic())
                 found = expected.read(message)
                 take(serialize_message(message) if raw else found)
             except TwinmatchError as error:
@@ -167,48 +180,85 @@ class Entrance:
 class Course:
     """Whether messages follow each other; who departs is believed if the publisher was replaced.
 
-    The message before may have been the wrong one. So is who departs `AGREEING` times in a row, each time in
-    line with the last, with nothing in between that follows.
+    The message before may have been the wrong one. So who departs `AGREEING` times in a row is believed, too,
+    each time in line with the last, with nothing in between that follows. A topic that is owned belongs to
+    the publisher that began: nobody who departs is believed while several publish it. All times are wall s.
     """
 
     def __init__(
-        self, departs: Callable[[Any, Any], str], publishers: Callable[[], frozenset[bytes]]
+        self,
+        departs: Callable[[Any, Any, float], str],
+        publishers: Callable[[], frozenset[bytes]],
+        *,
+        owned: bool = False,
     ) -> None:
-        """`departs` says why a message does not follow another one; `publishers` returns who they are now."""
-        self._departs, self._publishers = departs, publishers
+        """`departs` says why a message does not follow another one so long after it, in which a publisher
+        that is alone may do what it likes; `publishers` returns who they are now."""
+        self.second: Callable[[], bool] = lambda: False
+        """Whether a second publisher is there or was since the last call; must know it before its message."""
+        self._departs, self._publishers, self._owned = departs, publishers, owned
         self._before: Any = None
+        self._at = 0.0
         self._owners: frozenset[bytes] = frozenset()
         self._refused: list[Any] = []
         self._looked = -LOOK
+        self._second: float | None = None  # when a second publisher was last there; None: long ago
 
-    def follow(self, message: Any) -> None:
+    def follow(self, message: Any, now: float) -> None:
         """Take the next message.
 
         Raises:
             MessageError: it does not follow.
         """
-        why = "" if self._before is None else self._departs(self._before, message)
-        if why and not self._believed(message):
+        alone = self._alone(now)
+        elapsed = math.inf if alone else now - self._at
+        why = "" if self._before is None else self._departs(self._before, message, elapsed)
+        if why and not self._believed(message, now, alone):
             raise MessageError(why)
         if why or self._before is None:
             self._owners = self._publishers()
-        self._before = message
+        self._before, self._at = message, now
         self._refused.clear()
 
-    def _believed(self, message: Any) -> bool:
-        if self._refused and self._departs(self._refused[-1], message):
+    def _alone(self, now: float) -> bool:
+        """Whether one publisher is there, and has been for so long that this message is his."""
+        if self.second():
+            self._second = now
+        elif self._second is not None and now - self._second > ALONE:
+            self._second, self._owners = None, self._publishers()
+        return self._second is None
+
+    def _believed(self, message: Any, now: float, alone: bool) -> bool:
+        if self._refused and self._departs(self._refused[-1], message, math.inf):
             self._refused.clear()
         self._refused.append(message)
-        return len(self._refused) >= AGREEING or self._replaced()
+        agree = len(self._refused) >= AGREEING and (alone or not self._owned)
+        return agree or self._replaced(now)
 
-    def _replaced(self) -> bool:
+    def _replaced(self, now: float) -> bool:
         """Whether all publishers are new; looked up at most every `LOOK` seconds."""
-        now = time.monotonic()
         if now - self._looked < LOOK:
             return False
         found = self._publishers()
         self._looked = now
         return bool(found) and not found & self._owners
+
+
+def second_publisher(subscription: Any) -> Callable[[], bool]:
+    """Whether a second publisher is there or was since the last call, as the middleware knows at that moment.
+
+    The events that an executor takes come too late: behind the first message of a publisher.
+    """
+    matched = rclpy_implementation.EventHandle(
+        subscription.handle, QoSSubscriptionEventType.RCL_SUBSCRIPTION_MATCHED
+    )
+
+    def second() -> bool:
+        with matched:
+            now = matched.take_event()
+        return bool(now.current_count > 1 or (now.total_count > 1 and now.total_count_change > 0))
+
+    return second
 
 
 def _message(data: bytes, kind: Any) -> Any:

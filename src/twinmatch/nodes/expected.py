@@ -315,7 +315,7 @@ LEAP: Final = 100
 """Indices that may be missing without time between the samples."""
 
 
-def _sample_departs(before: Any, message: Any) -> str:
+def _sample_departs(before: Any, message: Any, _: float) -> str:
     """Why a sample does not follow another one; empty if it does."""
     if message.index <= before.index:
         return f"sample {message.index} came after sample {before.index}"
@@ -329,9 +329,19 @@ def _sample_departs(before: Any, message: Any) -> str:
     return ""
 
 
-def _clock_departs(before: Any, message: Any) -> str:
-    back = (nanoseconds(before.clock) - nanoseconds(message.clock)) / 1e9
-    return f"the time goes back by {back:g} s" if back > 0 else ""
+FASTEST: Final = 1000.0
+"""Highest speed of a virtual plant, plant s per wall s; at `max` no machine reaches it."""
+STRIDE: Final = 2.0
+"""Longest way from one /clock to the next in no time, plant s: a plant in step tells where it stands."""
+
+
+def _clock_departs(before: Any, message: Any, elapsed: float) -> str:
+    ahead = (nanoseconds(message.clock) - nanoseconds(before.clock)) / 1e9
+    if ahead < 0:
+        return f"the time goes back by {-ahead:g} s"
+    if ahead > STRIDE + FASTEST * elapsed:
+        return f"the time jumps ahead by {ahead:g} s within {elapsed:.3g} s"
+    return ""
 
 
 class Kind(NamedTuple):
@@ -341,8 +351,10 @@ class Kind(NamedTuple):
     """After what is checked for all types."""
     read: Callable[[Any], Any] = lambda message: message
     """What subscribers get in place of a message."""
-    departs: Callable[[Any, Any], str] | None = None
-    """Why a message does not follow the one before it; empty if it does."""
+    departs: Callable[[Any, Any, float], str] | None = None
+    """Why a message does not follow the one so many wall seconds before it; empty if it does."""
+    owned: bool = False
+    """Whether the topic belongs to the publisher that began, however many others agree."""
 
 
 MESSAGES: Final[dict[Any, Kind]] = {
@@ -355,7 +367,7 @@ MESSAGES: Final[dict[Any, Kind]] = {
     ours.Candidate: Kind(_check_candidate),
     ours.ForecastScore: Kind(_check_score, converted.record_of),
     ours.PlantDescription: Kind(_check_description),
-    Clock: Kind(departs=_clock_departs),
+    Clock: Kind(departs=_clock_departs, owned=True),
     Image: Kind(_check_image),
     DiagnosticArray: Kind(_check_health),
     Past.Response: Kind(_check_past),

@@ -21,7 +21,7 @@ from rclpy.timer import Timer
 
 from twinmatch.errors import TwinmatchError
 from twinmatch.links import Background
-from twinmatch.nodes.entrance import Entrance
+from twinmatch.nodes.entrance import Entrance, second_publisher
 from twinmatch.nodes.health import Level, NodeHealth, Report, status_message
 from twinmatch.nodes.step import InStep
 from twinmatch.parameters.declared import ParameterError, Setting, Values, check
@@ -223,8 +223,12 @@ class TwinmatchNode(Node):
 
         Bytes that are not a message reach it, too; a subscription of rclpy's that is not raw drops them.
         """
-        take = self.entrance.before(msg_type, topic, callback, raw=options.get("raw", False))
-        return super().create_subscription(msg_type, topic, take, qos_profile, **(options | {"raw": True}))
+        course = self.entrance.course(msg_type, topic)
+        take = self.entrance.before(msg_type, topic, callback, course, raw=options.get("raw", False))
+        made = super().create_subscription(msg_type, topic, take, qos_profile, **(options | {"raw": True}))
+        if course is not None:
+            course.second = second_publisher(made)
+        return made
 
     def create_service(
         self, srv_type: Any, srv_name: str, callback: Callable[[Any, Any], Any], **options: Any

@@ -126,7 +126,12 @@ class InStep(Background):
 
     def _on_clock(self, message: Clock) -> None:
         now = message.clock.sec * 1_000_000_000 + message.clock.nanosec
-        self._busy, self._now = True, now
+        with self._lock:
+            if now < self._now:  # the plant was restarted, or the time before was not its own
+                self._until = self._sent = 0
+                for task in self._tasks:
+                    task.due = 0
+            self._busy, self._now = True, now
         for task in self._tasks:
             task.run_if_due(now)
         with self._lock:
