@@ -6,8 +6,8 @@
 
 Add --dashboard [--control] to any of them for a live page.
 
-Exit code: 0 ended as requested, 2 an option or a file cannot be used, 3 the rig's process was lost (the
-output is off then).
+Exit code: 0 ended as requested, 1 the session could not be written (see --keep-driving), 2 an option or a
+file cannot be used, 3 the rig's process was lost. After 1 and 3 the output is off.
 """
 
 from __future__ import annotations

@@ -9,8 +9,13 @@ exception is a bug and keeps its traceback.
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 EXIT_USER_ERROR = 2
 
 
 class TwinmatchError(ValueError):
     """A problem outside the program that the user can fix."""
+
+    NODE_EXIT: ClassVar[int] = EXIT_USER_ERROR
+    """Exit code of a node that it ends."""

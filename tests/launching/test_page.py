@@ -46,6 +46,7 @@ from twinmatch.launching.plan import VirtualPlan
 from twinmatch.launching.processes import Page, Processes, add_page_options, page_of
 from twinmatch.launching.watch import Watch
 from twinmatch.sessions import write_session
+from twinmatch.sessions.files import EXIT_DISK
 from twinmatch.showing.lines import Lines
 
 
@@ -146,6 +147,7 @@ def ending(name: str, code: int) -> tuple[_LiveRun, Ending]:
         ("virtual_rig", 0, 0, "the virtual rig has ended"),
         ("rig", 1, 3, "rig was lost (code 1); the output is off"),
         ("virtual_rig", -9, 3, "virtual_rig was lost (code -9); the output is off"),
+        ("recorder", EXIT_DISK, 1, "recorder can no longer write the session; see its message above"),
         ("twin", 2, 2, "twin rejected its configuration or input; see its message above"),
     ],
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import time
@@ -21,16 +22,19 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Image, Temperature
 from std_msgs.msg import Float64, String
 
+from tests.support.disks import small_disk
 from tests.support.processes import Start
 from tests.support.recorded import wait_for_recorded, written
 from tests.support.ros import Listener
 from tests.support.schemas import bare
 from tests.support.waiting import wait_for
+from twinmatch.errors import EXIT_USER_ERROR
 from twinmatch.nodes import recorder
 from twinmatch.nodes.messages import sample_message
 from twinmatch.nodes.recorder import Arrivals
 from twinmatch.nodes.topics import LATCHED, RELIABLE, offered, profile_of, wanted
 from twinmatch.sessions import Qos, Session, SessionError, read_session, recording
+from twinmatch.sessions.files import EXIT_DISK
 from twinmatch.sessions.messages import SAMPLE, decoded, schema_of
 from twinmatch.sessions.metadata import CANDIDATES, parameters_of
 from twinmatch.sessions.recording import repair_session
@@ -278,17 +282,59 @@ def test_a_reader_that_stood_still_is_given_what_it_missed(
 
 
 @pytest.mark.parametrize(
-    ("room", "words"), [("900000000.0", "recording run: not started"), ("1.0", "exists already")]
+    ("room", "code", "words"),
+    [
+        ("900000000.0", EXIT_DISK, "recording run: not started: no space left in"),
+        ("1.0", EXIT_USER_ERROR, "exists already"),
+    ],
 )
 def test_without_room_or_beside_a_session_it_does_not_start(
-    start: Start, tmp_path: Path, room: str, words: str
+    start: Start, tmp_path: Path, room: str, code: int, words: str
 ) -> None:
     if room == "1.0":
         (tmp_path / "run").mkdir()
     process = start("recorder", *into(tmp_path)[:-1], f"min_free_mb:={room}")
-    assert process.wait() == 2
+    assert process.wait() == code
     assert words in process.text
     assert not list(tmp_path.glob("run/*"))
+
+
+def test_a_folder_that_cannot_be_written_is_named(start: Start, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("here")
+    with small_disk(tmp_path / "fixed", 1000, read_only=True) as fixed:
+        for folder, why in ((tmp_path / "file", "Not a directory"), (fixed, "Read-only file system")):
+            process = start("recorder", *into(folder)[:-1], "min_free_mb:=0.0")
+            assert process.wait() == EXIT_DISK
+            assert f"{folder} cannot be written ({why})" in process.text
+            assert "Traceback" not in process.text
+
+
+def test_a_disk_that_is_full_at_the_start_is_named(start: Start, tmp_path: Path) -> None:
+    with small_disk(tmp_path / "full", 100) as full:
+        (full / "others").write_bytes(bytes(100 * 1024))
+        process = start("recorder", *into(full)[:-1], "min_free_mb:=0.0")
+        assert process.wait() == EXIT_DISK
+        assert f"no space left in {full}" in process.text
+
+
+def test_what_a_small_disk_has_room_for_can_be_read(start: Start, rig: Rig, tmp_path: Path) -> None:
+    with small_disk(tmp_path / "small", 400) as small:
+        process = start("recorder", *into(small)[:-1], "min_free_mb:=0.0")
+        rig.wait_for_reader()
+        image = Image(height=60, width=80, encoding="mono16", step=160, data=bytes(9600))
+        numbers = itertools.count()
+
+        def publish() -> None:
+            rig.images.publish(image)
+            rig.sample(next(numbers))
+            time.sleep(0.02)
+
+        wait_for(lambda: not process.running, lambda: f"its end: {process.text}", meanwhile=publish)
+        assert process.wait() == EXIT_DISK
+        assert f"no space left in {small} after" in process.text
+        samples = read_session(small / "run").samples
+    assert len(samples) > 5
+    assert [sample.index for sample in samples] == list(range(len(samples)))
 
 
 def test_a_full_disk_ends_it_with_one_line(start_script: Start, rig: Rig, tmp_path: Path) -> None:
@@ -312,7 +358,7 @@ main()
         time.sleep(0.02)
 
     wait_for(lambda: not process.running, lambda: f"its end: {process.text}", meanwhile=publish)
-    assert process.wait() == 2
+    assert process.wait() == EXIT_DISK
     assert "free some disk space or choose another folder" in process.text
     assert "Traceback" not in process.text
     session = read_session(tmp_path / "run")
@@ -335,7 +381,7 @@ def test_a_disk_that_fills_up_ends_it_with_a_whole_session(
         rig.sample(k)
     wait_for_recorded(tmp_path / "run", plant__sample=10)
     free = 9_000_000
-    assert process.wait() == 2
+    assert process.wait() == EXIT_DISK
     assert "recording run: stopped after" in process.text
     assert "9 MB are free on the disk, but 10 MB must stay free" in process.text
     session = read_session(tmp_path / "run")

@@ -18,7 +18,7 @@ from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
 
 from tests.support.waiting import PATIENCE, wait_for
-from twinmatch.errors import EXIT_USER_ERROR, TwinmatchError
+from twinmatch.errors import TwinmatchError
 from twinmatch.nodes.__main__ import nodes_of
 from twinmatch.nodes.messages import sample_message
 from twinmatch.nodes.node import TwinmatchNode
@@ -164,6 +164,6 @@ class Inside:
         try:
             work()
         except TwinmatchError as error:
-            self.text, self._code = f"{error}\n", EXIT_USER_ERROR
+            self.text, self._code = f"{error}\n", error.NODE_EXIT
         except Exception:
             self.text, self._code = traceback.format_exc(), EXIT_DEFECT

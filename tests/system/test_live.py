@@ -26,6 +26,7 @@ from rclpy.time import Time
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
+from tests.support.disks import small_disk
 from tests.support.places import LAUNCH_SCRIPTS, PROJECT
 from tests.support.processes import Process, Processes, run_twinmatch
 from tests.support.recorded import wait_for_recorded
@@ -53,6 +54,7 @@ class LiveRun:
             "controller:\n  ros__parameters:\n"
             "    profile.levels: [30.0, 45.0, 30.0]\n    profile.holds: [40.0, 90.0, 40.0]\n"
             f"    profile.repeat: {str(not ends).lower()}\n    exit_at_end: {str(ends).lower()}\n"
+            "recorder:\n  ros__parameters:\n    min_free_mb: 1.0\n"
         )
         words = ("--virtual", "--speed", "max", "--config", config)
         words += ("--session", self.session) if recorded else ()
@@ -272,6 +274,46 @@ def test_a_camera_whose_readings_fall_ends_the_heat(live_run: Callable[..., Live
     assert "camera does not see" in run.text
     assert run.process.wait() == 0
     assert 45.0 < hottest < 60.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("drives_on", [False, True])
+def test_a_disk_that_fills_up_ends_the_run_unless_the_operator_chose_otherwise(
+    live_run: Callable[..., LiveRun], tmp_path: Path, drives_on: bool
+) -> None:
+    with small_disk(tmp_path / "disk", 4000) as disk:
+        options = ("--keep-driving",) if drives_on else ()
+        run = live_run("--session", disk / "run", *options)
+        code = run.process.wait(4 * PATIENCE)
+        samples = read_session(disk / "run").samples
+    assert f"no space left in {disk}" in run.text
+    assert "rejected its configuration" not in run.text
+    assert "restarting" not in run.text
+    assert [sample.index for sample in samples] == list(range(len(samples)))
+    assert 5 < len(samples) < 170
+    if drives_on:
+        assert code == 0, run.text
+        assert "nothing is recorded any longer; the plant is driven on" in run.text
+        assert "ended: the profile has ended; 170 samples" in run.text
+    else:
+        assert code == 1, run.text
+        assert "ended: recorder can no longer write the session" in run.text
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("drives_on", [False, True])
+def test_a_folder_that_cannot_be_written_is_said_before_anything_is_driven(
+    live_run: Callable[..., LiveRun], tmp_path: Path, drives_on: bool
+) -> None:
+    (tmp_path / "file").write_text("here")
+    options = ("--keep-driving",) if drives_on else ()
+    run = live_run("--session", tmp_path / "file" / "run", *options)
+    code = run.process.wait(4 * PATIENCE)
+    assert f"{tmp_path / 'file'} cannot be written (Not a directory)" in run.text
+    assert ("ended: the profile has ended; 170 samples" in run.text) == drives_on
+    assert ("; 0 samples" in run.text) == (not drives_on)
+    assert code == (0 if drives_on else 1), run.text
+    assert "recorded: " not in run.text
 
 
 @pytest.mark.parametrize(

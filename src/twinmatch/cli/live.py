@@ -20,13 +20,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--port", default="", help="serial port of the plant (default: that of --config)")
     add_options(parser, "--config", help="parameters of the rig's nodes (default: the plant's in config/)")
     add_options(parser, "--twin-config", "--candidates", "--session", "--no-record")
+    parser.add_argument(
+        "--keep-driving",
+        action="store_true",
+        help="continue without a session when it cannot be written (default: output to zero, exit code 1)",
+    )
     parser.add_argument("--virtual", action="store_true", help="a virtual rig instead of the real one")
     add_options(parser, "--speed", "--fault", "--board", "--seed")
     add_page_options(parser, control=True)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run until Ctrl-C or the profile's end; returns the exit code: 3 if the rig's process was lost."""
+    """Run until Ctrl-C or the profile's end; returns the exit code: 3 if the rig's process was lost, 1 if the
+    session could not be written."""
     fork_server()  # imports while this process does
     from twinmatch.launching.live import Live, run_live  # noqa: PLC0415 — needs ROS
     from twinmatch.launching.plan import LivePlan, VirtualPlan  # noqa: PLC0415
@@ -41,7 +47,8 @@ def run(options: argparse.Namespace) -> int:
         options.twin_config = shipped(f"config/{twin}")
     session = session_to_record(options)
     virtual = VirtualPlan(options.speed, tuple(options.fault), options.board, options.seed, options.plant)
-    asked = {name: getattr(options, name) for name in ("twin_config", "candidates", "plant", "port")}
+    passed = ("twin_config", "candidates", "plant", "port", "keep_driving")
+    asked = {name: getattr(options, name) for name in passed}
     config = options.config or shipped(f"config/{rig}")
     plan = LivePlan(config=config, session=session, virtual=virtual if options.virtual else None, **asked)
     with page_of(options, usage, options.twin_config):

@@ -9,10 +9,12 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Final
 
 from diagnostic_msgs.msg import DiagnosticArray
 
 from twinmatch.comparing import Verdict
+from twinmatch.errors import EXIT_USER_ERROR
 from twinmatch.launching.plan import LivePlan
 from twinmatch.launching.processes import LaunchError
 from twinmatch.launching.watch import Supervised, Watch
@@ -23,6 +25,7 @@ from twinmatch.nodes.topics import EVERYTHING
 from twinmatch.offline.summary import SessionSummary, Tally, conclude
 from twinmatch.parameters.twin import read_settings
 from twinmatch.printing import one_line
+from twinmatch.sessions.files import EXIT_DISK
 from twinmatch.sessions.spool import SampleSpool
 from twinmatch.showing.console import Console
 from twinmatch.showing.lines import Lines
@@ -32,6 +35,8 @@ from twinmatch.signals import Sample, Window
 from twinmatch.twin import Bridge
 from twinmatch_msgs.msg import LoopSample
 
+EXIT_NOT_RECORDED = 1
+"""Exit code if the session could not be written to the end, and the run was not to continue without it."""
 EXIT_LOST = 3
 """Exit code when a process that cannot be restarted was lost; the output is off then."""
 
@@ -107,7 +112,7 @@ def _run_live(live: Live) -> int:
     view = view_on(live.console, "live", settings.period)
     with lease(PATIENCE if live.plan.in_step else None):
         code = _LiveRun(live, view).run()
-    for session in live.sessions:
+    for session in filter(Path.exists, live.sessions):
         view.say(f"recorded: {session}")
     view.say(f"ended: {live.ending}; {live.received} samples, {live.verdicts.verdicts} verdicts")
     if len(live.samples):
@@ -167,6 +172,10 @@ class Errors:
         shown.append(now)
         text = text if len(text) <= LONGEST else f"{text[:LONGEST]}…"
         self._say(one_line(f"{name[:LONGEST]}: {text}"), style)
+
+
+_SOURCES: Final = {"rig": "profile", "virtual_rig": "virtual rig"}
+"""Processes with which a run ends, and what has then ended."""
 
 
 class _LiveRun(Supervised):
@@ -249,14 +258,14 @@ class _LiveRun(Supervised):
     def _lost(self) -> tuple[int, str] | None:
         """Restart processes that may be restarted; returns exit code and reason when the run is over."""
         for name, code in self.processes.ended.items():
-            if name == "rig" and code == 0:
-                return 0, "the profile has ended"
-            if name == "virtual_rig" and code == 0:
-                return 0, "the virtual rig has ended"
-            if code == 2:
-                return 2, f"{name} rejected its configuration or input; see its message above"
-            if name in ("rig", "virtual_rig"):
-                return EXIT_LOST, f"{name} was lost (code {code}); the output is off"
+            ending = self._ending(name, code)
+            if ending is not None:
+                return ending
+            if code == EXIT_DISK:
+                self.processes.forget(name)
+                text = "nothing is recorded any longer; the plant is driven on (--keep-driving)"
+                self.view.say(text, "red")
+                continue
             now = time.monotonic()
             before = [at for at in self._restarts.get(name, []) if now - at < SPAN]
             if len(before) >= RESTARTS:
@@ -264,6 +273,18 @@ class _LiveRun(Supervised):
             self._restarts[name] = [*before, now]
             self.view.say(f"{name} ended with code {code}; restarting it", "yellow")
             self._start(name)
+        return None
+
+    def _ending(self, name: str, code: int) -> tuple[int, str] | None:
+        """Exit code and reason if the run is over with a process that has ended with a code."""
+        if code == 0 and name in _SOURCES:
+            return 0, f"the {_SOURCES[name]} has ended"
+        if code == EXIT_USER_ERROR:
+            return 2, f"{name} rejected its configuration or input; see its message above"
+        if code == EXIT_DISK and not self._plan.keep_driving:
+            return EXIT_NOT_RECORDED, f"{name} can no longer write the session; see its message above"
+        if name in _SOURCES:
+            return EXIT_LOST, f"{name} was lost (code {code}); the output is off"
         return None
 
     def _start(self, name: str) -> None:
@@ -284,7 +305,7 @@ class _LiveRun(Supervised):
         if name == "recorder":
             first, *others = self._live.sessions
             return plan.recorder_arguments(self._live.sessions[-1], first.name if others else "")
-        readers = READERS if plan.session is None else f"{READERS} recorder"
+        readers = READERS if plan.session is None or plan.keep_driving else f"{READERS} recorder"
         return [*plan.rig_arguments(self._addresses), *plan.wait_for(readers)]
 
     def _next_session(self) -> Path:

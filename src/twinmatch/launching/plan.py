@@ -118,6 +118,8 @@ class LivePlan:
     """Name of the plant."""
     port: str = ""
     """Serial port of the plant, if not that of the configuration."""
+    keep_driving: bool = False
+    """Whether the run continues when its session cannot be written."""
 
     @property
     def wiring(self) -> Wiring:

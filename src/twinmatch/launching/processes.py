@@ -68,6 +68,10 @@ class Processes:
         codes = {name: process.poll() for name, (process, _) in self._children.items()}
         return {name: code for name, code in codes.items() if code is not None}
 
+    def forget(self, name: str) -> None:
+        """Take a child that has ended as if it had not been started."""
+        del self._children[name]
+
     def stop(self, order: Sequence[str] = ()) -> list[str]:
         """End all children: those in `order` first, then the others, the latest started first.
 

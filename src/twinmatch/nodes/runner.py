@@ -30,7 +30,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
-from twinmatch.errors import EXIT_USER_ERROR, TwinmatchError
+from twinmatch.errors import TwinmatchError
 from twinmatch.nodes import network
 from twinmatch.nodes.node import TwinmatchNode
 from twinmatch.nodes.step import InStep, step_of
@@ -96,7 +96,7 @@ def _run(kinds: Sequence[type[TwinmatchNode]], arguments: list[str]) -> int:
         nodes.linger()
     except TwinmatchError as error:
         print(error, file=sys.stderr, flush=True)
-        code = EXIT_USER_ERROR
+        code = error.NODE_EXIT
     except Exception:
         traceback.print_exc()
         code = EXIT_DEFECT

@@ -6,6 +6,7 @@ callers catch only one kind.
 
 TwinmatchError
 ├── SessionError           a session cannot be read or written
+│   ├── DiskError          no room, or a folder that cannot be written
 │   └── RecordingError     a recording (.mat, .csv, a bag) cannot be imported
 └── DocumentError          a YAML or JSON text cannot be used, in `documents`
 """
@@ -33,6 +34,24 @@ LINES_BETWEEN = 10_000
 
 class SessionError(TwinmatchError):
     """A session cannot be read or written; the message names the file and the place in it."""
+
+
+EXIT_DISK = 74
+"""Exit code of a recorder that can no longer write: EX_IOERR of sysexits.h."""
+
+
+class DiskError(SessionError):
+    """A session cannot be written where it should be; what was written before can be read."""
+
+    NODE_EXIT = EXIT_DISK
+
+    @classmethod
+    def of(cls, folder: Path, error: OSError, when: str) -> DiskError:
+        """The error for a session's folder; `when` says how far it was."""
+        why = f"{folder.parent} cannot be written ({error.strerror or error})"
+        if error.errno in (errno.ENOSPC, errno.EDQUOT):
+            why = f"no space left in {folder.parent}"
+        return cls(f"session {folder.name}: {why} {when}; free some disk space or choose another folder")
 
 
 class RecordingError(SessionError):

@@ -20,7 +20,7 @@ from itertools import zip_longest
 from pathlib import Path
 from typing import NamedTuple
 
-from twinmatch.sessions.files import ProgressCallback, SessionError
+from twinmatch.sessions.files import DiskError, ProgressCallback, SessionError
 from twinmatch.sessions.messages import SAMPLE, Topic, plant_messages, topics_of
 from twinmatch.sessions.metadata import METADATA, distro_of, files_listed, mcap_files
 from twinmatch.sessions.reader import check_samples, gaps_of
@@ -33,7 +33,7 @@ MEGABYTE = 1_000_000
 NANOSECONDS = 1_000_000_000
 
 
-class DiskFullError(SessionError):
+class DiskFullError(DiskError):
     """There is too little disk space to start or continue recording."""
 
 
@@ -102,9 +102,10 @@ class Recording(SessionWriter):
     def _require_space(self, folder: Path, consequence: str) -> None:
         free = self._free(folder) / MEGABYTE
         if free < self.limits.min_free_mb:
+            least = self.limits.min_free_mb
             raise DiskFullError(
-                f"recording {folder.name}: {consequence}: {free:.0f} MB are free on the disk, but "
-                f"{self.limits.min_free_mb:g} MB must stay free; free some space or lower min_free_mb"
+                f"recording {folder.name}: {consequence}: no space left in {folder.parent}: {free:.0f} MB "
+                f"are free on the disk, but {least:g} MB must stay free; free some space or lower min_free_mb"
             )
 
 

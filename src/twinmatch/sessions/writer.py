@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from twinmatch.sessions.files import SessionError
+from twinmatch.sessions.files import DiskError, SessionError
 from twinmatch.sessions.messages import Topic
 from twinmatch.sessions.metadata import METADATA, Part, Summary, qos_text
 
@@ -136,7 +136,7 @@ class SessionWriter:
     Chunks are not compressed: the messages of a truncated chunk can still be read, every MCAP reader supports
     them, and the bytes do not depend on the version of a compressor.
 
-    A failed write raises `SessionError` in the call that makes it. After that nothing more is written: the
+    A failed write raises `DiskError` in the call that makes it. After that nothing more is written: the
     file ends there, and `read_session` reads it up to that point.
     """
 
@@ -148,7 +148,7 @@ class SessionWriter:
             ros_distro: ROS 2 distribution of the recorder.
 
         Raises:
-            SessionError: the folder exists, has no name, or cannot be created.
+            SessionError: the folder exists or has no name; a `DiskError` if it cannot be created.
         """
         self.folder = Path(folder)
         self.name = self.folder.absolute().name
@@ -169,8 +169,7 @@ class SessionWriter:
             msg = f"session {self.folder}: exists already; choose another name or remove it"
             raise SessionError(msg) from None
         except OSError as error:
-            msg = f"session {self.folder}: the folder cannot be created ({error.strerror})"
-            raise SessionError(msg) from error
+            raise DiskError.of(self.folder, error, "to begin with") from error
         self._begin()
 
     @property
@@ -278,7 +277,7 @@ class SessionWriter:
 
     @contextlib.contextmanager
     def _disk(self, *, begins: bool = False) -> Iterator[_SessionFile]:
-        """Turn the first failed write into a `SessionError`, and refuse to write after it."""
+        """Turn the first failed write into a `DiskError`, and refuse to write after it."""
         if self._failed or (self._file is None and not begins):
             msg = f"session {self.name}: writing failed before; only the messages before that are kept"
             raise SessionError(msg)
@@ -287,10 +286,8 @@ class SessionWriter:
         except OSError as error:
             self._failed = True
             self.abandon()
-            raise SessionError(
-                f"session {self.name}: cannot be written ({error.strerror or error}) after "
-                f"{sum(self.counts.values())} messages; free some disk space or choose another folder"
-            ) from error
+            when = f"after {sum(self.counts.values())} messages"
+            raise DiskError.of(self.folder, error, when) from error
 
 
 def write_metadata(folder: Path, summary: Summary) -> None:
