@@ -5,8 +5,8 @@
 
 Add --dashboard for a live page. config/attach.yaml explains the entries of the configuration file.
 
-Exit code: 0 ended as requested, 2 an option or a file cannot be used or is missing, 3 a process could not be
-kept running.
+Exit code: 0 ended as requested, 1 the session could not be written, 2 an option or a file cannot be used or
+is missing, 3 a process could not be kept running.
 """
 
 from __future__ import annotations

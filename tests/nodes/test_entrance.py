@@ -294,7 +294,7 @@ def test_a_forged_clock_is_not_time(start: Callable[..., Inside], listener: List
     told = 10.0
 
     def goes_on() -> None:
-        """Time goes on, and is that of the owner."""
+        """Time continues, and is that of the owner."""
         nonlocal told
         told += 1.0
         wait_for(
