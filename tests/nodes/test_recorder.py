@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import os
+import re
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -15,6 +16,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from rclpy.event_handler import PublisherEventCallbacks
+from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.rosbag2 import Reader
@@ -29,7 +31,7 @@ from tests.support.ros import Listener
 from tests.support.schemas import bare
 from tests.support.waiting import wait_for
 from twinmatch.errors import EXIT_USER_ERROR
-from twinmatch.nodes import recorder
+from twinmatch.nodes import doubts, recorder
 from twinmatch.nodes.messages import sample_message
 from twinmatch.nodes.recorder import Arrivals
 from twinmatch.nodes.topics import LATCHED, RELIABLE, offered, profile_of, wanted
@@ -150,6 +152,59 @@ def test_what_only_ros_can_read_is_recorded_so_that_others_can(
     first, second = map(decoded, session.messages(["/plant/sample"]))
     assert first.header.frame_id == sent.header.frame_id
     assert second.index == 1
+
+
+@pytest.fixture
+def soon(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nobody waits for messages of a publisher that is gone."""
+    monkeypatch.setattr(doubts, "ALONE", 0.0)
+
+
+@pytest.mark.usefixtures("soon")
+@pytest.mark.parametrize(
+    ("name", "doubted"),
+    [("passer_by", "listener and passer_by"), ("listener", ""), ("", "a node that is gone")],
+)
+def test_samples_that_somebody_else_may_have_published_are_doubted(
+    record: Start, rig: Rig, tmp_path: Path, name: str, doubted: str
+) -> None:
+    """Not those of a node that was started again: while DDS lists its predecessor, both have one name."""
+    process = record()
+    (node,) = process.nodes
+    rig.wait_for_reader()
+    sent = 0
+
+    def publishers() -> list[str]:
+        return sorted(info.node_name for info in node.get_publishers_info_by_topic("/plant/sample"))
+
+    def send(number: int) -> None:
+        nonlocal sent
+        for _ in range(number):
+            rig.sample(sent)
+            sent += 1
+        wait_for_recorded(tmp_path / "run", plant__sample=sent)
+
+    send(5)
+    other = Node(name or "gone", context=rig.listener.node.context)
+    samples = other.create_publisher(LoopSample, "plant/sample", RELIABLE)
+    rig.listener.spin_until(samples.get_subscription_count, "the recorder")
+    if name:
+        both = sorted(["listener", name])
+        rig.listener.spin_until(lambda: publishers() == both, "its name")
+        send(3)
+    other.destroy_node()
+    rig.listener.spin_until(lambda: node.count_publishers("/plant/sample") == 1, "its end")
+    send(5)
+    assert process.end() == 0
+    notes = [note for note in read_session(tmp_path / "run").notes if "doubted" in note]
+    if not doubted:
+        assert notes == []
+        return
+    (note,) = notes
+    found = re.match(r"samples 4 to (\d+) are doubted: /plant/sample was published by (.+), and a twin", note)
+    assert found, note
+    assert 4 <= int(found[1]) <= sent - 1
+    assert doubted in found[2]
 
 
 @pytest.mark.parametrize("after", [0.7, 1.5])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import json
 import os
 import re
@@ -33,10 +34,11 @@ from tests.support.recorded import wait_for_recorded
 from tests.support.ros import Listener, listening
 from tests.support.waiting import PATIENCE, wait_for
 from twinmatch.emulation.faults import tell
+from twinmatch.nodes.topics import EVERYTHING
 from twinmatch.offline.verification import verify_session
 from twinmatch.sessions import read_session
 from twinmatch.sessions.recording import repair_session
-from twinmatch_msgs.msg import Forecast
+from twinmatch_msgs.msg import Forecast, LoopSample
 
 LIVE = LAUNCH_SCRIPTS / "live.py"
 CHILDREN = ("rig", "twin", "recorder", "plant_clock", "virtual_rig")
@@ -246,6 +248,33 @@ def test_a_forged_clock_costs_the_run_nothing_or_the_drive_until_its_fault_is_cl
     assert "Traceback" not in run.text
     indices = [sample.index for sample in read_session(run.session).samples]
     assert len(indices) > 3
+
+
+@pytest.mark.slow
+def test_a_session_that_took_forged_samples_says_which_it_doubts(live_run: Callable[..., LiveRun]) -> None:
+    """Of two samples of one index the twin may take one and the recorder the other."""
+    with listening() as listener:
+        heard = listener.hear(LoopSample, "plant/sample", EVERYTHING)
+        run = live_run()
+        listener.spin_until(lambda: len(heard) > 20, "samples")
+        assert listener.samples
+        first = heard[-1].index
+        while heard[-1].index < first + 30:
+            forged = copy.deepcopy(heard[-1])
+            forged.index += 1
+            forged.header.stamp.sec += 60
+            forged.output[0] += 0.1
+            listener.samples.publish(forged)
+            before = len(heard)
+            listener.spin_until(lambda before=before: len(heard) > before + 1, "the next one")
+        last = heard[-1].index
+        listener.node.destroy_publisher(listener.samples)
+        assert run.process.wait() == 0, run.text
+    assert "Traceback" not in run.text
+    doubted = [note for note in verify_session(run.session).notes if "are doubted" in note]
+    found = [re.match(r"samples (\d+) to (\d+) are doubted: /plant/sample", note) for note in doubted]
+    assert any(m and int(m[1]) < last and int(m[2]) >= last - 1 for m in found), doubted
+    assert "controller and listener" in " ".join(doubted)
 
 
 @pytest.mark.slow

@@ -46,7 +46,7 @@ AGREEING: Final = 3
 ALONE: Final = 2.0
 """Time since a second publisher was last there, wall s: until then a message of his may still be queued."""
 
-_UNKNOWN: Final = "_NODE_NAME_UNKNOWN_"
+UNKNOWN: Final = "_NODE_NAME_UNKNOWN_"
 """What rmw gives for a publisher that it knows before its node."""
 _FIGURES: Final = re.compile(r"[−-]?[\d.,]+(e[-+]\d+)?")
 
@@ -169,7 +169,7 @@ class Entrance:
             names = " or ".join(sorted(found)) or "a node that is gone"
             if len(found) > MOST_NAMES:
                 names = f"one of {len(found)} nodes; ros2 topic info -v {topic} lists them"
-            names = "" if _UNKNOWN in found else names
+            names = "" if UNKNOWN in found else names
             self._senders[topic] = time.monotonic(), names
         return names
 
@@ -196,7 +196,8 @@ class Course:
         that is alone may do what it likes; `publishers` returns who they are now."""
         self.second: Callable[[], bool] = lambda: False
         """Whether a second publisher is there or was since the last call; must know it before its message."""
-        self._departs, self._publishers, self._owned = departs, publishers, owned
+        self.owned = owned
+        self._departs, self._publishers = departs, publishers
         self._before: Any = None
         self._at = 0.0
         self._owners: frozenset[bytes] = frozenset()
@@ -232,7 +233,7 @@ class Course:
         if self._refused and self._departs(self._refused[-1], message, math.inf):
             self._refused.clear()
         self._refused.append(message)
-        agree = len(self._refused) >= AGREEING and (alone or not self._owned)
+        agree = len(self._refused) >= AGREEING and (alone or not self.owned)
         return agree or self._replaced(now)
 
     def _replaced(self, now: float) -> bool:

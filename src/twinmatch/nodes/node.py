@@ -226,7 +226,7 @@ class TwinmatchNode(Node):
         course = self.entrance.course(msg_type, topic)
         take = self.entrance.before(msg_type, topic, callback, course, raw=options.get("raw", False))
         made = super().create_subscription(msg_type, topic, take, qos_profile, **(options | {"raw": True}))
-        if course is not None:
+        if course is not None and course.owned:
             course.second = second_publisher(made)
         return made
 

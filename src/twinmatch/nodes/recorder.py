@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import sys
 import threading
@@ -17,6 +18,7 @@ from rcl_interfaces.srv import GetParameters, ListParameters
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.parameter import parameter_value_to_python
 
+from twinmatch.nodes.doubts import Doubts
 from twinmatch.nodes.health import Level, Report
 from twinmatch.nodes.node import TwinmatchNode, Worker
 from twinmatch.nodes.past import CatchingUp, RecorderPast
@@ -24,7 +26,7 @@ from twinmatch.nodes.topics import Following, offered, wanted
 from twinmatch.parameters.declared import Setting, given_to, parameters_of
 from twinmatch.sessions import Recording, RecordingLimits, SessionError, Topic
 from twinmatch.sessions.documents import DocumentError, read_text
-from twinmatch.sessions.messages import schema_of
+from twinmatch.sessions.messages import decode_sample, schema_of
 from twinmatch.sessions.metadata import CANDIDATES, CONTINUES, parameters_record
 
 RHYTHM = 10
@@ -220,6 +222,7 @@ class RecorderNode(TwinmatchNode):
         self._settings = NodeSettings(self, self._record)
         names = [self.resolve_topic_name(n) for n in ("plant/sample", "twin/match", "twin/model_score")]
         self._past = past = RecorderPast(names, self._keep)
+        self._judged, self._doubts = names, Doubts(self, self._record)
         CatchingUp(
             self,
             past.stream,
@@ -249,6 +252,7 @@ class RecorderNode(TwinmatchNode):
             return True
         self.report_now()
         if self.failure is None:
+            self._doubts.look(math.inf)
             self._past.finish()
             self.worker.put(self._leave)
             if not self._left.wait(LEAVE) and self.failure is None:
@@ -279,6 +283,7 @@ class RecorderNode(TwinmatchNode):
         for name, kinds in self.get_topic_names_and_types():
             if wanted(name, namespace, self.values["also"], self.values["leave_out"]):
                 self._subscribe(name, kinds)
+        self._doubts.look(time.monotonic())
         self._settings.ask()
 
     def _subscribe(self, name: str, kinds: list[str]) -> None:
@@ -304,10 +309,15 @@ class RecorderNode(TwinmatchNode):
             message_lost=partial(self._on_lost, name), use_default_callbacks=False
         )
         take = partial(self._on_message, name)
-        self._following.subscribe(name, kind, publishers, take, event_callbacks=lost)
+        reader = self._following.subscribe(name, kind, publishers, take, event_callbacks=lost)
+        if name in self._judged:
+            self._doubts.watch(name, reader)
 
     def _on_message(self, name: str, data: bytes) -> None:
-        self._arrivals[name].push(time.monotonic())
+        arrived = time.monotonic()
+        self._arrivals[name].push(arrived)
+        if name == self._judged[0]:
+            self._doubts.sample(decode_sample(data).index, arrived)
         now = self.get_clock().now().nanoseconds
         if self._past.take(name, data, now):
             self._keep(name, data, now)

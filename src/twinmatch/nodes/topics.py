@@ -152,8 +152,8 @@ class Following:
 
     def subscribe(
         self, name: str, kind: str, publishers: Sequence[Any], take: Callable[[Any], None], **options: Any
-    ) -> None:
-        """Subscribe with the QoS that all publishers offer, unless that is done already.
+    ) -> Any:
+        """The subscription with the QoS that all publishers offer, made unless it is there already.
 
         Raises:
             MessageTypeError: the type is not installed.
@@ -161,12 +161,13 @@ class Following:
         profile = profile_of(offered(publishers))
         known, reader = self._readers.get(name, (None, None))
         if known == profile:
-            return
+            return reader
         sent = message_class(kind)
         if reader is not None:
             self._node.destroy_subscription(reader)
         reader = self._node.create_subscription(sent, name, take, profile, **self._options, **options)
         self._readers[name] = profile, reader
+        return reader
 
 
 _OURS: Final = ("/plant/", "/twin/", "/thermal/")

@@ -23,6 +23,8 @@ SAMPLED = "map.reference"
 """Parameter of the sampler with the topic of the set-points; empty: there are none."""
 CONTINUES = "twinmatch/continues"
 """Record with the name of the `session` that another recorder of the same run began."""
+DOUBT = "twinmatch/doubt/"
+"""Records of samples during which a `topic` had several `publishers`: the `first`, the `last` once known."""
 PARAMETERS = "twinmatch/parameters"
 CANDIDATES = "twinmatch/candidates"
 """Record with the `text` of the discriminator's file of initial candidates; empty: it was not readable."""
@@ -157,6 +159,21 @@ def _dump(value: object) -> str:
     import yaml  # noqa: PLC0415 - reading a session's samples needs no YAML
 
     return str(yaml.safe_dump(value, sort_keys=False))
+
+
+def doubt_record(number: int) -> str:
+    """Name of the record of a doubt, from 1."""
+    return f"{DOUBT}{number}"
+
+
+def doubts(records: Mapping[str, Mapping[str, str]]) -> list[str]:
+    """Which samples of a session are doubted, as sentences."""
+    return [
+        f"samples {one.get('first')} to {one.get('last') or 'the last'} are doubted: {one.get('topic')} was "
+        f"published by {one.get('publishers')}, and a twin may have taken others than are recorded"
+        for name, one in records.items()
+        if name.startswith(DOUBT)
+    ]
 
 
 def parameters_record(node: str) -> str:

@@ -28,7 +28,15 @@ from twinmatch.sessions.messages import (
     decode_sample,
     fields_of,
 )
-from twinmatch.sessions.metadata import CONTINUES, METADATA, files_listed, has_reference, mcap_files, plant_of
+from twinmatch.sessions.metadata import (
+    CONTINUES,
+    METADATA,
+    doubts,
+    files_listed,
+    has_reference,
+    mcap_files,
+    plant_of,
+)
 from twinmatch.sessions.resampling import rounded_period
 from twinmatch.sessions.scan import Scan, messages_of
 from twinmatch.signals import Sample, Window
@@ -205,7 +213,7 @@ def _joined(found: Sequence[Session], path: Path, notes: Sequence[str]) -> Sessi
         topics=list(topics.values()),
         counts={name: counts[name] for name in topics},
         end=max(session.end for session in (whole, *later)),
-        notes=[*notes, *whole.notes],
+        notes=[*notes, *whole.notes, *(note for session in later for note in doubts(session.records))],
         source=source,
     )
 
@@ -257,7 +265,13 @@ def _read(path: Path, topic: str | None, progress: ProgressCallback | None) -> S
         counts={known.name: counts[known.name] for known in topics},
         start=start,
         end=end,
-        notes=[*notes, *(_extent(fault, samples) for fault in faults), *_gaps(samples), *_clock(samples)],
+        notes=[
+            *notes,
+            *(_extent(fault, samples) for fault in faults),
+            *_gaps(samples),
+            *_clock(samples),
+            *doubts(records),
+        ],
         source=lambda: map(current, messages_of(files)),
         records=records,
         plant=plant_of(records),

@@ -1,0 +1,96 @@
+"""Which samples of a session are doubted: those during which somebody else published what the twin judges.
+
+Messages of two publishers reach each node in an order of its own, so of two samples of one index the twin may
+take one and the recorder the other. Nobody can tell afterwards; when it may have happened can be told.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from rclpy.node import Node
+
+from twinmatch.nodes.entrance import ALONE, UNKNOWN, second_publisher
+from twinmatch.sessions.metadata import doubt_record
+
+Tell = Callable[[str, Mapping[str, str]], None]
+"""Takes the name and the values of a record of the session."""
+
+
+@dataclass
+class _Topic:
+    """A topic that should have one publisher."""
+
+    second: Callable[[], bool]
+    seen: dict[bytes, str]
+    """The names of its publishers: now, or since a second one came."""
+    since: int | None = None
+    """Newest sample when a second publisher came; None: there is none."""
+    until: float = 0.0
+    """Until when its messages may arrive, wall s."""
+    told: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def names(self) -> list[str]:
+        """Different names of its publishers; a node that was restarted has the name of the one before."""
+        known = {"a node that is gone" if name == UNKNOWN else name for name in self.seen.values()}
+        return sorted(known | ({"a node that is gone"} if len(self.seen) < 2 else set()))
+
+
+class Doubts:
+    """Records for which samples a topic had publishers of different names."""
+
+    def __init__(self, node: Node, tell: Tell) -> None:
+        """Nothing is watched yet."""
+        self._node, self._tell = node, tell
+        self._topics: dict[str, _Topic] = {}
+        self._index = self._number = 0
+
+    def watch(self, topic: str, subscription: Any) -> None:
+        """Watch a topic, through the newest subscription to it."""
+        known = self._topics.get(topic)
+        if known is None:
+            self._topics[topic] = _Topic(second_publisher(subscription), self._publishers(topic))
+        else:
+            known.second = second_publisher(subscription)
+
+    def sample(self, index: int, now: float) -> None:
+        """Take the index of the newest sample; `now` in wall s."""
+        self.look(now)
+        self._index = index
+
+    def look(self, now: float) -> None:
+        """Look who publishes, wall s."""
+        for name, topic in self._topics.items():
+            if topic.second():
+                topic.since = self._index if topic.since is None else topic.since
+                topic.until = now + ALONE
+            if topic.since is None:
+                continue
+            known = {one: called for one, called in topic.seen.items() if called != UNKNOWN}
+            topic.seen |= self._publishers(name) | known
+            over = now > topic.until
+            if over or UNKNOWN not in topic.seen.values():
+                self._note(name, topic, str(self._index) if over else "")
+            if over:
+                topic.since, topic.told, topic.seen = None, {}, self._publishers(name)
+
+    def _note(self, name: str, topic: _Topic, last: str) -> None:
+        if len(topic.names) < 2 or (len(topic.seen) < 2 and not last):
+            return
+        if not topic.told:
+            self._number += 1
+        found = {
+            "topic": name,
+            "publishers": " and ".join(topic.names),
+            "first": str(topic.since),
+            "last": last,
+        }
+        if found != topic.told:
+            topic.told = found
+            self._tell(doubt_record(self._number), found)
+
+    def _publishers(self, topic: str) -> dict[bytes, str]:
+        return {bytes(i.endpoint_gid): i.node_name for i in self._node.get_publishers_info_by_topic(topic)}
