@@ -25,7 +25,7 @@ from twinmatch.dynamics import (
     advance,
     begin,
     forecast_loop,
-    gains_of,
+    law_of,
     simulate_closed_loop,
 )
 from twinmatch.dynamics.equations import derive
@@ -121,7 +121,7 @@ def _observer(quick: bool) -> list[Row]:
 
 def _forecast(quick: bool) -> list[Row]:
     """The same mean and band by linearisation and by random runs."""
-    unsure, gains = MODEL.structure.free, gains_of(Peltier, 1.0)
+    unsure, law = MODEL.structure.free, law_of(Peltier, 1.0)
     states, reference = begin(RIG, 45.0), np.repeat([45.0, 55.0], 150)
     spread = np.array([0.05, 0.3, *(0.005 * MODEL.declared[name].scale for name in unsure)])
     rng, runs = np.random.default_rng(3), 20 if quick else 200
@@ -142,7 +142,7 @@ def _forecast(quick: bool) -> list[Row]:
             there = advance(plant, states + moved[:2], 0.0, 1.0)
             noise = SensorRealisation(0.1 * rng.standard_normal(reference.size), np.zeros(300, np.bool_), 0.0)
             outputs[k] = simulate_closed_loop(
-                plant, reference, states=there, gains=gains, sensor=noise
+                plant, reference, states=there, law=law, sensor=noise
             ).output  # fmt: skip
         return np.asarray(outputs.var(axis=0))
 

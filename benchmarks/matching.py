@@ -40,7 +40,7 @@ FREE = MODEL.structure.free
 AMBIENT, RESISTANCE = START["ambient"], START["resistance"]
 LOOP_RESISTANCE, CURRENT_LIMIT = RESISTANCE + START["bridge_resistance"], START["current_limit"]
 VOLTS_PER_COUNT = START["supply"] / GAINS.high
-KP, KI, KD, KB, PERIOD, LIMIT = *GAINS.law[5:9], GAINS.period, GAINS.high
+KP, KI, KD, KB, PERIOD, LIMIT = *GAINS.code[5:9], GAINS.period, GAINS.high
 STEPS = 4
 """Runge–Kutta steps of the peers in each tick."""
 LOW, HIGH = (np.array([MODEL.declared[name].bounds[end] for name in FREE]) for end in (0, 1))

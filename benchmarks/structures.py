@@ -28,7 +28,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from twinmatch.dynamics import gains_of, simulate_window
+from twinmatch.dynamics import law_of, simulate_window
 from twinmatch.errors import TwinmatchError
 from twinmatch.fitting import Noise, StructureFit
 from twinmatch.plants import Peltier
@@ -52,7 +52,7 @@ def judged(fitted: StructureFit, hour: Window, half: int) -> Figures:
 
 def choices(hour: Window) -> str:
     """The choices made beside the plant over the hour, and the CPU time of all fits with them."""
-    fits = StructureFits(MODELS, Noise.of(Peltier), gains_of(Peltier, 1.0))
+    fits = StructureFits(MODELS, Noise.of(Peltier), law_of(Peltier, 1.0))
     schedule, chosen, costs = Schedule(), [], []
     for sample in samples_of(hour):
         trigger = schedule.push(sample)

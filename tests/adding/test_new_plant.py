@@ -214,7 +214,7 @@ def driven_by(gains: PidGains, *, has_reference: bool = True) -> Session:
     """A motor under steps that drive its input onto its limits."""
     motor = Motor.model().parameters()
     reference = np.repeat([0.0, 150.0, -120.0, 60.0, 200.0], 150)
-    run = simulate_closed_loop(motor, reference, states=begin(motor, 0.0), gains=gains)
+    run = simulate_closed_loop(motor, reference, states=begin(motor, 0.0), law=gains)
     y = run.output + 0.2 * np.random.default_rng(3).standard_normal(reference.size)
     samples = samples_of(Window(reference, y, np.asarray(run.input), period=0.05))
     return session_of(Path("run.csv"), tuple(samples), plant=Motor.name, has_reference=has_reference)
@@ -246,7 +246,7 @@ def test_the_rig_was_run_by_the_loop_in_its_file() -> None:
     assert [*loop_findings(session, Peltier, replace(Peltier.loop, integral=3.0))]
 
 
-DRIVEN = TwinSettings.of(Exchanger, "without", gains=None)
+DRIVEN = TwinSettings.of(Exchanger, "without", law=None)
 
 
 def recorded(structure: str) -> list[Sample]:

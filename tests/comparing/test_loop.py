@@ -186,7 +186,7 @@ def test_the_margin_ends_where_the_simulated_loop_does() -> None:
         """How much larger the last movements are than earlier ones, after a nudge of 1 mK."""
         reference = np.full(3000, 50.0)
         reference[2200:] += 1e-3
-        run = simulate_closed_loop(rig, reference, states=begin(rig, 50.0), gains=gains(k)).input
+        run = simulate_closed_loop(rig, reference, states=begin(rig, 50.0), law=gains(k)).input
         return float(np.ptp(run[2500:2600]) / np.ptp(run[2300:2400]))
 
     assert swing(0.97 * low) < 1.0 < swing(1.03 * high)

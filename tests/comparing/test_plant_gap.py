@@ -37,7 +37,7 @@ from twinmatch.dynamics import (
     PlantError,
     advance,
     begin,
-    gains_of,
+    law_of,
     linearised,
     rest_at,
     simulate_closed_loop,
@@ -47,7 +47,7 @@ from twinmatch.signals import FloatArray
 
 MODEL = Peltier.model()
 RICH = Peltier.model("sink with mass, free ambient, switched drive")
-GAINS = gains_of(Peltier, 1.0)
+GAINS = law_of(Peltier, 1.0)
 TERMS = LoopConditions(GAINS, spans_of(Peltier))
 POINTS = (30.0, 50.0, 70.0, 90.0)
 ONE = MODEL.parameters(seebeck=0.06, conductance=0.6, heat_capacity=28.0)
@@ -252,7 +252,7 @@ def test_it_ranks_how_differently_twins_behave() -> None:
         }
         sink = {"sink_heat_capacity": rng.uniform(200.0, 500.0), "sink_convection": rng.uniform(3.0, 8.0)}
         twins.append(RICH.parameters(**plate, **sink) if k % 2 else MODEL.parameters(**plate))
-    runs = [simulate_closed_loop(t, reference, states=begin(t, 30.0), gains=GAINS) for t in twins]
+    runs = [simulate_closed_loop(t, reference, states=begin(t, 30.0), law=GAINS) for t in twins]
     gaps = plant_gaps(twins, (30.0, 50.0, 75.0), TERMS).matrix
     apart, behaviour = [], []
     for i, j in itertools.combinations(range(len(twins)), 2):

@@ -48,7 +48,7 @@ from twinmatch.comparing.uncertainty import (
     fitting_scales,
     turn,
 )
-from twinmatch.dynamics import Parameters, PidGains, begin, gains_of, simulate_closed_loop
+from twinmatch.dynamics import Parameters, PidGains, begin, law_of, simulate_closed_loop
 from twinmatch.fitting import FittingError
 from twinmatch.plants import Peltier
 from twinmatch.signals import KELVIN, Window
@@ -297,7 +297,7 @@ RIGS = {
     "70 °C": MODEL.parameters(seebeck=0.055, conductance=0.55, heat_capacity=28.0),
     "90 °C": MODEL.parameters(seebeck=0.065, conductance=0.50, heat_capacity=22.0),
 }
-TERMS = LoopConditions(gains_of(Peltier, 1.0), spans_of(Peltier))
+TERMS = LoopConditions(law_of(Peltier, 1.0), spans_of(Peltier))
 COVARIANCE = np.diag([0.002, 0.03, 0.8]) ** 2
 """Of Seebeck coefficient, conductance and heat capacity, as a good window leaves them."""
 
@@ -320,7 +320,7 @@ def judged(
     nominal: str = "70 °C", factor: float = 1.0, gains: PidGains | None = None, family: int = 3
 ) -> Certainty:
     candidates = [scored(name, rig) for name, rig in RIGS.items()][:family]
-    terms = TERMS if gains is None else TERMS._replace(gains=gains)
+    terms = TERMS if gains is None else TERMS._replace(law=gains)
     known = twins(factor)[:family]
     return judge_uncertainty(candidates, known, gaps(known), nominal, terms)
 
@@ -332,7 +332,7 @@ def smallest_sum() -> str:
 def test_every_field_is_filled_with_what_its_source_says() -> None:
     found = judged()
     known = family_uncertainty(twins(), gaps(twins()), TERMS)
-    nominal, controller = loop_plant(RIGS["70 °C"], 70.0), loop_controller(gains_of(Peltier, 1.0))
+    nominal, controller = loop_plant(RIGS["70 °C"], 70.0), loop_controller(law_of(Peltier, 1.0))
     for k, (candidate, rig) in enumerate(zip(found.candidates, RIGS.values(), strict=True)):
         plant = loop_plant(rig, candidate.operating_point)
         assert candidate.margin == stability_margin(plant, controller)
@@ -376,7 +376,7 @@ def test_how_certain_the_choice_is_in_words(
 
 
 def test_a_single_candidate_leaves_no_choice() -> None:
-    margin = stability_margin(loop_plant(RIGS["50 °C"], 50.0), loop_controller(gains_of(Peltier, 1.0)))
+    margin = stability_margin(loop_plant(RIGS["50 °C"], 50.0), loop_controller(law_of(Peltier, 1.0)))
     assert judged("50 °C", family=1).certainty == (
         "50 °C is the only candidate; the controller stabilises it and every plant "
         f"within a ν-gap of {margin:.2f}"

@@ -25,13 +25,13 @@ from twinmatch.comparing import (
 )
 from twinmatch.comparing.uncertainty import covariance_root
 from twinmatch.comparing.verdict import DECIDED_FROM
-from twinmatch.dynamics import Parameters, begin, gains_of, simulate_closed_loop
+from twinmatch.dynamics import Parameters, begin, law_of, simulate_closed_loop
 from twinmatch.fitting import match
 from twinmatch.plants import Peltier
 from twinmatch.signals import FloatArray, Window
 
 MODEL = Peltier.model()
-TERMS = LoopConditions(gains_of(Peltier, 1.0), spans_of(Peltier))
+TERMS = LoopConditions(law_of(Peltier, 1.0), spans_of(Peltier))
 POINTS = (30.0, 50.0, 70.0, 85.0)
 RIGS = (
     MODEL.parameters(seebeck=0.060, conductance=0.60, heat_capacity=28.0),

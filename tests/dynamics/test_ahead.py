@@ -25,7 +25,7 @@ from twinmatch.dynamics import (
     advance,
     begin,
     forecast_loop,
-    gains_of,
+    law_of,
     rest_at,
     simulate_closed_loop,
     simulate_driven,
@@ -64,7 +64,7 @@ def drawn_at_random(case: Case, inputs: Array | None) -> Array:
     """Readings and commands of many runs of the nonlinear loop, shape (2, runs, N)."""
     base, unsure, joint, drift, first, gains, reference = case
     rng, n, size = np.random.default_rng(11), len(base.model.states), reference.size
-    law, memory = (gains.law, np.array(first["controller"])) if inputs is None else (NO_LAW, np.zeros(0))
+    law, memory = (gains.code, np.array(first["controller"])) if inputs is None else (NO_LAW, np.zeros(0))
     references = (reference if inputs is None else inputs)[:, None]
     spread, found = np.asarray(drift) * math.sqrt(gains.period), np.empty((2, RUNS, size))
     for run, moved in enumerate(rng.multivariate_normal(np.zeros(joint.shape[0]), joint, RUNS)):
@@ -100,7 +100,7 @@ def peltier_case(model: Any) -> Case:
     rest = rest_at(base, 45.0)
     first = {"states": rest.states, "input": rest.input, "controller": PidState(rest.input, 0.0)}
     reference = np.concatenate([np.full(40, 45.0), np.full(110, 47.0)])
-    return base, unsure, joint, np.array([0.02, 0.03][:n]), first, gains_of(Peltier, 1.0), reference
+    return base, unsure, joint, np.array([0.02, 0.03][:n]), first, law_of(Peltier, 1.0), reference
 
 
 def motor_case(share: float = 0.02, high: float = 24.0) -> Case:
@@ -108,7 +108,7 @@ def motor_case(share: float = 0.02, high: float = 24.0) -> Case:
     joint = scattered(unsure, base, [0.3], share)
     rest = rest_at(base, 100.0)
     first = {"states": rest.states, "input": rest.input, "controller": PidState(rest.input, 0.0)}
-    gains = dataclasses.replace(gains_of(Motor, 0.05), high=high)
+    gains = dataclasses.replace(law_of(Motor, 0.05), high=high)
     return base, unsure, joint, np.array([0.5]), first, gains, np.repeat([100.0, 130.0], 60)
 
 
@@ -116,14 +116,14 @@ def tank_case() -> Case:
     base, unsure = Tank.model().parameters(), ["hole", "area"]
     rest = rest_at(base, 1.2)
     first = {"states": rest.states, "input": rest.input, "controller": PidState(rest.input, 0.0)}
-    gains, joint = gains_of(Tank, 1.0), scattered(unsure, base, [0.03], 0.01)
+    gains, joint = law_of(Tank, 1.0), scattered(unsure, base, [0.03], 0.01)
     return base, unsure, joint, np.array([0.03]), first, gains, np.repeat([1.2, 1.5], [20, 60])
 
 
 def foretold(case: Case, inputs: Array | None) -> LoopForecast:
     """The same by small movements."""
     base, unsure, joint, drift, first, gains, reference = case
-    loop = {"reference": reference, "gains": gains} if inputs is None else {"inputs": inputs}
+    loop = {"reference": reference, "law": gains} if inputs is None else {"inputs": inputs}
     return forecast_loop(
         base, covariance=joint, drift=drift, unsure=unsure, period=gains.period, **first, **loop,
     )  # fmt: skip
@@ -194,11 +194,11 @@ def test_the_mean_is_the_simulation_to_the_last_bit(structure: str) -> None:
 def test_disturbances_ahead_act_from_the_newest_sample_on() -> None:
     motor, states = MOTOR.parameters(), np.array([100.0])
     loads = np.linspace(0.0, 0.05, 61)[:, None]
-    given_ = {"states": states, "covariance": np.eye(1), "input": 6.0, "drift": [0.1], "gains": Motor.loop}
+    given_ = {"states": states, "covariance": np.eye(1), "input": 6.0, "drift": [0.1], "law": Motor.loop}
     found = forecast_loop(motor, reference=np.full(60, 100.0), disturbances=loads, **given_)
     there = advance(motor, states, 6.0, 0.05, loads[0])
     run = simulate_closed_loop(
-        motor, np.full(60, 100.0), states=there, gains=Motor.loop, disturbances=loads[1:]
+        motor, np.full(60, 100.0), states=there, law=Motor.loop, disturbances=loads[1:]
     )
     np.testing.assert_array_equal(found.outputs[:, 0], run.output)
     held = forecast_loop(motor, reference=np.full(60, 100.0), disturbances=[0.02], **given_)
@@ -211,11 +211,11 @@ def test_disturbances_ahead_act_from_the_newest_sample_on() -> None:
 def test_a_linear_loop_is_its_matrices(swift: float) -> None:
     """A lag under PI control: the covariance of the whole loop by the textbook, sample by sample; what it
     moves in a sample is wrong by `swift` of it."""
-    lag, gains = Lag.model().parameters(gain=1.0, lag=4.0), PidGains(0.5, 0.2, 0.0, 1.0, -10.0, 10.0)
+    lag, law = Lag.model().parameters(gain=1.0, lag=4.0), PidGains(0.5, 0.2, 0.0, 1.0, -10.0, 10.0)
     noise, drift, first = 0.05, 0.03, 0.4
     found = forecast_loop(
         lag, states=np.zeros(1), covariance=[[first**2]], input=0.0, drift=[drift], reference=np.ones(400),
-        gains=gains, noise=noise, swift=swift,
+        law=law, noise=noise, swift=swift,
     )  # fmt: skip
     strays = swift * np.diff(found.outputs[:, 0], append=1.0)
     a = math.exp(-1.0 / 4.0)

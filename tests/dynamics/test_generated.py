@@ -45,7 +45,7 @@ def motor_run(p: Parameters, samples: int = 240, seed: int | None = 5) -> Window
     load = np.where(np.arange(samples) % 80 < 40, 0.0, 0.03)[:, None]
     sensor = None if seed is None else Sensor(noise=0.2).realise(samples, 0.05, seed)
     run = simulate_closed_loop(
-        p, reference, states=begin(p, 0.0), gains=Motor.loop, disturbances=load, sensor=sensor
+        p, reference, states=begin(p, 0.0), law=Motor.loop, disturbances=load, sensor=sensor
     )
     return Window(reference, run.output, run.input, period=0.05, disturbances=load)
 
@@ -63,7 +63,7 @@ def test_tangents_are_those_of_differences(model: object, closed: bool) -> None:
         run = simulate_closed_loop(base, reference, states=begin(base, 25.0))
         window = Window(reference, run.output, run.input)
     free = [*base.model.structure.free, base.model.names[-1]]
-    experiment = Experiment(base, free, window, free_starts=starts, gains=FROM_PLANT_FILE if closed else None)
+    experiment = Experiment(base, free, window, free_starts=starts, law=FROM_PLANT_FILE if closed else None)
     values = experiment.values_of(base)
     exact = experiment.tangents(values)
     # The derivatives share subexpressions with the rates, which rounds them another way.
@@ -111,21 +111,21 @@ def test_the_normal_equations_are_those_of_the_arrays(k: float, j: float, robust
 def test_noise_goes_round_the_loop(closed: bool, plant: str) -> None:
     """Sums over all samples at once, against the response to the noise of each sample by differences."""
     if plant == "motor":
-        base, gains = MOTOR.parameters(most=3.0), Motor.loop
+        base, law = MOTOR.parameters(most=3.0), Motor.loop
         window = motor_run(base, 90, None)
     elif plant == "tank":
-        base, gains = Tank.model().parameters(), Tank.loop
+        base, law = Tank.model().parameters(), Tank.loop
         reference = np.repeat([1.2, 0.6], 45)
         run = simulate_closed_loop(base, reference, states=begin(base, 1.0))
         window = Window(reference, run.output, run.input)
     else:
-        base, gains = Peltier.model("sink with mass").parameters(), Peltier.loop
+        base, law = Peltier.model("sink with mass").parameters(), Peltier.loop
         reference = np.repeat([30.0, 36.0], 45)
         run = simulate_closed_loop(base, reference, states=begin(base, 25.0))
         window = Window(reference, run.output, run.input)
     weights = (1.0, 0.02)
     experiment = Experiment(
-        base, base.model.structure.free, window, gains=gains if closed else None, weights=weights
+        base, base.model.structure.free, window, law=law if closed else None, weights=weights
     )
     found = experiment.tangents(experiment.values_of(base))
     weighed = found.by * np.array(weights)[:, None, None]
@@ -145,7 +145,7 @@ def test_noise_goes_round_the_loop(closed: bool, plant: str) -> None:
         sensor = Sensor().realise(size, window.period, 0)
         object.__setattr__(sensor, "noise", noise)
         run = simulate_closed_loop(
-            base, window.reference[2:], states=states, controller=experiment.controller, gains=gains,
+            base, window.reference[2:], states=states, controller=experiment.controller, law=law,
             disturbances=load, sensor=sensor,
         )  # fmt: skip
         return np.stack([run.output, run.input])

@@ -87,7 +87,7 @@ def test_a_recorded_observer_with_state_feedback_is_reproduced() -> None:
     _, r1, r2, q1, q2, t1, t2 = np.loadtxt(path, delimiter=",", skiprows=1, unpack=True)
     r, u, y = (np.ascontiguousarray(np.stack(pair, axis=1)) for pair in ((r1, r2), (q1, q2), (t1, t2)))
     law = lqg()
-    found, _ = commands_of(law.law, np.zeros(4), r, y)
+    found, _ = commands_of(law.code, np.zeros(4), r, y)
     assert np.max(np.abs(found - u)) < 7e-4
     controller, again = Controller(law), np.empty_like(u)
     for k in range(len(u)):
@@ -98,7 +98,7 @@ def test_a_recorded_observer_with_state_feedback_is_reproduced() -> None:
     # Picked up anywhere, its state follows from what it did.
     for first in (0, 777, 3000):
         window = Window(r, y, u).part(first, first + 60)
-        again, _ = commands_of(law.law, law.state(window), window.references[2:], window.outputs[2:])
+        again, _ = commands_of(law.code, law.state(window), window.references[2:], window.outputs[2:])
         np.testing.assert_allclose(again, window.inputs[2:], atol=0.05)
 
 
@@ -111,7 +111,7 @@ def test_the_derivatives_are_those_of_differences(law: Law, data: st.DataObject)
         np.array(data.draw(st.lists(numbers, min_size=n, max_size=n)))
         for n in (law.n_states, law.n_outputs, law.n_references)
     )
-    compiled_law, m = law.law, law.n_inputs
+    compiled_law, m = law.code, law.n_inputs
     tuned = np.array(sorted(law.GAINS.values()))
     low, high = compiled_law[3 : 3 + m], compiled_law[3 + m : 3 + 2 * m]
     u, after, slopes, of_gains = step_and_slopes(compiled_law, z, r, y, tuned)
@@ -180,12 +180,12 @@ def test_two_levels_move_their_switches_with_the_plant() -> None:
         runs = {
             sign: simulate_closed_loop(
                 tank.replace(**{name: tank[name] + sign * width}), reference,
-                states=begin(tank, 0.9 + shift), gains=law, controller=[0.0, 100.0, 0.9],
+                states=begin(tank, 0.9 + shift), law=law, controller=[0.0, 100.0, 0.9],
             )
             for sign in (-1, 0, 1)
         }  # fmt: skip
         window = Window(reference, runs[0].outputs, runs[0].inputs)
-        experiment = Experiment(tank, (name,), window, gains=law)
+        experiment = Experiment(tank, (name,), window, law=law)
         slopes.append(experiment.tangents(np.array([tank[name]])).by[0, :, 0].mean())
         for sign, found in means.items():
             found.append(runs[sign].output[2:].mean())
@@ -202,9 +202,9 @@ def test_unknown_gains_of_a_controller_are_found() -> None:
         high=[100.0, 80.0], period=2.0,
     )  # fmt: skip
     reference = np.repeat([[45.0, 38.0], [55.0, 40.0], [50.0, 48.0]], 60, axis=0)
-    run = simulate_closed_loop(rig, reference, states=begin(rig, [40.0, 35.0]), gains=law)
+    run = simulate_closed_loop(rig, reference, states=begin(rig, [40.0, 35.0]), law=law)
     window = Window(reference, run.outputs, run.inputs, period=2.0)
-    experiment = Experiment(rig, ("loss",), window, free_gains=("D[0,0]", "E[0,0]"), gains=law)
+    experiment = Experiment(rig, ("loss",), window, free_gains=("D[0,0]", "E[0,0]"), law=law)
     truth = experiment.values_of(rig)
     assert truth.tolist() == [rig["loss"], -4.0, 4.0]
     found = experiment.descend(

@@ -42,7 +42,7 @@ SET_POINTS = np.repeat([[45.0, 38.0], [55.0, 40.0], [50.0, 48.0]], 60, axis=0)
 
 
 def closed_loop() -> Window:
-    run = simulate_closed_loop(PLANT, SET_POINTS, states=begin(PLANT, [40.0, 35.0]), gains=LAW)
+    run = simulate_closed_loop(PLANT, SET_POINTS, states=begin(PLANT, [40.0, 35.0]), law=LAW)
     return Window(SET_POINTS, run.outputs, run.inputs, period=2.0)
 
 
@@ -68,7 +68,7 @@ def test_it_is_simulated_like_by_scipy() -> None:
 @pytest.mark.parametrize("closed", [True, False])
 def test_tangents_are_those_of_differences(closed: bool) -> None:
     window = closed_loop() if closed else driven()
-    experiment = Experiment(PLANT, MODEL.names, window, gains=LAW if closed else None)
+    experiment = Experiment(PLANT, MODEL.names, window, law=LAW if closed else None)
     values = experiment.values_of(PLANT)
     exact = experiment.tangents(values)
     assert exact.by.shape == (4, len(window) - 2, len(MODEL.names))
@@ -112,7 +112,7 @@ def test_its_linearisation_is_the_matrix_exponential() -> None:
 def test_driven_it_is_matched() -> None:
     """The estimates are within four standard errors of the truth, and those are the errors of 30 draws."""
     start = PLANT.replace(exchange=0.2, first_gain=0.1)
-    found = match(driven(0.1), start=start, gains=None)
+    found = match(driven(0.1), start=start, law=None)
     assert found.accepted, found.reason
     for j, name in enumerate(found.free):
         assert abs(found.parameters[name] - PLANT[name]) < 4.0 * found.standard_errors[j], name
@@ -122,14 +122,14 @@ def test_driven_it_is_matched() -> None:
 def test_the_noise_of_each_reading_is_followed_around_the_loop() -> None:
     """The sums are linear in the noise: their variance over random draws is that which is computed."""
     window = closed_loop().part(10, 70)
-    experiment = Experiment(PLANT, ("exchange", "second_gain"), window, gains=LAW)
+    experiment = Experiment(PLANT, ("exchange", "second_gain"), window, law=LAW)
     found = experiment.tangents(experiment.values_of(PLANT))
     weights = np.array([[1.0, 0.5, 0.02, 0.02], [2.0, 1.0, 0.04, 0.04]])
     sums, square = noise_scores(experiment, found, found.by * weights[0][:, None, None], weights)
     assert sums.shape == (2 * len(found.outputs), 2)
     assert math.isfinite(square)
     # The second output's noise, at one sample, through a run that is disturbed there.
-    k, bump, law = 20, 1e-5, LAW.law
+    k, bump, law = 20, 1e-5, LAW.code
     states = begin(PLANT, window.outputs[2], input=window.inputs[1])
     changes = []
     for sign in (1.0, -1.0):
@@ -175,12 +175,12 @@ def test_its_forecast_has_the_spread_of_random_runs() -> None:
     reference = np.tile([60.0, 55.0], (size, 1))
     reference[:, 0] += 1.0
     integral = np.linalg.solve(LAW.C, rest.inputs - LAW.offset)
-    common = {"states": rest.states, "gains": LAW, "controller": integral}
+    common = {"states": rest.states, "law": LAW, "controller": integral}
     found = forecast_loop(
         PLANT, covariance=np.diag([0.04, 0.09]), input=rest.inputs, drift=[0.02, 0.03], reference=reference,
         **common,
     )  # fmt: skip
-    run = simulate_closed_loop(PLANT, reference, states=rest.states, gains=LAW, controller=integral)
+    run = simulate_closed_loop(PLANT, reference, states=rest.states, law=LAW, controller=integral)
     np.testing.assert_allclose(found.outputs, run.outputs, atol=1e-9)
     rng, runs, strays = np.random.default_rng(3), [], np.array([0.02, 0.03]) * math.sqrt(2.0)
     for _ in range(400):
@@ -209,7 +209,7 @@ def test_what_is_for_one_loop_says_so() -> None:
         _ = driven().output
     with pytest.raises(PlantError, match="for 1 outputs and 1 inputs is given; the plant has 2 and 2"):
         simulate_closed_loop(
-            PLANT, SET_POINTS, states=begin(PLANT, [23.0, 23.0]), gains=PidGains(1.0, 0.0, 0.0, 1.0, 0.0, 1.0)
+            PLANT, SET_POINTS, states=begin(PLANT, [23.0, 23.0]), law=PidGains(1.0, 0.0, 0.0, 1.0, 0.0, 1.0)
         )
     with pytest.raises(PlantError, match=r"input has shape \(3,\); give 2 values per sample"):
         simulate_driven(PLANT, [1.0, 2.0, 3.0], states=begin(PLANT, [23.0, 23.0]))

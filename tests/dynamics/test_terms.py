@@ -75,7 +75,7 @@ def test_a_tank_runs_empty_by_torricellis_law() -> None:
 def test_a_match_finds_the_outflow_of_a_tank_that_ran_empty() -> None:
     """The exact root's derivative at zero is infinite, and infinity times zero is NaN."""
     _, window = emptied(0.2)
-    experiment = Experiment(Cask.model().parameters(), ("k", "a"), window, gains=None)
+    experiment = Experiment(Cask.model().parameters(), ("k", "a"), window, law=None)
     values = np.array([0.06, 0.21])
     exact = experiment.tangents(values)
     assert np.isfinite(exact.by).all()
@@ -148,20 +148,20 @@ def test_it_is_the_pade_approximation_of_the_tables(order: int) -> None:
 @pytest.mark.parametrize(("lag", "delay"), [(30.0, 8.0), (12.0, 5.5), (20.0, 20.0), (60.0, 3.0)])
 def test_a_delay_is_found_in_data_with_an_exact_one(lag: float, delay: float) -> None:
     window = recorded(0.8, lag, delay)
-    found = match(window, start=PIPE.parameters(), gains=None)
+    found = match(window, start=PIPE.parameters(), law=None)
     assert found.status.value == "accepted"
     # One per cent: the order of the approximation costs less than that while the delay is below the lag.
     assert found.parameters["gain"] == pytest.approx(0.8, rel=0.005)
     assert found.parameters["lag"] == pytest.approx(lag, rel=0.02)
     assert found.parameters["delay"] == pytest.approx(delay, rel=0.01)
-    without = match(window, start=Exchanger.model("without").parameters(), gains=None)
+    without = match(window, start=Exchanger.model("without").parameters(), law=None)
     assert without.status.value != "accepted" or without.parameters["lag"] > lag + 0.5 * delay
 
 
 def test_the_loop_with_a_delay_is_matched() -> None:
     truth = PIPE.parameters(gain=0.8, lag=30.0, delay=9.0)
     reference = np.repeat([30.0, 30.0, 50.0, 40.0, 60.0], 200)
-    run = simulate_closed_loop(truth, reference, states=begin(truth, 30.0, input=12.5), gains=Exchanger.loop)
+    run = simulate_closed_loop(truth, reference, states=begin(truth, 30.0, input=12.5), law=Exchanger.loop)
     # From where the loop has come to rest, since what was in the pipe before is taken to be constant.
     window = Window(reference[300:], run.output[300:], run.input[300:], period=PERIOD)
     found = match(window, start=PIPE.parameters(gain=1.0, lag=20.0, delay=5.0))
@@ -184,7 +184,7 @@ def test_a_constant_signal_is_not_changed(u: float, delay: float, lag: float, ga
 @given(delay=st.floats(4.0, 30.0), lag=st.floats(5.0, 100.0))
 def test_tangents_are_exact(delay: float, lag: float) -> None:
     window = recorded(0.8, 30.0, 8.0)
-    experiment = Experiment(PIPE.parameters(), ("gain", "lag", "delay"), window, gains=None)
+    experiment = Experiment(PIPE.parameters(), ("gain", "lag", "delay"), window, law=None)
     values = np.array([0.8, lag, delay])
     by = experiment.tangents(values).by[0]
     for j, step in enumerate((1e-5, 1e-3, 1e-3)):
@@ -207,7 +207,7 @@ def test_the_pipe_holds_what_was_commanded_before_the_start() -> None:
         after = advance(p, after, 0.0, PERIOD)
     assert read(p, after) == pytest.approx(60.0, abs=0.8)
     window = recorded(0.8, 30.0, 20.0)
-    run = simulate_window(p.replace(gain=0.8, lag=30.0), window, gains=None)
+    run = simulate_window(p.replace(gain=0.8, lag=30.0), window, law=None)
     assert abs(run.output[0] - window.output[2]) < 1e-9
     assert np.abs(run.output[:40] - window.output[2:42]).max() < 0.5  # noise, not a pipe that was empty
 

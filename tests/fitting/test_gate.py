@@ -391,4 +391,4 @@ def test_what_cannot_be_fitted_is_refused() -> None:
     with pytest.raises(FittingError, match="has 62 samples; the first 62 are not compared"):
         fit_structure([window.part(0, 61)], FULL)
     with pytest.raises(FittingError, match=r"controller runs every 0\.5 s"):
-        fit_structure([window], FULL, gains=replace(Peltier.loop, period=0.5))
+        fit_structure([window], FULL, law=replace(Peltier.loop, period=0.5))

@@ -189,14 +189,14 @@ def test_an_incumbent_with_a_moving_sink_gets_its_sink_fitted(record: Recorder) 
 def test_other_periods_are_matched_as_well() -> None:
     gains = replace(Peltier.loop, proportional=20.0, back_calculation=2.0, period=0.5)
     reference = np.repeat([30.0, 50.0, 40.0], 150)
-    whole = simulate_closed_loop(TRUTH, reference, states=begin(TRUTH, 30.0), gains=gains)
+    whole = simulate_closed_loop(TRUTH, reference, states=begin(TRUTH, 30.0), law=gains)
     window = Window(reference, whole.output, whole.input, period=0.5)
-    result = match(window, start=START, gains=gains)
+    result = match(window, start=START, law=gains)
     assert result.parameters["heat_capacity"] == pytest.approx(30.0, rel=1e-6)
     with pytest.raises(
         FittingError, match=r"controller runs every 1\.0 s but the window's samples come every 0\.5"
     ):
-        match(window, start=START, gains=Peltier.loop)
+        match(window, start=START, law=Peltier.loop)
 
 
 @pytest.mark.parametrize(
@@ -285,7 +285,7 @@ def spun(levels: tuple[float, ...] = (50.0, 150.0, 90.0), seed: int | None = 3) 
         TRUTH_ANY_PLANT,
         reference,
         states=begin(TRUTH_ANY_PLANT, 50.0),
-        gains=Motor.loop,
+        law=Motor.loop,
         disturbances=load,
         sensor=sensor,
     )

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from tests.support.plants import Motor
 from twinmatch.comparing import Candidate
-from twinmatch.dynamics import begin, gains_of, simulate_closed_loop
+from twinmatch.dynamics import begin, law_of, simulate_closed_loop
 from twinmatch.forecasting import (
     CONFIDENCE,
     NEAR,
@@ -50,7 +50,7 @@ def run(reference: FloatArray) -> Window:
 
 def forecaster() -> Forecaster:
     """One candidate, the plant itself, after `PAST`."""
-    made = Forecaster(gains_of(Peltier, 1.0))
+    made = Forecaster(law_of(Peltier, 1.0))
     made.enter([Candidate("rig", 50.0, RIG, None)])
     for sample in samples_of(run(PAST)):
         made.push(sample)
@@ -156,7 +156,7 @@ def test_a_snapshot_does_not_change_when_the_forecaster_continues() -> None:
 
 def test_who_is_not_there_cannot_be_asked() -> None:
     with pytest.raises(ForecastError, match="there is no candidate yet; the first comes with"):
-        Forecaster(gains_of(Peltier, 1.0)).snapshot().outlook()
+        Forecaster(law_of(Peltier, 1.0)).snapshot().outlook()
     with pytest.raises(ForecastError, match="no candidate 'nobody'; at this sample there are: rig"):
         forecaster().snapshot().outlook("nobody")
 
@@ -208,8 +208,8 @@ def test_a_level_that_is_passed_between_two_samples_is_reached() -> None:
 
 def test_an_overshoot_holds_only_behind_it() -> None:
     """The rig with too much integral gain: reached on the way up, held when it is back."""
-    rig, gains = Peltier.model().parameters(), dataclasses.replace(gains_of(Peltier, 1.0), integral=15.0)
-    run = simulate_closed_loop(rig, np.full(200, 60.0), states=begin(rig, 40.0), gains=gains)
+    rig, law = Peltier.model().parameters(), dataclasses.replace(law_of(Peltier, 1.0), integral=15.0)
+    run = simulate_closed_loop(rig, np.full(200, 60.0), states=begin(rig, 40.0), law=law)
     said = forecast(run.output, run.input)
     reached, settled = time_to_reach(said, 60.0, 0.2).expected, settling_time(said, 60.0, 0.2).expected
     assert reached is not None

@@ -242,17 +242,17 @@ def test_the_figures_of_the_end_are_those_of_all_samples_and_verdicts(
 ) -> None:
     samples, verdicts = judged
     holed = [s for s in samples if s.index not in {300, 301, *range(900, 906)}]
-    settings, gains = TwinSettings(), None
+    settings, law = TwinSettings(), None
     for given in (samples, holed):
         live = Live(LivePlan(Path("rig.yaml")))
-        live.bridge = Bridge(settings.gains, settings.schedule.gap)
+        live.bridge = Bridge(settings.law, settings.schedule.gap)
         for sample in given:
             live.take_sample(sample)
         for verdict in verdicts:
             live.verdicts.push(verdict)
-        found = conclude(live.verdicts, live.longest, gains)
-        expected = summarise(bridged(given, settings), verdicts, gains)
+        found = conclude(live.verdicts, live.longest, law)
+        expected = summarise(bridged(given, settings), verdicts, law)
         assert live.received == len(given)
         assert repr(found) == repr(expected)  # which makes nan equal to nan
         live.samples.close()
-    assert conclude(Tally(), lambda _: pytest.fail("nobody to hold it against"), gains).verdicts == 0
+    assert conclude(Tally(), lambda _: pytest.fail("nobody to hold it against"), law).verdicts == 0

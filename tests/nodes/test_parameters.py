@@ -231,7 +231,7 @@ def test_recorded_values_are_understood_under_the_names_they_had() -> None:
     }
     settings = settings_from(recorded_values("session", old))
     assert (settings.noise.output, settings.noise.input, settings.sensor.noise) == (0.2, 5.0, 0.3)
-    assert (settings.gains.low, settings.gains.high) == (-200.0, 200.0)
+    assert (settings.law.low, settings.law.high) == (-200.0, 200.0)
     assert settings.start == Peltier.model("sink with mass").parameters(
         sink_heat_capacity=250.0, sink_convection=6.0
     )
@@ -247,7 +247,7 @@ def test_a_plant_in_a_file_is_run_for_a_configuration_and_not_for_a_recording(tm
         recorded_values("session", {"plant": str(path)})
     settings = read_settings(twin_file(tmp_path, f'plant: "{path}"'))
     assert settings.plant.name == "block_configured"
-    assert settings.gains is None
+    assert settings.law is None
     again = recorded_values("session", {"plant": f"/elsewhere/{path.name}", "loop": "unknown"})
     assert settings_from(again) == settings
     assert values_of(settings)["plant"] == str(path)

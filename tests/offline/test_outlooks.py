@@ -32,7 +32,7 @@ def motor_samples() -> list[Sample]:
     load = 0.02 * np.sin(np.arange(reference.size) / 31.0)[:, None]
     sensor = Sensor(noise=0.2).realise(reference.size, 0.05, 3)
     run = simulate_closed_loop(
-        truth, reference, states=begin(truth, 0.0), gains=Motor.loop, sensor=sensor, disturbances=load
+        truth, reference, states=begin(truth, 0.0), law=Motor.loop, sensor=sensor, disturbances=load
     )
     return [
         Sample(k, k * 50_000_000, float(r), float(y), float(u), (float(d),))
@@ -198,7 +198,7 @@ def test_a_plant_needs_no_loop() -> None:
     assert Lag.model().parameters()["lag"] == 5.0
     level = np.full(30, 20.0)
     judged = judge_samples("still", samples_of(Window(level, level, level)), TwinSettings.of(Lag))
-    assert judged.settings.gains is None
+    assert judged.settings.law is None
     assert not judged.summary.closed
 
 

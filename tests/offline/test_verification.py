@@ -101,7 +101,7 @@ def judged(samples: list[Sample], outcomes: list[Outcome], monkeypatch: pytest.M
         settings=TwinSettings(),
         matches=tuple(o.match for o in outcomes if o.match is not None),
         verdicts=verdicts,
-        summary=summarise(samples, verdicts, TwinSettings().gains),
+        summary=summarise(samples, verdicts, TwinSettings().law),
     )
     monkeypatch.setattr("twinmatch.offline.verification.judge", lambda *_, **__: found)
 
@@ -251,7 +251,7 @@ def config(tmp_path: Path) -> Path:
 
 def test_parameters_say_that_the_loop_is_not_known(config: Path, tmp_path: Path) -> None:
     settings = read_settings(config)
-    assert settings == TwinSettings.of(Peltier, gains=None)
+    assert settings == TwinSettings.of(Peltier, law=None)
     assert settings_from(twin_values("again", values_of(settings))) == settings
     assert "pid.proportional" not in values_of(settings)
     wrong = tmp_path / "wrong.yaml"
@@ -262,7 +262,7 @@ def test_parameters_say_that_the_loop_is_not_known(config: Path, tmp_path: Path)
 
 def test_a_recorded_session_is_verified_bit_for_bit(tmp_path: Path) -> None:
     """Through messages and back: what is absent there is NaN."""
-    samples, settings = quarter_of_an_hour(), TwinSettings.of(Peltier, gains=None)
+    samples, settings = quarter_of_an_hour(), TwinSettings.of(Peltier, law=None)
     twin = Twin(settings)
     outcomes = [twin.push(sample) for sample in samples]
     found = verify_session(write_judged(tmp_path / "run", samples, outcomes, values_of(settings)))

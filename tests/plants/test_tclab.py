@@ -144,7 +144,7 @@ def test_real_kits_are_matched_in_open_loop(
     kit_recording: Callable[[str], Window], name: str, structure: str, most: float
 ) -> None:
     """Ten minutes over 40 °C; the readings come in steps of 0.32 °C."""
-    found = fit_structure([kit_recording(name)], TCLab.model(structure), gains=None)
+    found = fit_structure([kit_recording(name)], TCLab.model(structure), law=None)
     left = found.measured[0][0] - found.simulated[0][0]
     assert np.sqrt(np.mean(left**2)) < most
     assert found.parameters["heating"] == pytest.approx(0.009, rel=0.5)
@@ -163,7 +163,7 @@ def test_the_first_five_minutes_of_a_real_kit_forecast_the_next(
 ) -> None:
     """Under the heaters that came, steps of 30 to 80 %: with a third of the error that no change has."""
     whole = kit_recording(name)
-    found = fit_structure([whole.part(0, 299)], TCLab.model(structure), gains=None, informed=True)
+    found = fit_structure([whole.part(0, 299)], TCLab.model(structure), law=None, informed=True)
     run = simulate_driven(
         found.parameters,
         whole.input[299:],

@@ -201,7 +201,7 @@ def test_without_set_points_the_loop_is_taken_as_not_known(tmp_path: Path) -> No
     records = {PLANT: {"plant": "tclab", "reference": "none"}}
     session = read_session(write_session(tmp_path / "run", found.samples, records=records))
     assert (session.plant, session.has_reference) == ("tclab", False)
-    assert terms_from_files(session).settings.gains is None
+    assert terms_from_files(session).settings.law is None
 
 
 def test_a_few_odd_readings_are_those_of_a_sensor_that_failed(tmp_path: Path, heated: type[Plant]) -> None:

@@ -198,7 +198,7 @@ def test_matched_and_given_candidates_have_their_window_and_their_own_models(
 
 def test_matches_go_into_the_json_with_what_is_known_of_them(judged: Judged, samples: list[Sample]) -> None:
     matches, verdicts = judged
-    summary = summarise(samples, verdicts, TwinSettings().gains)
+    summary = summarise(samples, verdicts, TwinSettings().law)
     entry = json.loads(json.dumps(document("s", verdicts, summary, matches), allow_nan=False))
     (match,) = entry["matches"]
     assert match["status"] == "accepted"

@@ -358,7 +358,7 @@ def test_where_forecasts_held_is_rounded_to_the_inside_and_to_the_plants_places(
 
 
 MATCHED = [verdict(TrustLevel.TRUSTED, stands=False)]
-GAINS = TwinSettings().gains
+GAINS = TwinSettings().law
 
 
 def samples(count: int = 400) -> list[Sample]:

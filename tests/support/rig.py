@@ -27,6 +27,6 @@ def run(
     levels = np.array(reference, dtype=np.float64)
     realised = None if seed is None else SENSOR.realise(levels.size, GAINS.period, seed)
     found = simulate_closed_loop(
-        parameters, levels, states=begin(parameters, start), gains=GAINS, sensor=realised
+        parameters, levels, states=begin(parameters, start), law=GAINS, sensor=realised
     )
     return Window(levels, found.output, found.input, period=GAINS.period)

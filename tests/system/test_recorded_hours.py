@@ -104,7 +104,7 @@ def error(outlook: Outlook, reference: FloatArray, came: FloatArray) -> float:
 
 
 def answer(parameters: Parameters, reference: FloatArray, start: float) -> FloatArray:
-    run = simulate_closed_loop(parameters, reference, states=begin(parameters, start), gains=SETTINGS.gains)
+    run = simulate_closed_loop(parameters, reference, states=begin(parameters, start), law=SETTINGS.law)
     return np.stack([run.output, run.input])
 
 

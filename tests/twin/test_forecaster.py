@@ -25,7 +25,7 @@ TRUTH = rig(
     sink_convection=3.2,
 )
 PLAIN = rig(seebeck=0.05, conductance=0.55, heat_capacity=24.0)
-GAINS = TwinSettings().gains
+GAINS = TwinSettings().law
 
 
 def hour(seed: int, samples: int = 2400) -> list[Sample]:

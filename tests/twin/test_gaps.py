@@ -24,7 +24,7 @@ def judged(simulated_outcomes: list[Outcome]) -> list[Verdict]:
 
 def test_it_is_the_gap_between_the_candidates_plants(judged: list[Verdict]) -> None:
     last, settings = judged[-1], TwinSettings()
-    terms = LoopConditions(settings.gains, spans_of(Peltier), settings.schedule.span)
+    terms = LoopConditions(settings.law, spans_of(Peltier), settings.schedule.span)
     again = plant_gaps([c.parameters for c in last.candidates], last.nu_gap_points, terms)
     np.testing.assert_array_equal(last.nu_gap, again.matrix)
 
@@ -63,7 +63,7 @@ def test_what_matches_leave_open_makes_the_intervals(judged: list[Verdict]) -> N
 def test_the_nominal_plant_is_near_the_rig(judged: list[Verdict]) -> None:
     """The rig has a sink with mass, the candidates have none; a plate half as heavy is farther off."""
     last, settings = judged[-1], TwinSettings()
-    terms = LoopConditions(settings.gains, spans_of(Peltier), settings.schedule.span)
+    terms = LoopConditions(settings.law, spans_of(Peltier), settings.schedule.span)
     nominal = next(c.parameters for c in last.candidates if c.name == last.nominal)
     light = nominal.replace(heat_capacity=nominal["heat_capacity"] / 2)
     gaps = plant_gaps([RICH_RIG, nominal, light], last.nu_gap_points, terms).matrix

@@ -66,7 +66,7 @@ def test_the_law_says_when_a_set_point_moved_that_nobody_saw(
     """At a set-point step a PID's command jumps by many times what the noise of a reading makes of it."""
     for step in STEPS[:4]:
         for begin in range(step - length + 1, step + 1):
-            bridge_of = Bridge(TwinSettings().gains, LONGEST)
+            bridge_of = Bridge(TwinSettings().law, LONGEST)
             for sample in simulated_session[begin - 100 : begin]:
                 assert bridge_of.push(sample) == [sample]
             *lost, _ = bridge_of.push(simulated_session[begin + length])
@@ -92,7 +92,7 @@ def test_steps_that_fall_into_gaps_on_the_rig_are_found(recorded_hour: Callable[
         for first, length in (
             (k - early, early + late) for k in steps for early in (0, 1) for late in (1, 2)
         ):
-            bridge_of = Bridge(TwinSettings().gains, LONGEST)
+            bridge_of = Bridge(TwinSettings().law, LONGEST)
             for sample in samples[max(first - 80, 0) : first]:
                 bridge_of.push(sample)
             *lost, _ = bridge_of.push(samples[first + length])

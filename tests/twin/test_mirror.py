@@ -72,13 +72,13 @@ def test_a_gap_starts_both_twins_from_the_measured_temperature() -> None:
 
 
 def test_residuals_of_a_window() -> None:
-    window, gains = plant_run(), TwinSettings().gains
-    exact = residuals(RIG, window, gains)
+    window, law = plant_run(), TwinSettings().law
+    exact = residuals(RIG, window, law)
     assert exact.y < 1e-9
     assert exact.u < 1e-6
-    assert residuals(HELD(), window, gains).y > 1.0
-    assert np.isnan(residuals(RIG, window.part(0, 2), gains).y)
-    assert window_fit(RIG, window, gains) == pytest.approx((1.0, 1.0), abs=1e-6)
+    assert residuals(HELD(), window, law).y > 1.0
+    assert np.isnan(residuals(RIG, window.part(0, 2), law).y)
+    assert window_fit(RIG, window, law) == pytest.approx((1.0, 1.0), abs=1e-6)
 
 
 def test_nrmse() -> None:

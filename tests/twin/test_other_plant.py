@@ -21,7 +21,7 @@ def outcomes() -> list[Outcome]:
     """A minute of a motor that is asked for six speeds in turn."""
     reference = np.repeat([50.0, 150.0, 90.0, -60.0, 120.0, 30.0], 240)
     sensor = Sensor(noise=0.2).realise(reference.size, 0.05, 3)
-    run = simulate_closed_loop(TRUTH, reference, states=begin(TRUTH, 0.0), gains=Motor.loop, sensor=sensor)
+    run = simulate_closed_loop(TRUTH, reference, states=begin(TRUTH, 0.0), law=Motor.loop, sensor=sensor)
     twin = Twin(TwinSettings.of(Motor, period=0.05))
     return [
         twin.push(Sample(k, k * 50_000_000, float(r), float(y), float(u)))

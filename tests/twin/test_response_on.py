@@ -40,7 +40,7 @@ def test_the_true_twin_lies_on_the_plant_wherever_it_began(bed: float, box: floa
 
 def test_from_the_plant_files_states_it_would_be_off_for_the_whole_window() -> None:
     window = recorded(20.0, 3.0, noise=0.03)
-    filed = simulate_window(HEAVY, window, gains=None)
+    filed = simulate_window(HEAVY, window, law=None)
     assert np.sqrt(np.mean((filed.output - window.output[2:]) ** 2)) > 1.0
     of_output, of_input = window_fit(HEAVY, window, None)
     assert of_output > 0.97
@@ -68,5 +68,5 @@ def test_a_closed_loop_twin_begins_as_ever() -> None:
 def test_too_short_a_window_takes_the_plant_files_states(size: int) -> None:
     window = recorded(5.0, 1.0, size=size)
     np.testing.assert_array_equal(
-        response_on(HEAVY, window, None).output, simulate_window(HEAVY, window, gains=None).output
+        response_on(HEAVY, window, None).output, simulate_window(HEAVY, window, law=None).output
     )

@@ -54,7 +54,7 @@ def closed() -> Window:
 
 def matched() -> Candidate:
     window = driven().part(0, MATCHED - 1)
-    found = match(window, start=Heaters.model().parameters(), gains=None)
+    found = match(window, start=Heaters.model().parameters(), law=None)
     assert found.status.value == "accepted", found.reason
     free, covariance = found.of_parameters()
     return Candidate("matched", 40.0, found.parameters, window, free, covariance)
@@ -134,7 +134,7 @@ def test_a_loop_with_several_signals_is_forecast_with_its_commands() -> None:
     outlook, ahead = forecaster.outlook(), np.tile(window.references[-1], (100, 1))
     forecast = outlook.forecast(ahead)
     begun = advance(TRUTH, outlook.states, outlook.sample.inputs, PERIOD)
-    run = simulate_closed_loop(TRUTH, ahead, states=begun, gains=LAW, controller=outlook.controller)
+    run = simulate_closed_loop(TRUTH, ahead, states=begun, law=LAW, controller=outlook.controller)
     np.testing.assert_allclose([band.mean for band in forecast.outputs], run.outputs.T, atol=1e-9)
     np.testing.assert_allclose([band.mean for band in forecast.inputs], run.inputs.T, atol=1e-9)
     for band, low, high in zip(forecast.inputs, LAW.low, LAW.high, strict=True):
@@ -144,7 +144,7 @@ def test_a_loop_with_several_signals_is_forecast_with_its_commands() -> None:
 
 def test_the_structure_that_the_samples_support_is_chosen() -> None:
     models = [Heaters.model("apart"), Heaters.model("all")]
-    found = choose_structure(driven().part(0, 599), models, gains=None)
+    found = choose_structure(driven().part(0, 599), models, law=None)
     assert found.chosen == "all"
     apart, whole = found.scores
     assert [len(score.signals) for score in found.scores] == [2, 2]
@@ -152,7 +152,7 @@ def test_the_structure_that_the_samples_support_is_chosen() -> None:
         assert abs(found.parameters[free] - TRUTH[free]) < 4.0 * error, free
     assert np.isnan(whole.fit[1])
     assert whole.fit[0] > 0.95 > apart.fit[0]
-    looped = choose_structure(closed(), models, gains=LAW)
+    looped = choose_structure(closed(), models, law=LAW)
     assert looped.chosen == "all"
     assert len(looped.score.signals) == 4
     assert min(looped.score.fit) > 0.8
@@ -161,7 +161,7 @@ def test_the_structure_that_the_samples_support_is_chosen() -> None:
 def test_both_twins_run_beside_it() -> None:
     """A plant that is the twin leaves nothing, in closed loop nor driven."""
     steps = np.repeat([[45.0, 38.0], [55.0, 40.0]], 60, axis=0)
-    run = simulate_closed_loop(TRUTH, steps, states=begin(TRUTH, [40.0, 35.0]), gains=LAW)
+    run = simulate_closed_loop(TRUTH, steps, states=begin(TRUTH, [40.0, 35.0]), law=LAW)
     mirror, other = Mirror(TRUTH, LAW), Mirror(WRONG, None, period=PERIOD)
     for sample in samples_of(Window(steps, run.outputs, run.inputs, period=PERIOD)):
         state, alone = mirror.push(sample), other.push(sample)

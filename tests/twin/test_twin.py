@@ -47,9 +47,7 @@ def test_the_nominal_twin_follows_the_whole_session(
 ) -> None:
     last = verdicts_of(simulated_outcomes)[-1]
     nominal = next(c for c in last.candidates if c.name == last.nominal)
-    fit_y, fit_u = window_fit(
-        nominal.parameters, Window.from_samples(simulated_session), TwinSettings().gains
-    )
+    fit_y, fit_u = window_fit(nominal.parameters, Window.from_samples(simulated_session), TwinSettings().law)
     # The rig has a sink with mass, which the twin has not; the real rig's hours give 0.98 and 0.85.
     assert fit_y > 0.98
     assert fit_u > 0.85

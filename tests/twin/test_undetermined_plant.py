@@ -19,7 +19,7 @@ def outcomes() -> list[Outcome]:
     truth = Tank.model().parameters(area=5.0, hole=0.9)
     reference = np.repeat([0.8, 1.6, 1.1, 2.0, 0.7], 240)
     sensor = Sensor(noise=Tank.output.noise).realise(reference.size, 1.0, 4)
-    run = simulate_closed_loop(truth, reference, states=begin(truth, 0.8), gains=Tank.loop, sensor=sensor)
+    run = simulate_closed_loop(truth, reference, states=begin(truth, 0.8), law=Tank.loop, sensor=sensor)
     twin = Twin(TwinSettings.of(Tank, period=1.0))
     with np.errstate(divide="raise", invalid="raise"):
         return [

@@ -35,9 +35,9 @@ def scored(judgement: Judgement) -> list[Verdict]:
 
 def test_nobody_has_to_know_a_controller() -> None:
     assert Box.loop is None
-    assert SETTINGS.gains is None
-    assert TwinSettings.of(Motor, period=0.05).gains == Motor.loop
-    assert TwinSettings.of(Motor, period=0.05, gains=None).gains is None
+    assert SETTINGS.law is None
+    assert TwinSettings.of(Motor, period=0.05).law == Motor.loop
+    assert TwinSettings.of(Motor, period=0.05, law=None).law is None
     with pytest.raises(PlantError, match="its controller is not known"):
         simulate_closed_loop(TRUTH, [35.0] * 5, states=begin(TRUTH, 21.0))
 
@@ -132,10 +132,10 @@ def test_a_known_loop_may_be_taken_as_unknown() -> None:
     """A motor in its loop, judged without its controller: its input is all that is looked at."""
     truth = Motor.model("without friction").parameters(k=0.06, j=5e-4, b=2e-4)
     reference = np.repeat([50.0, 150.0, 90.0, -60.0, 120.0], 240)
-    run = simulate_closed_loop(truth, reference, states=begin(truth, 0.0), gains=Motor.loop)
+    run = simulate_closed_loop(truth, reference, states=begin(truth, 0.0), law=Motor.loop)
     rng = np.random.default_rng(5)
     output = run.output + Motor.output.noise * rng.standard_normal(reference.size)
-    twin = Twin(TwinSettings.of(Motor, period=0.05, gains=None))
+    twin = Twin(TwinSettings.of(Motor, period=0.05, law=None))
     matches, verdicts = [], []
     for k in range(reference.size):
         sample = Sample(k, k * 50_000_000, float(reference[k]), float(output[k]), float(run.input[k]), (0.0,))

@@ -100,7 +100,7 @@ def test_a_page_uses_the_plants_words(shown: Shown) -> None:
     state.describe(description_of(shown.plant))
     page, document = Tab(state, Nothing(), clock=lambda: 0.0), Document()
     page.build(document)
-    mirror = Mirror(judged.settings.start, judged.settings.gains)
+    mirror = Mirror(judged.settings.start, judged.settings.law)
     for sample in judged.samples:
         state.push_sample(sample, 0.0)
         twin = mirror.push(sample)

@@ -90,7 +90,7 @@ def check_data(session: Session, plant: type[Plant], show: Shown = lambda *_: No
         what = f"the recording lasts {y.size * session.period:g} s, less than twice the slowest time constant"
         todo = "record longer, or check the default of that parameter"
         findings.append(Finding(f"{what} ({lags[-1]:.3g} s)", todo))
-    findings += loop_findings(session, plant, terms.settings.gains)
+    findings += loop_findings(session, plant, terms.settings.law)
     faults = [verdict.reason for verdict in judgement.verdicts if verdict.fault]
     size = len(session.samples)
     show(f"fitting {len(plant.structures)} structures to {size} samples", size, size)
@@ -156,13 +156,11 @@ _SHARE: Final = 0.1
 """RMS error of the input, in standard deviations of the input, from which the loop is another one."""
 
 
-def loop_findings(session: Session, plant: type[Plant], gains: Law | None) -> Iterator[Finding]:
+def loop_findings(session: Session, plant: type[Plant], law: Law | None) -> Iterator[Finding]:
     """A finding if the declared controller does not give the recorded input from set-points and outputs."""
-    if gains is None or not session.has_reference:
+    if law is None or not session.has_reference:
         return
-    rms = root_mean_square(
-        [off for run in _runs(session.samples, gains.period) for off in _errors(run, gains)]
-    )
+    rms = root_mean_square([off for run in _runs(session.samples, law.period) for off in _errors(run, law)])
     usual, unit = float(np.std([sample.input for sample in session.samples])), plant.drive.unit
     if rms > max(_SHARE * usual, plant.drive.noise):  # not a number without such a run
         yield Finding(
@@ -183,15 +181,15 @@ def _runs(samples: Sequence[Sample], period: float) -> Iterator[Window]:
                 yield Window.from_samples(part, period)
 
 
-def _errors(run: Window, gains: Law) -> Iterator[FloatArray]:
+def _errors(run: Window, law: Law) -> Iterator[FloatArray]:
     """Input of the declared controller minus the recorded one, from its first two samples within limits on:
     the controller's state follows from those."""
-    within = [not gains.saturates(float(u)) for u in run.input]
+    within = [not law.saturates(float(u)) for u in run.input]
     begin = next((k for k in range(len(run) - _LEAST) if within[k] and within[k + 1]), None)
     if begin is None:
         return
     part = run.part(run.first + begin, run.last)
-    commands, _ = commands_of(gains.law, gains.state(part), part.references[2:], part.outputs[2:])
+    commands, _ = commands_of(law.code, law.state(part), part.references[2:], part.outputs[2:])
     yield only("input", commands) - part.input[2:]
 
 
@@ -219,7 +217,7 @@ def compare_structures(samples: Sequence[Sample], plant: type[Plant], settings: 
         return Compared([], [], math.nan)
     models = [plant.model(name) for name in names]
     try:
-        choice = choose_structure(windows, models, noise=settings.noise, gains=settings.gains)
+        choice = choose_structure(windows, models, noise=settings.noise, law=settings.law)
     except (FittingError, PlantError) as error:
         return Compared([], [f"the structures cannot be compared on this recording: {error}"], math.nan)
     used = sum(len(window) for window in windows)

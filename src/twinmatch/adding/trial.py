@@ -186,7 +186,7 @@ def _combinations(parameters: Parameters, free: tuple[str, ...]) -> list[_Combin
     trial = trial_for(parameters)
     _, window = run_trial(parameters, trial)
     starts = model.structure.free_starts
-    experiment = Experiment(parameters, free, window, free_starts=starts, gains=None)
+    experiment = Experiment(parameters, free, window, free_starts=starts, law=None)
     tangents = experiment.tangents(experiment.values_of(parameters)).by[0]
     if not np.isfinite(tangents).all():
         raise PlantError(f"{model.title}: the sensitivities of its output are not finite")

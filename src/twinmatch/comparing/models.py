@@ -121,14 +121,14 @@ def identify(
 
 
 def twin_response(
-    parameters: Parameters, window: Window, gains: Law | None, sensor: Sensor | None, seed: int
+    parameters: Parameters, window: Window, law: Law | None, sensor: Sensor | None, seed: int
 ) -> Window:
     """Simulate the twin on a window, in closed loop under its reference, or driven by its input without
-    gains, with the sensor.
+    a law, with the sensor.
 
     It starts at the window's third sample: the first two give the controller's state.
     """
-    response = simulate_window(parameters, window, gains=gains, sensor=sensor, seed=seed)
+    response = simulate_window(parameters, window, law=law, sensor=sensor, seed=seed)
     return Window(
         window.references[2:],
         response.outputs,

@@ -66,8 +66,8 @@ its phase matters."""
 class LoopConditions(NamedTuple):
     """The loop in which twins are held; hashable, so that results can be cached."""
 
-    gains: Law | None
-    """Gains of the controller; None if it is not known."""
+    law: Law | None
+    """The controller; None if it is not known."""
     scales: Scales
     """Scales of output and input."""
     samples: int = HOLD
@@ -83,15 +83,15 @@ def linearised_in_loop(parameters: Parameters, set_point: float, loop: LoopCondi
         DiscriminationError: the loop does not hold it: its states diverge.
         PlantError: the plant is too fast for the period; without a loop, no input holds it there.
     """
-    if loop.gains is None:
+    if loop.law is None:
         return linearised(parameters, float(set_point), loop.period)
     reference = np.full(loop.samples, float(set_point))
     run = simulate_closed_loop(
-        parameters, reference, states=begin(parameters, float(set_point)), gains=loop.gains
+        parameters, reference, states=begin(parameters, float(set_point)), law=loop.law
     )
     states, input_ = run.states[-2], float(run.input[-1])
     finite = np.isfinite(states).all() and np.isfinite(input_)
-    linear = linearised_at(parameters, states, input_, loop.gains.period) if finite else None
+    linear = linearised_at(parameters, states, input_, loop.law.period) if finite else None
     if linear is None or not all(np.isfinite(matrix).all() for matrix in linear[:3]):
         model = parameters.model
         msg = f"ν-gap: the loop of {model.title} does not hold it at {set_point:g} {model.plant.output.unit}"

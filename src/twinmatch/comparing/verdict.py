@@ -283,7 +283,7 @@ def judge_uncertainty(
         return Certainty(tuple(candidates), "")
     chosen = names.index(nominal)
     uncertainty = family_uncertainty(twins, gaps, loop, plant=plant, seed=seed)
-    every = with_margins(candidates, chosen, loop.gains)
+    every = with_margins(candidates, chosen, loop.law)
     scored = tuple(
         replace(
             c,
@@ -296,25 +296,25 @@ def judge_uncertainty(
         for k, c in enumerate(every[: len(twins)])
     )
     sentences = [_choice(scored, chosen)]
-    sentences += [_reach(scored, chosen)] if loop.gains is not None else []
+    sentences += [_reach(scored, chosen)] if loop.law is not None else []
     sentences += [f"not compared everywhere: {reason}" for reason in gaps.left_out[:1]]
     return Certainty((*scored, *every[len(twins) :]), "; ".join(sentences))
 
 
 def with_margins(
-    candidates: Sequence[CandidateScore], chosen: int, gains: Law | None
+    candidates: Sequence[CandidateScore], chosen: int, law: Law | None
 ) -> tuple[CandidateScore, ...]:
     """Add the running controller's margin for each candidate, and its ν-gap from the chosen one.
 
     A candidate that cannot be held at its operating point has none; without a known controller, none has.
     """
-    if not isinstance(gains, PidGains):
+    if not isinstance(law, PidGains):
         return tuple(candidates)
     try:
-        controller = loop_controller(gains)
+        controller = loop_controller(law)
     except TwinmatchError:  # the controller has no proportional part to scale by
         return tuple(candidates)
-    plants = [_plant(c, gains) for c in candidates]
+    plants = [_plant(c, law) for c in candidates]
     centre = plants[chosen]
     return tuple(
         replace(

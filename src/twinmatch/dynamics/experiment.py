@@ -17,10 +17,10 @@ from twinmatch.dynamics.runs import LeastSquares, Tangents
 from twinmatch.dynamics.simulation import (
     FROM_PLANT_FILE,
     SKIPPED,
-    LoopGains,
+    LoopLaw,
     Response,
-    gains_for,
-    law_of,
+    law_code,
+    law_for,
     n_references,
     signal_rows,
 )
@@ -55,7 +55,7 @@ class Experiment:
         *,
         free_starts: Sequence[str] = (),
         free_gains: Sequence[str] = (),
-        gains: LoopGains = FROM_PLANT_FILE,
+        law: LoopLaw = FROM_PLANT_FILE,
         weights: Sequence[float] | None = None,
         robust: bool = False,
         settle: int = 0,
@@ -71,7 +71,7 @@ class Experiment:
             free_starts: names of the states whose initial value is unknown.
             free_gains: names of the controller's unknown gains, such as "proportional" of a PID. Its state at
                 the start is that of the given gains.
-            gains: the running controller, None for the driven twin; default: the plant file's, at the
+            law: the running controller, None for the driven twin; default: the plant file's, at the
                 window's period.
             weights: weights of the residuals of outputs and inputs in the normal equations, shape (o + m,);
                 default: 1.
@@ -88,7 +88,7 @@ class Experiment:
         if len(window) <= SKIPPED:
             msg = f"{model.title}: the window has {len(window)} samples; the twin starts at the third"
             raise PlantError(msg)
-        loop = gains_for(model.plant, window.period, gains)
+        loop = law_for(model.plant, window.period, law)
         known_gains = {} if loop is None else loop.GAINS
         for names, known in ((free, model.names), (free_gains, known_gains), (free_starts, model.states)):
             unknown = [name for name in names if name not in known]
@@ -103,7 +103,7 @@ class Experiment:
                 f"{model.title}: the controller runs every {loop.period} s but the window's samples "
                 f"come every {window.period} s; give both the same period"
             )
-        law, memory = law_of(loop, None if loop is None else loop.state(window))
+        code, memory = law_code(loop, None if loop is None else loop.state(window))
         references = window.inputs if loop is None else window.references
         columns = n_references(model.plant, loop)
         self.measured = np.concatenate([window.outputs, window.inputs], axis=1)[SKIPPED:].T.copy()
@@ -124,7 +124,7 @@ class Experiment:
             started=_indices(model.states, self.free_starts),
             first=model.row_of("outputs", window.outputs[SKIPPED]),
             inputs_before=model.row_of("inputs", window.inputs[SKIPPED - 1]),
-            law=law,
+            law=code,
             tuned=np.array([known_gains[name] for name in self.free_gains], dtype=np.int64),
             memory=memory,
             references=signal_rows(model.title, "reference", references[SKIPPED:], columns),

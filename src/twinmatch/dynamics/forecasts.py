@@ -14,7 +14,7 @@ from twinmatch.dynamics.laws import LawCode
 from twinmatch.dynamics.loop import Law
 from twinmatch.dynamics.plant import Parameters
 from twinmatch.dynamics.runs import Tangents
-from twinmatch.dynamics.simulation import gains_of, law_of, n_references, signal_rows
+from twinmatch.dynamics.simulation import law_code, law_of, n_references, signal_rows
 from twinmatch.dynamics.variances import BANDED, MEAN, foresee, foresee_each, noise_effects
 from twinmatch.signals import FloatArray, finite
 
@@ -53,7 +53,7 @@ def forecast_loop(
     unsure: Sequence[str] = (),
     reference: ArrayLike | None = None,
     controller: ArrayLike | None = None,
-    gains: Law | None = None,
+    law: Law | None = None,
     inputs: ArrayLike | None = None,
     period: float = 1.0,
     disturbances: ArrayLike | None = None,
@@ -77,7 +77,7 @@ def forecast_loop(
         unsure: names of the parameters in the covariance.
         reference: set-points from the next sample on, shape (N,) or (N, r): the closed loop.
         controller: state of the controller after the newest sample.
-        gains: the controller; default: the plant file's, at 1 s.
+        law: the controller; default: the plant file's, at 1 s.
         inputs: u from the next sample on, shape (N,) or (N, m), instead of a reference: the driven plant.
         period: sample time of a driven plant, s; for the loop the controller's is used.
         disturbances: constant, shape (d,), or from the newest sample on, shape (N + 1, d).
@@ -91,7 +91,7 @@ def forecast_loop(
     if (reference is None) == (inputs is None):
         title = parameters.model.title
         raise PlantError(f"{title}: a forecast takes set-points ahead or inputs ahead; give one of the two")
-    loop = None if reference is None else gains or gains_of(parameters.model.plant, 1.0)
+    loop = None if reference is None else law or law_of(parameters.model.plant, 1.0)
     known = Foresight([(parameters, unsure)], loop, drift=[drift], period=period, noise=noise, swift=swift)
     now = known.at([states], [covariance], input, controller)
     return known.ahead(now, inputs if reference is None else reference, disturbances, banded=banded)
@@ -174,7 +174,7 @@ class Foresight:
             found[i, :n] = _fit(title, "states", states[i], (n,))
             joints[i, : (n + k) ** 2] = _fit(title, "covariance", covariances[i], (n + k, n + k)).ravel()
         u = _fit(title, "newest input", np.atleast_1d(input), (len(self._model.plant.drives),))
-        return TwinsNow(found, joints, u, *law_of(self._loop, controller))
+        return TwinsNow(found, joints, u, *law_code(self._loop, controller))
 
     def ahead(
         self,

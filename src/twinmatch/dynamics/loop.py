@@ -68,7 +68,7 @@ class PidGains:
             )
 
     @property
-    def law(self) -> LawCode:
+    def code(self) -> LawCode:
         """The same numbers for compiled code."""
         return np.array([
             PID, self.period, 1, self.low, self.high, self.proportional, self.integral, self.derivative,
@@ -214,7 +214,7 @@ class TwoLevel:
             raise PlantError(f"two-level law: most_on is {self.most_on} s; give more than least_on")
 
     @property
-    def law(self) -> LawCode:
+    def code(self) -> LawCode:
         """The same numbers for compiled code."""
         return np.array([
             TWO_LEVEL, self.period, 1, self.off, self.on, self.below, self.above, self.least_on,
@@ -294,7 +294,7 @@ class LinearLaw:
 
     @property
     def GAINS(self) -> Mapping[str, int]:  # noqa: N802 (a constant of the other laws)
-        """Places of the entries of its matrices in its `law`, by names such as "D[0,1]"."""
+        """Places of the entries of its matrices in its `code`, by names such as "D[0,1]"."""
         (m, q), p, r = self.C.shape, self.D.shape[1], self.E.shape[1]
         width, begin, places = q + p + r + 1 + m, LOW + 2 * m, {}
         for row, first, names in ((0, m, "CDE"), (m, q, "ABF")):
@@ -325,7 +325,7 @@ class LinearLaw:
         return int(self.E.shape[1])
 
     @property
-    def law(self) -> LawCode:
+    def code(self) -> LawCode:
         """The same numbers for compiled code."""
         m = self.n_inputs
         numbers = np.block([
@@ -366,7 +366,7 @@ class LinearLaw:
 
 
 Law = PidGains | TwoLevel | LinearLaw
-"""A law as a plant file declares it: its `period`, its `law` for compiled code, and its `state` after the
+"""A law as a plant file declares it: its `period`, its `code` for compiled code, and its `state` after the
 first two samples of a window."""
 
 
@@ -393,7 +393,7 @@ class Controller:
         self.loop = loop
         self.state = state_of(loop, state)
         """Shape (q,)."""
-        self._law = loop.law
+        self._law = loop.code
 
     def step(self, reference: ArrayLike, output: ArrayLike) -> FloatArray:
         """Compute the commands of one sample, shape (m,), from set-points and readings, shape (r,) and (p,);

@@ -46,8 +46,8 @@ def _use(parameters: Parameters) -> None:
     The other kernels of linearisations are called by the observer, too.
     """
     model = parameters.model
-    gains, rest = model.plant.loop, model.plant.drive.rest
-    period = 1.0 if gains is None else gains.period
+    law, rest = model.plant.loop, model.plant.drive.rest
+    period = 1.0 if law is None else law.period
     output = read(parameters, begin(parameters, sum(model.plant.output.span) / 2))
     states = begin(parameters, output)
     quantities(parameters, advance(parameters, states, rest, period), rest)
@@ -63,7 +63,7 @@ def _use(parameters: Parameters) -> None:
     observer.correct(output)
     observer.predict(rest)
     levels = np.full(_SAMPLES, output)
-    closed = gains is not None
+    closed = law is not None
     forecast_loop(
         parameters,
         states=states,
@@ -73,11 +73,11 @@ def _use(parameters: Parameters) -> None:
         reference=levels if closed else None,
         inputs=None if closed else np.full(_SAMPLES, rest),
         period=period,
-        gains=gains,
+        law=law,
     )
     run = simulate_driven(parameters, np.full(_SAMPLES, rest), states=states, period=period)
-    if gains is not None:
-        run = simulate_closed_loop(parameters, levels, states=states, gains=gains)
+    if law is not None:
+        run = simulate_closed_loop(parameters, levels, states=states, law=law)
     disturbances = model.disturbance_rows(None, _SAMPLES)
     window = Window(levels, run.outputs, run.inputs, period=period, disturbances=disturbances)
     structure = model.structure

@@ -34,37 +34,37 @@ class FromPlantFile(Enum):
 
 FROM_PLANT_FILE: Final = FromPlantFile.LOOP
 
-LoopGains = Law | FromPlantFile | None
+LoopLaw = Law | FromPlantFile | None
 """A controller; `FROM_PLANT_FILE`; or None if the loop is not known: the recorded input drives the twin."""
 
 
-def gains_for(plant: type[Plant], period: float, gains: LoopGains = FROM_PLANT_FILE) -> Law | None:
+def law_for(plant: type[Plant], period: float, law: LoopLaw = FROM_PLANT_FILE) -> Law | None:
     """The controller of a closed-loop twin at a sample time, s; None for a driven twin."""
-    if not isinstance(gains, FromPlantFile):
-        return gains
+    if not isinstance(law, FromPlantFile):
+        return law
     loop = plant.loop
     return loop if loop is None or loop.period == period else dataclasses.replace(loop, period=period)
 
 
-def gains_of(plant: type[Plant], period: float) -> Law:
+def law_of(plant: type[Plant], period: float) -> Law:
     """The plant's controller at a sample time, s.
 
     Raises:
         PlantError: the plant's controller is not known.
     """
-    gains = gains_for(plant, period)
-    if gains is None:
+    law = law_for(plant, period)
+    if law is None:
         msg = f"plant {plant.name}: its controller is not known; use the driven twin"
         raise PlantError(msg)
-    return gains
+    return law
 
 
-def law_of(loop: Law | None, state: ArrayLike | None = None) -> tuple[LawCode, FloatArray]:
+def law_code(law: Law | None, state: ArrayLike | None = None) -> tuple[LawCode, FloatArray]:
     """The law for compiled code (without a loop: the references are the commands), and its state, by default
     zero."""
-    if loop is None:
+    if law is None:
         return NO_LAW, np.zeros(0)
-    return loop.law, state_of(loop, state)
+    return law.code, state_of(law, state)
 
 
 def n_references(plant: type[Plant], loop: Law | None) -> int:
@@ -90,7 +90,7 @@ def pid_of(plant: type[Plant]) -> PidGains:
     Raises:
         PlantError: it is not known, or another law.
     """
-    found = gains_of(plant, 1.0)
+    found = law_of(plant, 1.0)
     if not isinstance(found, PidGains):
         raise PlantError(f"plant {plant.name}: its controller is a {type(found).__name__}; this needs a PID")
     return found
@@ -219,22 +219,20 @@ def simulate_closed_loop(
     *,
     states: FloatArray,
     controller: ArrayLike | None = None,
-    gains: Law | None = None,
+    law: Law | None = None,
     disturbances: ArrayLike | None = None,
     sensor: SensorRealisation | None = None,
 ) -> Response:
     """Run plant, sensor and controller over set-points, shape (N,) or (N, r), from `states` on.
 
-    `controller` is the controller's state before the first sample; default `gains` are those of the plant
+    `controller` is the controller's state before the first sample; the default `law` is that of the plant
     file, at 1 s. Disturbances have shape (N, d). Without a sensor the controller gets the outputs themselves.
 
     Raises:
         PlantError: a signal is invalid, or the plant is too fast for the period.
     """
-    gains = gains or gains_of(parameters.model.plant, 1.0)
-    return _run(
-        parameters, "reference", reference, states, gains, controller, disturbances, sensor, gains.period
-    )
+    law = law or law_of(parameters.model.plant, 1.0)
+    return _run(parameters, "reference", reference, states, law, controller, disturbances, sensor, law.period)
 
 
 def simulate_driven(
@@ -258,12 +256,12 @@ def simulate_window(
     parameters: Parameters,
     window: Window,
     *,
-    gains: LoopGains = FROM_PLANT_FILE,
+    law: LoopLaw = FROM_PLANT_FILE,
     sensor: Sensor | None = None,
     seed: int = 0,
     starts: Mapping[str, float] | None = None,
 ) -> Response:
-    """Simulate a window from its measured start: the closed loop on its reference, or, without gains, the
+    """Simulate a window from its measured start: the closed loop on its reference, or, without a law, the
     plant under its input; shape (N − 2,).
 
     It starts at the third sample: the first two give the controller's state. A sensor is realised with
@@ -275,7 +273,7 @@ def simulate_window(
     if len(window) <= SKIPPED:
         msg = f"window: it has {len(window)} samples; the twin starts at the third, give at least three"
         raise PlantError(msg)
-    loop = gains_for(parameters.model.plant, window.period, gains)
+    loop = law_for(parameters.model.plant, window.period, law)
     states = begin_window(parameters, window, starts)
     seen = None if sensor is None else sensor.realise(len(window) - SKIPPED, window.period, seed)
     name, signal, state, period = "input", window.inputs, None, window.period
@@ -294,7 +292,7 @@ def _run(  # noqa: PLR0917 (what a run needs)
     model = parameters.model
     references = signal_rows(model.title, name, signal, n_references(model.plant, loop))
     size, measured = len(references), len(model.plant.outputs)
-    law, memory = law_of(loop, controller)
+    code, memory = law_code(loop, controller)
     noise, frozen, resolution = np.zeros((size, measured)), np.zeros(size, dtype=np.bool_), 0.0
     if sensor is not None:
         if len(sensor) != size:
@@ -304,7 +302,7 @@ def _run(  # noqa: PLR0917 (what a run needs)
         frozen, resolution = np.array(sensor.frozen), float(sensor.resolution)
     steps = parameters.steps(period)
     outputs, inputs, passed = model.kernels.run(
-        parameters.vector, np.array(states, dtype=np.float64), law, memory, references,
+        parameters.vector, np.array(states, dtype=np.float64), code, memory, references,
         model.disturbance_rows(disturbances, size), noise, frozen, resolution, float(period), steps,
     )  # fmt: skip
     return Response(outputs, inputs, passed, steps)

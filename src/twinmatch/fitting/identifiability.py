@@ -58,7 +58,7 @@ def suggest_step(problem: Problem, values: FloatArray, fisher: FloatArray, name:
     simulated with the fitted twin, and its information JᵀJ is compared with that of this window.
     """
     now = _scaled_inverse(problem, fisher)
-    if now is None or problem.gains is None or len(problem.base.model.plant.outputs) > 1:
+    if now is None or problem.law is None or len(problem.base.model.plant.outputs) > 1:
         return ""
     scaling = np.outer(problem.scales, problem.scales)
     direction = np.linalg.eigh(fisher * scaling)[1][:, 0]

@@ -9,11 +9,11 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from twinmatch.dynamics import FROM_PLANT_FILE, Drive, LoopGains, Output, Parameters
+from twinmatch.dynamics import FROM_PLANT_FILE, Drive, LoopLaw, Output, Parameters
 from twinmatch.fitting.estimation import Uncertainty, on_bounds, solve, starts_for
 from twinmatch.fitting.gate import FitEvidence, GateLimits, Status, first_excited, judge, undetermined
 from twinmatch.fitting.identifiability import Identified, identify, unidentified
-from twinmatch.fitting.problem import Bounds, Noise, Problem, checked_free, checked_gains
+from twinmatch.fitting.problem import Bounds, Noise, Problem, checked_free, checked_law
 from twinmatch.signals import FloatArray, Window
 
 
@@ -139,7 +139,7 @@ def match(
     incumbent: Parameters | None = None,
     bounds: Bounds | None = None,
     noise: Noise | None = None,
-    gains: LoopGains = FROM_PLANT_FILE,
+    law: LoopLaw = FROM_PLANT_FILE,
     min_step: float | None = None,
     limits: GateLimits | None = None,
 ) -> Match:
@@ -160,8 +160,8 @@ def match(
         incumbent: present parameters of this regime, of any structure of the plant.
         bounds: replacements for the plant's bounds, by name of a parameter or of a state with unknown start.
         noise: standard deviations that weight the residuals; default: the plant's.
-        gains: the plant's controller, None if it is not known; default: the plant file's, at the window's
-            period.
+        law: that of the plant's controller, None if it is not known; default: the plant file's, at the
+            window's period.
         min_step: least step of the set-point (for a driven twin, of the input) that excites the plant, in its
             unit; default: the declared `least_step`.
         limits: limits of the gate.
@@ -171,9 +171,9 @@ def match(
         PlantError: a bound is not a possible value of the parameter.
     """
     model, limits = start.model, limits or GateLimits()
-    gains = checked_gains(model, window, gains)
+    law = checked_law(model, window, law)
     names = checked_free(model, free)
-    problem = Problem(window, names, start, noise or Noise.of(model.plant), gains, bounds)
+    problem = Problem(window, names, start, noise or Noise.of(model.plant), law, bounds)
     if window.share_seen < limits.least_seen:
         reason = (
             f"only {window.share_seen:.0%} of the window's samples were received; "
@@ -189,7 +189,7 @@ def match(
 def _split(problem: Problem, min_step: float | None, limits: GateLimits) -> tuple[int, str]:
     """Number of samples for the test fit, or the reason why none can be made."""
     window, plant = problem.window, problem.base.model.plant
-    driven = problem.gains is None
+    driven = problem.law is None
     what, signals = ("input", window.inputs) if driven else ("set-point", window.references)
     declared: list[Drive | Output] = [*(plant.drives if driven else plant.outputs).values()]
     declared = declared[: signals.shape[1]]

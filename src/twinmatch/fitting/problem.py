@@ -16,12 +16,12 @@ from twinmatch.dynamics import (
     Descended,
     Experiment,
     Law,
-    LoopGains,
+    LoopLaw,
     Model,
     Parameters,
     Plant,
     PlantError,
-    gains_for,
+    law_for,
     noise_scores,
 )
 from twinmatch.fitting.data import FittingError
@@ -146,13 +146,13 @@ class Noise:
         return float(only("input", np.atleast_1d(self.inputs)))
 
 
-def checked_gains(model: Model, window: Window, gains: LoopGains = FROM_PLANT_FILE) -> Law | None:
+def checked_law(model: Model, window: Window, law: LoopLaw = FROM_PLANT_FILE) -> Law | None:
     """The controller of the closed-loop twin; None if the loop is not known.
 
     Raises:
         FittingError: the controller has another period than the window.
     """
-    held = gains_for(model.plant, window.period, gains)
+    held = law_for(model.plant, window.period, law)
     if held is not None and held.period != window.period:
         raise FittingError(
             f"matching: the controller runs every {held.period} s but the window's samples come every "
@@ -188,7 +188,7 @@ class Problem:
     base: Parameters
     """Values of all other parameters."""
     noise: Noise
-    gains: Law | None
+    law: Law | None
     bounds: Bounds | None = None
     """Replacements for some of the plant's bounds."""
 
@@ -226,7 +226,7 @@ class Problem:
             self.free,
             self.window,
             free_starts=self.base.model.structure.free_starts,
-            gains=self.gains,
+            law=self.law,
             weights=tuple(1.0 / self.noise.all),
         )
 
@@ -234,7 +234,7 @@ class Problem:
     def compared(self) -> int:
         """Number of compared signals: outputs and, in closed loop, inputs."""
         plant = self.base.model.plant
-        return len(plant.outputs) + (0 if self.gains is None else len(plant.drives))
+        return len(plant.outputs) + (0 if self.law is None else len(plant.drives))
 
     @property
     def weights(self) -> FloatArray:

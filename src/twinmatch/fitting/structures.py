@@ -22,13 +22,13 @@ from twinmatch.dynamics import (
     Descended,
     Experiment,
     Known,
-    LoopGains,
+    LoopLaw,
     Model,
     Parameters,
     descend,
 )
 from twinmatch.fitting.data import FittingError
-from twinmatch.fitting.problem import Noise, checked_gains, unknown_parameters, unknown_starts
+from twinmatch.fitting.problem import Noise, checked_law, unknown_parameters, unknown_starts
 from twinmatch.signals import FloatArray, Window
 
 SETTLE: Final = 60
@@ -98,7 +98,7 @@ def fit_structure(
     *,
     start: StructureFit | None = None,
     noise: Noise | None = None,
-    gains: LoopGains = FROM_PLANT_FILE,
+    law: LoopLaw = FROM_PLANT_FILE,
     thorough: bool = True,
     informed: bool = False,
 ) -> StructureFit:
@@ -109,7 +109,7 @@ def fit_structure(
         model: the plant in the structure to fit.
         start: an earlier fit of the same structure; without it the search has several starts.
         noise: unit of the residuals; default: the plant's.
-        gains: gains of the running controller, None if the loop is not known; default: the plant file's, at
+        law: that of the running controller, None if the loop is not known; default: the plant file's, at
             the windows' period.
         thorough: search from several starts to convergence; otherwise from the best one until the cost falls
             by less than about a part in ten thousand, in a fifth of the time.
@@ -121,7 +121,7 @@ def fit_structure(
         FittingError: no window, one that is too short, or windows of different periods.
     """
     known = _known(model, len(windows)) if informed else {}
-    problem = _Problem(_runs(windows, model, noise or Noise.of(model.plant), gains, known))
+    problem = _Problem(_runs(windows, model, noise or Noise.of(model.plant), law, known))
     plant = model.typical() if informed else model.parameters()
     if start is not None and start.model is model:
         values = problem.values_of(start.parameters, start.starts[-1])
@@ -145,7 +145,7 @@ def _known(model: Model, windows: int) -> dict[str, Known]:
 
 
 def _runs(
-    windows: Sequence[Window], model: Model, noise: Noise, gains: LoopGains, known: Mapping[str, Known]
+    windows: Sequence[Window], model: Model, noise: Noise, law: LoopLaw, known: Mapping[str, Known]
 ) -> list[Experiment]:
     if not windows:
         raise FittingError("structures: there is no window; give at least one")
@@ -156,14 +156,14 @@ def _runs(
                 f"structures: the window from sample {window.first} has {len(window)} samples; "
                 f"the first {SETTLE + SKIPPED} are not compared, give more"
             )
-        own = checked_gains(model, window, gains)
+        own = checked_law(model, window, law)
         runs.append(
             Experiment(
                 model.parameters(),
                 model.structure.free,
                 window,
                 free_starts=model.structure.free_starts,
-                gains=own,
+                law=own,
                 weights=tuple(1.0 / noise.all),
                 robust=True,
                 settle=SETTLE,

@@ -20,7 +20,7 @@ import numpy as np
 from twinmatch.compiled import compiled
 from twinmatch.dynamics import Law
 from twinmatch.dynamics.laws import LawCode, law_step
-from twinmatch.dynamics.simulation import law_of
+from twinmatch.dynamics.simulation import law_code
 from twinmatch.signals import FloatArray, Sample, Signals
 
 Visited = tuple[tuple[float, float], ...]
@@ -71,7 +71,7 @@ class ArxForecast(NamedTuple):
     """Outputs and inputs of now and of the sample before, shape (2, o + m)."""
     spans: FloatArray
     """Limits of each forecast output, shape (o, 2): one width beyond what was visited."""
-    gains: Law | None
+    law: Law | None
     controller: FloatArray
 
     def forecast(self, ahead: FloatArray, rows: FloatArray | None) -> FloatArray:
@@ -85,7 +85,7 @@ class ArxForecast(NamedTuple):
             return np.repeat(self.start[0][:, None], len(ahead), axis=1)
         found: FloatArray = _simulated(
             self.coefficients, self.start, np.zeros((len(ahead), 0)) if rows is None else rows,
-            *law_of(self.gains, self.controller), ahead.reshape(len(ahead), -1), self.spans,
+            *law_code(self.law, self.controller), ahead.reshape(len(ahead), -1), self.spans,
         )  # fmt: skip
         return found
 
@@ -93,9 +93,9 @@ class ArxForecast(NamedTuple):
 class Arx:
     """The ARX model of one plant, sample by sample."""
 
-    def __init__(self, gains: Law | None, kept: float) -> None:
+    def __init__(self, law: Law | None, kept: float) -> None:
         """Begin without samples; `kept` is the factor on past weights per sample."""
-        self._gains, self._kept = gains, kept
+        self._law, self._kept = law, kept
         self._normal, self._count = np.zeros((0, 0)), 0
         self._rows: list[tuple[Signals, ...]] = []  # not yet in the normal equations
         self._before = self._now = _NONE
@@ -128,7 +128,7 @@ class Arx:
             coefficients = np.ascontiguousarray(found.T)
         start = np.array([(*sample.outputs, *sample.inputs) for sample in (self._now, self._before)])
         spans = np.array([(low - (high - low), high + (high - low)) for low, high in self.visited])
-        return ArxForecast(coefficients, start, spans, self._gains, controller)
+        return ArxForecast(coefficients, start, spans, self._law, controller)
 
     def _learn(self) -> None:
         if not self._rows:

@@ -136,11 +136,11 @@ class StateFilter:
 
 
 def foresight_of(
-    twins: Sequence[tuple[Parameters, Sequence[str]]], gains: Law | None, period: float
+    twins: Sequence[tuple[Parameters, Sequence[str]]], law: Law | None, period: float
 ) -> Foresight:
     """The forecasts of twins: of each the parameters, and the names of those that are unsure."""
     drift = [drift_of(parameters.model) for parameters, _ in twins]
-    return Foresight(twins, gains, drift=drift, period=period, swift=SWIFT)
+    return Foresight(twins, law, drift=drift, period=period, swift=SWIFT)
 
 
 @functools.cache
@@ -226,8 +226,8 @@ class Outlook:
     unsure: tuple[str, ...]
     controller: FloatArray
     """State of the controller after that sample."""
-    gains: Law | None
-    """Gains of the controller; None if the loop is not known: forecasts then take future inputs."""
+    law: Law | None
+    """The controller; None if the loop is not known: forecasts then take future inputs."""
     period: float
     """Sample time, s."""
     leads: tuple[int, ...]
@@ -243,7 +243,7 @@ class Outlook:
     @property
     def closed(self) -> bool:
         """Whether forecasts take future set-points; otherwise future inputs."""
-        return self.gains is not None
+        return self.law is not None
 
     @property
     def standing(self) -> float:
@@ -266,7 +266,7 @@ class Outlook:
         """
         if disturbances is None and self.sample.disturbances:
             disturbances = np.array(self.sample.disturbances)
-        foresight = foresight_of([(self.parameters, self.unsure)], self.gains, self.period)
+        foresight = foresight_of([(self.parameters, self.unsure)], self.law, self.period)
         now = foresight.at([self.states], [self.covariance], self.sample.inputs, self.controller)
         return foresight.ahead(now, ahead, disturbances, banded=banded)
 
@@ -314,9 +314,9 @@ class Outlook:
 
     def _input_bands(self, means: FloatArray, halves: FloatArray) -> tuple[Band, ...]:
         """Bands of the controller's commands; given inputs have no uncertainty."""
-        if self.gains is None:
+        if self.law is None:
             return tuple(Band(mean, mean, mean) for mean in means)
-        found, law, drives = [], self.gains.law, self.parameters.model.plant.drives.values()
+        found, law, drives = [], self.law.code, self.parameters.model.plant.drives.values()
         for k, (mean, half, drive) in enumerate(zip(means, halves, drives, strict=True)):
             low = max(float(law[LOW + k]), drive.limits[0])
             high = min(float(law[LOW + len(means) + k]), drive.limits[1])

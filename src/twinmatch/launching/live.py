@@ -108,7 +108,7 @@ def _run_live(live: Live) -> int:
             f"{live.plan.twin_config or 'the twin'} is for plant {settings.plant.name}, "
             f"but this run is of plant {live.plan.plant}; give another --twin-config"
         )
-    live.bridge = Bridge(settings.gains, settings.schedule.gap)
+    live.bridge = Bridge(settings.law, settings.schedule.gap)
     view = view_on(live.console, "live", settings.period)
     with lease(PATIENCE if live.plan.in_step else None):
         code = _LiveRun(live, view).run()
@@ -116,7 +116,7 @@ def _run_live(live: Live) -> int:
         view.say(f"recorded: {session}")
     view.say(f"ended: {live.ending}; {live.received} samples, {live.verdicts.verdicts} verdicts")
     if len(live.samples):
-        live.summary = conclude(live.verdicts, live.longest, settings.gains, period=settings.period)
+        live.summary = conclude(live.verdicts, live.longest, settings.law, period=settings.period)
         for line in closing_lines(live.summary, live.verdicts.last):
             view.say(line)
     return code

@@ -229,7 +229,7 @@ def attach_plan(
     plant = find_plant(values["plant"])
     driven = REFERENCE not in sources_of(SAMPLER, values)
     found = read_settings(twin_config, written_name(plant), driven=driven)
-    if driven and found.gains is not None:
+    if driven and found.law is not None:
         raise LaunchError(
             f"{twin_config}: the twin runs in closed loop, but no topic is mapped to its reference; map one, "
             "or set loop: unknown"

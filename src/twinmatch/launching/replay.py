@@ -67,7 +67,7 @@ def play(replay: Replay) -> int:
         replay.summary = summarise(
             bridged(session.samples, settings),
             replay.verdicts,
-            settings.gains,
+            settings.law,
             session.notes,
             settings.period,
         )
@@ -155,7 +155,7 @@ class _ReplayRun(Supervised):
     def _start_twin(self) -> None:
         replay, settings = self._replay, self._settings
         values = {"period": settings.period, "plant": written_name(settings.plant)}
-        if settings.gains is None:
+        if settings.law is None:
             values["loop"] = UNKNOWN
         if replay.candidates is not None:
             values["discriminator:candidates"] = replay.candidates

@@ -28,7 +28,7 @@ class TwinSimulatorNode(SampleNode):
         """Start to mirror the samples."""
         self._mirror = Mirror(
             self.settings.start,
-            self.settings.gains,
+            self.settings.law,
             self.values["recent"],
             self.settings.period,
             self.settings.schedule.gap,

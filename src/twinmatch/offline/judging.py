@@ -169,7 +169,7 @@ def judge_samples(
             if watch is not None and done % EVERY == 0:
                 watch(done, len(samples))
             check_interrupt()
-        summary = summarise(bridged(samples, settings), verdicts, settings.gains, notes, settings.period)
+        summary = summarise(bridged(samples, settings), verdicts, settings.law, notes, settings.period)
     return Judgement(name, samples, settings, tuple(matches), tuple(verdicts), summary)
 
 
@@ -195,7 +195,7 @@ def rehearse(plant: type[Plant], settings: TwinSettings, watch: Callable[[int, i
         parameters,
         reference,
         states=begin(parameters, float(reference[0])),
-        gains=settings.gains,
+        law=settings.law,
         sensor=Sensor(noise=plant.output.noise).realise(reference.size, settings.period, seed=1),
     )
     window = Window(reference, response.output, response.input, period=settings.period)

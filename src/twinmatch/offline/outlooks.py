@@ -121,7 +121,7 @@ def _no_candidate(session: str, twin: Twin, rest: Sequence[Sample]) -> ForecastE
         if twin.discriminator.forecaster.names:
             return ForecastError(f"{absent}; there is one from sample {sample.index} on")
     needed = "record set-point steps far above the noise, some minutes apart,"
-    if twin.settings.gains is None:
+    if twin.settings.law is None:
         needed = "move the input far above its noise, for some minutes in total,"
     return ForecastError(
         f"{absent} or later, since no match was accepted; {needed} or give candidates with --candidates"
@@ -180,7 +180,7 @@ def ahead_of(
     """
     if reference == RECORDED:
         return _recorded(session, sample, size, settings)
-    closed = settings.gains is not None
+    closed = settings.law is not None
     signal: Output | Drive = settings.plant.output if closed else settings.plant.drive
     kind, standing = ("set-point", sample.reference) if closed else ("input", sample.input)
     unit, place = f" {signal.unit}".rstrip(), "--hold"
@@ -197,7 +197,7 @@ def ahead_of(
 
 
 def _recorded(session: Session, sample: Sample, size: int, settings: TwinSettings) -> Ahead:
-    period, closed = settings.period, settings.gains is not None
+    period, closed = settings.period, settings.law is not None
     kind = "set-point" if closed else "input"
     stretch = next(
         part

@@ -130,7 +130,7 @@ class Tally:
 def summarise(
     samples: Sequence[Sample],
     verdicts: Sequence[Verdict],
-    gains: Law | None,
+    law: Law | None,
     notes: Sequence[str] = (),
     period: float = 1.0,
 ) -> SessionSummary:
@@ -140,13 +140,13 @@ def summarise(
         stretches = unbroken(samples)
         return Window.from_samples(max(stretches, key=len), period), len(stretches)
 
-    return conclude(Tally(verdicts), longest, gains, notes, period)
+    return conclude(Tally(verdicts), longest, law, notes, period)
 
 
 def conclude(
     tally: Tally,
     longest: Callable[[float], tuple[Window, int]],
-    gains: Law | None,
+    law: Law | None,
     notes: Sequence[str] = (),
     period: float = 1.0,
 ) -> SessionSummary:
@@ -157,13 +157,13 @@ def conclude(
     fit = (math.nan, math.nan)
     remarks = list(notes)
     if shown is not None:
-        window, stretches = longest(gains.period if gains is not None else period)
+        window, stretches = longest(law.period if law is not None else period)
         if stretches > 1:
             remarks.append(
                 f"the fit is over samples {window.first} to {window.last}, "
                 f"the longest of {stretches} unbroken stretches"
             )
-        fit = window_fit(shown.parameters, window, gains)
+        fit = window_fit(shown.parameters, window, law)
     return SessionSummary(
         nominal=last.nominal if last else None,
         level=last.level if last else TrustLevel.UNKNOWN,
@@ -181,5 +181,5 @@ def conclude(
         leader=last.leader if last else None,
         leader_confidence=last.leader_confidence if last else math.nan,
         refusal=tally.refusal,
-        closed=gains is not None,
+        closed=law is not None,
     )

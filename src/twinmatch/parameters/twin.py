@@ -17,13 +17,13 @@ from twinmatch.dynamics import (
     FROM_PLANT_FILE,
     Drive,
     FromPlantFile,
-    LoopGains,
+    LoopLaw,
     Model,
     PidGains,
     Plant,
     PlantError,
     Sensor,
-    gains_for,
+    law_for,
 )
 from twinmatch.dynamics.pace import time_scale
 from twinmatch.errors import TwinmatchError
@@ -54,15 +54,15 @@ def unit_of(drive: Drive) -> str:
     return drive.unit or drive.name
 
 
-def closing_of(values: Mapping[str, Any]) -> LoopGains:
+def closing_of(values: Mapping[str, Any]) -> LoopLaw:
     """The loop that parameter `loop` selects; without it, that of the plant file."""
     return None if values.get("loop", FromPlantFile.LOOP.value) == UNKNOWN else FROM_PLANT_FILE
 
 
-def loop_parameters(plant: type[Plant], closing: LoopGains = FROM_PLANT_FILE) -> tuple[Setting, ...]:
+def loop_parameters(plant: type[Plant], closing: LoopLaw = FROM_PLANT_FILE) -> tuple[Setting, ...]:
     """The sampling period, and the gains of the plant's controller if it is known."""
     usual = plant.loop.period if plant.loop else 1.0
-    has = gains_for(plant, usual, closing)
+    has = law_for(plant, usual, closing)
     period = Setting("period", usual, "Sampling period of the loop.", "s", 1e-3, 1e5)
     if not isinstance(has, PidGains):
         return (period,)
@@ -124,7 +124,7 @@ _START: Final = "start."
 def twin_table(
     plant: type[Plant] = Peltier,
     structure: str | None = None,
-    closing: LoopGains = FROM_PLANT_FILE,
+    closing: LoopLaw = FROM_PLANT_FILE,
     period: float | None = None,
     scale: float = 1.0,
 ) -> tuple[Setting, ...]:
@@ -226,7 +226,7 @@ def settings_from(values: Mapping[str, Any]) -> TwinSettings:
         free=tuple(values["free"]),
         start=usual.start.replace(**group(values, "start.")),
         noise=Noise(values["noise.output"], values["noise.input"]),
-        gains=pid_gains(values) if isinstance(usual.gains, PidGains) else usual.gains,
+        law=pid_gains(values) if isinstance(usual.law, PidGains) else usual.law,
         sensor=Sensor(**sensor),
         seed=values["seed"],
         decimals=values["decimals"],
@@ -245,9 +245,9 @@ def values_of(settings: TwinSettings) -> Values:
         "plant": written_name(model.plant),
         "structure": model.structure_name,
         "free": list(settings.free),
-        "loop": FromPlantFile.LOOP.value if settings.gains is not None else UNKNOWN,
+        "loop": FromPlantFile.LOOP.value if settings.law is not None else UNKNOWN,
     }
-    groups: dict[str, Any] = {"pid": settings.gains}
+    groups: dict[str, Any] = {"pid": settings.law}
     for parameter in table_of(settings):
         owner, _, name = parameter.name.partition(".")
         if owner == "start":
@@ -263,7 +263,7 @@ def values_of(settings: TwinSettings) -> Values:
 
 def table_of(settings: TwinSettings) -> tuple[Setting, ...]:
     """The parameters of the twin with the defaults for these settings."""
-    model, closing = settings.start.model, FROM_PLANT_FILE if settings.gains is not None else None
+    model, closing = settings.start.model, FROM_PLANT_FILE if settings.law is not None else None
     return twin_table(model.plant, model.structure_name, closing, settings.period, settings.schedule.scale)
 
 
@@ -309,7 +309,7 @@ def at_period(settings: TwinSettings, period: float, config: Path | None) -> Twi
     if config is not None:
         msg = f"{config}: the period is {settings.period:g} s, but that of the samples is {period:g} s"
         raise TwinError(msg)
-    model, closing = settings.start.model, FROM_PLANT_FILE if settings.gains is not None else None
+    model, closing = settings.start.model, FROM_PLANT_FILE if settings.law is not None else None
     return TwinSettings.of(model.plant, model.structure_name, period, closing)
 
 
@@ -358,7 +358,7 @@ def _plant(model: Model) -> tuple[Setting, ...]:
 def _numbers(has: TwinSettings) -> tuple[Setting, ...]:
     """Schedule, sensor, family, trust and health: the numbers in the settings under the same names."""
     names = {"y": has.plant.output.unit, "u": unit_of(has.plant.drive)}
-    absent = "schedule.min_step" if has.gains is None else "schedule.min_input_step"
+    absent = "schedule.min_step" if has.law is None else "schedule.min_input_step"
     sensor = (
         ("noise", "Noise of the simulated sensor of the twin (1 σ).", names["y"]),
         ("resolution", "Resolution of its readings; 0: continuous.", names["y"]),

@@ -40,9 +40,7 @@ class Member:
     def response(self) -> Window:
         """Response of its twin to that window's set-point, or input in open loop, with sensor noise."""
         s = self.settings
-        return twin_response(
-            self.score.parameters, self.window, s.gains, s.sensor, s.seed + self.window.first
-        )
+        return twin_response(self.score.parameters, self.window, s.law, s.sensor, s.seed + self.window.first)
 
     @cached_property
     def models(self) -> tuple[SimoModel, ...]:
@@ -58,7 +56,7 @@ class Member:
     @property
     def quiet_twin(self) -> Response:
         """The same response without sensor noise, from the window's third sample."""
-        return response_on(self.score.parameters, self.window, self.settings.gains)
+        return response_on(self.score.parameters, self.window, self.settings.law)
 
     def simulated(self, order: str) -> Window:
         """The measured window as simulated by the model of this order: B/F alone, as for the gain."""

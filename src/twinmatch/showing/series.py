@@ -58,18 +58,18 @@ def compare(
 ) -> tuple[Comparison, ...]:
     """Run the twins over every stretch of at least four samples without a gap that is not bridged, from its
     measured initial values, or, where the loop is not known, from estimated ones."""
-    found, gains = [], settings.gains
+    found, law = [], settings.law
     for stretch in unbroken(bridged(samples, settings)):
         if len(stretch) < SKIPPED + 2:
             continue
-        window = Window.from_samples(stretch, settings.period if gains is None else gains.period)
-        if gains is None:
+        window = Window.from_samples(stretch, settings.period if law is None else law.period)
+        if law is None:
             found.append(Comparison(window, None, response_on(parameters, window, None).output))
             continue
         states, measured = begin_window(parameters, window), window.disturbances[SKIPPED:]
         inputs, step = window.input[SKIPPED:], window.period
         driven = simulate_driven(parameters, inputs, states=states, period=step, disturbances=measured)
-        found.append(Comparison(window, response_on(parameters, window, gains), driven.output))
+        found.append(Comparison(window, response_on(parameters, window, law), driven.output))
     return tuple(found)
 
 

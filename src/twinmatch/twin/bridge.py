@@ -19,7 +19,7 @@ _PAST: Final = 60
 
 def bridged(samples: Iterable[Sample], settings: TwinSettings) -> list[Sample]:
     """The samples of a session with stand-ins for the lost ones, as a twin with these settings takes them."""
-    bridge_of = Bridge(settings.gains, settings.schedule.gap)
+    bridge_of = Bridge(settings.law, settings.schedule.gap)
     return [one for sample in samples for one in bridge_of.push(sample)]
 
 
@@ -59,7 +59,7 @@ def _looped(law: Law, past: Sequence[Sample], lost: list[Sample], after: Sample)
         state = law.follow(state, *rows)
     found, nearest = lost, np.inf
     for references, outputs in _courses(past[-1], [*lost, after]):
-        inputs, _ = commands_of(law.law, state, references, outputs)
+        inputs, _ = commands_of(law.code, state, references, outputs)
         off = float(np.linalg.norm(inputs[-1] - after.inputs))
         if off <= nearest:
             nearest = off

@@ -78,13 +78,13 @@ class CandidatePool:
 
     def __init__(self, settings: TwinSettings, spoilt: Callable[[int, int], bool]) -> None:
         """Begin without candidates; `spoilt(first, last)` excludes stretches from learning."""
-        plant, gains, period = settings.plant, settings.gains, settings.period
+        plant, law, period = settings.plant, settings.law, settings.period
         self._settings = settings
-        self.forecaster = Forecaster(gains, settings.forecasts, spoilt, period)
+        self.forecaster = Forecaster(law, settings.forecasts, spoilt, period)
         self.structures = StructureFits(
             watched(plant),
             settings.noise,
-            gains,
+            law,
             period,
             matched=settings.start.model,
             decimals=settings.decimals,
@@ -97,7 +97,7 @@ class CandidatePool:
         self._successors: dict[str, str] = {}
         self._newest: _NewestWindow | None = None
         self._reached: tuple[float, float] | None = None
-        self._loop = LoopConditions(gains, spans_of(plant), settings.schedule.span, period)
+        self._loop = LoopConditions(law, spans_of(plant), settings.schedule.span, period)
 
     @property
     def empty(self) -> bool:
@@ -125,7 +125,7 @@ class CandidatePool:
         if before is not None:
             self._successors[candidate.name] = before.name
         seed = settings.seed + window.first
-        response = twin_response(candidate.parameters, window, settings.gains, settings.sensor, seed)
+        response = twin_response(candidate.parameters, window, settings.law, settings.sensor, seed)
         models = {
             m.order: m for m in identify(response, scale=settings.model_scale, lead=settings.schedule.lead)
         }
@@ -253,7 +253,7 @@ class CandidatePool:
         set-point of all scored windows; where the loop is not known, the lowest and the highest output at
         the end of a window."""
         levels = newest.reference
-        if self._settings.gains is None:
+        if self._settings.law is None:
             levels = np.array([newest.output[-self._settings.schedule.min_span :].mean()])
         seen = [float(levels.min()), float(levels.max()), *(self._reached or ())]
         self._reached = min(seen), max(seen)

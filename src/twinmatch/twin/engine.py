@@ -99,7 +99,7 @@ class Discriminator:
         self._bands = BandHistory(self.settings.limits.doubtful, self.settings.noise.output)
         self._given = list(given)
         self._waiting: deque[Sample | Trigger] = deque()
-        self._bridge = Bridge(self.settings.gains, self.settings.schedule.gap)
+        self._bridge = Bridge(self.settings.law, self.settings.schedule.gap)
         self._request: MatchRequest | None = None
         self._fits: Future[None] | None = None
         self._settled: int | None = None
@@ -345,7 +345,7 @@ class Discriminator:
             window.first, window.last - self.settings.schedule.stride + 1, 0 if over is None else over + 1
         )
         newest = window.part(min(first, window.last), window.last)
-        return residuals(nominal.parameters, newest, self.settings.gains)
+        return residuals(nominal.parameters, newest, self.settings.law)
 
     def _notes(self) -> tuple[str, ...]:
         """Reservations on forecasts at this sample, and structures that no longer take part."""
@@ -416,6 +416,6 @@ class Twin:
 
 def _schedule(settings: TwinSettings) -> Schedule:
     """A schedule by the set-point if the loop is known; otherwise by the input."""
-    if settings.gains is None:
+    if settings.law is None:
         return InputSchedule(settings.schedule, settings.period, settings.regime_width)
     return Schedule(settings.schedule, settings.period)

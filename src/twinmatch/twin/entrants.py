@@ -45,11 +45,11 @@ class Entrants(dict[str, Entrant]):
         """Names of the others."""
         return tuple(name for name in self if name not in self.external)
 
-    def foresight(self, gains: Law | None, period: float) -> Foresight:
+    def foresight(self, law: Law | None, period: float) -> Foresight:
         """What the native ones forecast with, always with the same law and sample time (s)."""
         if self._foresight is None:
             filters = [self[name].state_filter for name in self.native]
-            self._foresight = foresight_of([(f.parameters, f.free) for f in filters], gains, period)
+            self._foresight = foresight_of([(f.parameters, f.free) for f in filters], law, period)
         return self._foresight
 
 

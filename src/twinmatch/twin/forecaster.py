@@ -80,7 +80,7 @@ class Forecaster:
 
     def __init__(
         self,
-        gains: Law | None,
+        law: Law | None,
         settings: ForecastSettings | None = None,
         spoilt: Callable[[int, int], bool] = lambda _first, _last: False,
         period: float = 1.0,
@@ -88,15 +88,15 @@ class Forecaster:
         """Begin without candidates.
 
         Args:
-            gains: those of the running controller; None if the loop is not known.
+            law: that of the running controller; None if the loop is not known.
             settings: horizons and intervals.
             spoilt: whether the plant is known to have been at fault between two samples; nothing is learned
                 from such a stretch.
             period: sample time if the loop is not known, s; otherwise the controller's is used.
         """
         self.settings = settings or ForecastSettings()
-        self._gains, self._spoilt = gains, spoilt
-        self.period = period = gains.period if gains is not None else period
+        self._law, self._spoilt = law, spoilt
+        self.period = period = law.period if law is not None else period
         self.horizons = tuple(max(round(h / period), 1) for h in self.settings.horizons)
         self._longest = max(self.horizons)
         self._stride = max(round(self.settings.every / period), 1)
@@ -118,7 +118,7 @@ class Forecaster:
         sample per row, without those that are waiting."""
         self._followers = Followers()
         self._begin()
-        self._arx = Arx(gains, float(np.exp(-period / self.settings.memory)))
+        self._arx = Arx(law, float(np.exp(-period / self.settings.memory)))
         self.notes: tuple[str, ...] = ()
         """Reservations to be shown with forecasts made now."""
 
@@ -186,10 +186,10 @@ class Forecaster:
             raise PlantError(f"forecaster: sample {bad} has a value that is not finite")
         rows = np.concatenate([self._rows, came]) if self._rows.size else came
         self._rows = rows[-(self._recent.maxlen or 1) :]
-        if self._gains is not None:
+        if self._law is not None:
             references, outputs, inputs, _ = self._columns
             for row in came:
-                self._controller = self._gains.follow(
+                self._controller = self._law.follow(
                     self._controller, row[references], row[outputs], row[inputs]
                 )
         self._followers.push([self._twins[name].state_filter for name in self._twins.native], samples)
@@ -206,7 +206,7 @@ class Forecaster:
         names, foresight, now = self._twins.native, None, None
         if names:
             filters = [self._twins[name].state_filter for name in names]
-            foresight = self._twins.foresight(self._gains, self.period)
+            foresight = self._twins.foresight(self._law, self.period)
             states, covariances = [f.states for f in filters], [f.joint for f in filters]
             now = foresight.at(states, covariances, self._recent[-1].inputs, self._controller)
         return _Departure(leader, outlooks, names, foresight, now, self._arx.departure(self._controller))
@@ -221,7 +221,7 @@ class Forecaster:
         self._catch_up()
         successors = successors or {}
         if self._ledger is None and candidates:
-            noise = forecast_noise(candidates[0].parameters.model.plant, self._gains)
+            noise = forecast_noise(candidates[0].parameters.model.plant, self._law)
             self._ledger = Ledger(len(self.horizons), noise, self._kept)
         twins = {}
         for candidate in candidates:
@@ -274,7 +274,7 @@ class Forecaster:
             covariance=twin.state_filter.joint,
             unsure=twin.state_filter.free,
             controller=self._controller,
-            gains=self._gains,
+            law=self._law,
             period=self.period,
             leads=self._leads,
             widths=twin.calibration.widths,
@@ -306,7 +306,7 @@ class Forecaster:
         rows, seen = came[-samples:], came[-samples:, -1] > 0.0
         if not seen.any():
             return None
-        found = rows[:, outputs].T, None if self._gains is None else rows[:, inputs].T
+        found = rows[:, outputs].T, None if self._law is None else rows[:, inputs].T
         return check_band(forecast, *found, None if seen.all() else seen)
 
     @contextmanager
@@ -323,7 +323,7 @@ class Forecaster:
         """What forecasts from the first of some samples are made for: set-points (or inputs, if the loop is
         not known) after it, shape (N, r), and disturbances from it on, shape (N + 1, d), if there are any."""
         references, _, inputs, disturbances = self._columns
-        given = np.ascontiguousarray(came[1:, inputs if self._gains is None else references])
+        given = np.ascontiguousarray(came[1:, inputs if self._law is None else references])
         rows = np.ascontiguousarray(came[:, disturbances])
         return given, rows if rows.size else None
 
@@ -333,7 +333,7 @@ class Forecaster:
         self._waiting.clear()
         self._departures.clear()
         self._rows = self._rows[:0]
-        self._controller = np.zeros(0 if self._gains is None else self._gains.n_states)
+        self._controller = np.zeros(0 if self._law is None else self._law.n_states)
         for twin in self._twins.values():
             twin.state_filter.restart()
 
@@ -343,7 +343,7 @@ class Forecaster:
             calibration = before.calibration.copy()
         else:
             newest = float(np.exp(-self._stride / self._longest))
-            signals = forecast_noise(candidate.parameters.model.plant, self._gains).size
+            signals = forecast_noise(candidate.parameters.model.plant, self._law).size
             calibration = Calibration(self._leads, self._kept, newest, signals, self._stride)
         for stretch in self._run_in:
             recent = list(self._recent)[-stretch:]
@@ -405,10 +405,10 @@ class Forecaster:
             self._leader_confidence.add(float(leading), float(paths.min()))
 
 
-def forecast_noise(plant: type[Plant], gains: Law | None) -> FloatArray:
+def forecast_noise(plant: type[Plant], law: Law | None) -> FloatArray:
     """Noise of the forecast signals: of all outputs and, where the loop is known, of all inputs; shape
     (signals,)."""
-    drives = [] if gains is None else [drive.noise for drive in plant.drives.values()]
+    drives = [] if law is None else [drive.noise for drive in plant.drives.values()]
     return np.array([*(output.noise for output in plant.outputs.values()), *drives])
 
 

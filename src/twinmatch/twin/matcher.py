@@ -80,7 +80,7 @@ def carry_out(request: MatchRequest, settings: TwinSettings) -> MatchReport:
                 start=request.start,
                 incumbent=request.incumbent,
                 noise=settings.noise,
-                gains=settings.gains,
+                law=settings.law,
                 min_step=settings.least_movement,
             )
     except TwinmatchError as error:

@@ -15,13 +15,13 @@ from twinmatch.dynamics import (
     Controller,
     Experiment,
     Law,
-    LoopGains,
+    LoopLaw,
     Parameters,
     Response,
     advance,
     begin,
     begin_window,
-    gains_for,
+    law_for,
     readings,
     simulate_driven,
     simulate_window,
@@ -80,7 +80,7 @@ class Mirror:
     def __init__(
         self,
         parameters: Parameters,
-        gains: LoopGains = FROM_PLANT_FILE,
+        law: LoopLaw = FROM_PLANT_FILE,
         recent: int = 60,
         period: float = 1.0,
         gap: int = 0,
@@ -91,18 +91,18 @@ class Mirror:
 
         Args:
             parameters: of both twins.
-            gains: those of the running controller, None if the loop is not known; default: the plant file's.
+            law: that of the running controller, None if the loop is not known; default: the plant file's.
             recent: samples over which residuals are averaged.
             period: sample time, s; ignored with a controller, which has its own.
             gap: most samples lost in a row that do not restart the twins.
             scale: factor on the newest stretch over which the states of new parameters are estimated.
         """
         self._parameters = parameters
-        self._gains = gains_for(parameters.model.plant, period, gains)
-        self._period = period if self._gains is None else self._gains.period
+        self._law = law_for(parameters.model.plant, period, law)
+        self._period = period if self._law is None else self._law.period
         self._recent: deque[list[float]] = deque(maxlen=recent)
         self._samples: deque[Sample] = deque(maxlen=max(round(_ESTIMATED_OVER * scale / self._period), 1))
-        self._bridge = Bridge(self._gains, gap)
+        self._bridge = Bridge(self._law, gap)
         self._previous: Sample | None = None
         self._started = 0
 
@@ -158,9 +158,9 @@ class Mirror:
     def _restart(self, sample: Sample) -> None:
         row = _disturbances(sample)
         start = begin(self._parameters, sample.outputs, input=sample.inputs, disturbances=row)
-        self._closed = start if self._gains is not None else np.full(start.size, np.nan)
+        self._closed = start if self._law is not None else np.full(start.size, np.nan)
         self._driven = start
-        self._pid = None if self._gains is None else Controller(self._gains)
+        self._pid = None if self._law is None else Controller(self._law)
         self._recent.clear()
         self._samples.clear()
         self._started = 0
@@ -222,7 +222,7 @@ class Residuals(NamedTuple):
     """Input residual of the closed-loop twin, which gets the set-point; NaN if the loop is not known."""
 
 
-def residuals(parameters: Parameters, window: Window, gains: Law | None) -> Residuals:
+def residuals(parameters: Parameters, window: Window, law: Law | None) -> Residuals:
     """Run both twins over a window from its measured start (NaN if it has fewer than four samples)."""
     if len(window) < 4:
         return Residuals(float("nan"), float("nan"))
@@ -232,24 +232,24 @@ def residuals(parameters: Parameters, window: Window, gains: Law | None) -> Resi
         parameters, window.input[SKIPPED:], states=states, period=window.period, disturbances=disturbances
     )
     off = _rms(window.received(window.output[SKIPPED:] - driven.output))
-    if gains is None:
+    if law is None:
         return Residuals(off, float("nan"))
-    closed = simulate_window(parameters, window, gains=gains)
+    closed = simulate_window(parameters, window, law=law)
     return Residuals(off, _rms(window.received(window.input[SKIPPED:] - closed.input)))
 
 
-def window_fit(parameters: Parameters, window: Window, gains: Law | None) -> tuple[float, float]:
+def window_fit(parameters: Parameters, window: Window, law: Law | None) -> tuple[float, float]:
     """NRMSE fit of output and input of the closed-loop twin over a window; 1 is perfect.
 
-    Without gains: that of the driven twin's output, and NaN.
+    Without a law: that of the driven twin's output, and NaN.
     """
-    twin = response_on(parameters, window, gains)
+    twin = response_on(parameters, window, law)
     measured = (window.output[SKIPPED:], twin.output), (window.input[SKIPPED:], twin.input)
     of_output, of_input = (nrmse(*map(window.received, pair)) for pair in measured)
-    return of_output, float("nan") if gains is None else of_input
+    return of_output, float("nan") if law is None else of_input
 
 
-def response_on(parameters: Parameters, window: Window, gains: Law | None) -> Response:
+def response_on(parameters: Parameters, window: Window, law: Law | None) -> Response:
     """The twin over a whole window, from its third sample on, as it is shown beside the measurements.
 
     A driven twin has no controller that brings it back to the measurements, so initial states that no sensor
@@ -259,8 +259,8 @@ def response_on(parameters: Parameters, window: Window, gains: Law | None) -> Re
     Raises:
         PlantError: as `simulate_window`.
     """
-    starts = hidden_starts(parameters, window) if gains is None else None
-    return simulate_window(parameters, window, gains=gains, starts=starts)
+    starts = hidden_starts(parameters, window) if law is None else None
+    return simulate_window(parameters, window, law=law, starts=starts)
 
 
 def hidden_starts(parameters: Parameters, window: Window) -> dict[str, float]:
@@ -273,7 +273,7 @@ def hidden_starts(parameters: Parameters, window: Window) -> dict[str, float]:
     unknown = unknown_starts(model)
     if not unknown or model.is_external or len(window) <= SKIPPED + len(unknown):
         return {}
-    runs = Experiment(parameters, (), window, free_starts=[u.name for u in unknown], gains=None)
+    runs = Experiment(parameters, (), window, free_starts=[u.name for u in unknown], law=None)
     low, high = np.array([u.bounds for u in unknown]).T
     scales = np.array([u.scale for u in unknown])
     begun = np.clip(runs.values_of(parameters), low, high)

@@ -9,11 +9,11 @@ from twinmatch.comparing import spans_of
 from twinmatch.dynamics import (
     FROM_PLANT_FILE,
     Law,
-    LoopGains,
+    LoopLaw,
     Parameters,
     Plant,
     Sensor,
-    gains_for,
+    law_for,
     pid_of,
 )
 from twinmatch.dynamics.pace import plant_scale
@@ -94,7 +94,7 @@ def _start() -> Parameters:
     return Peltier.model().parameters()
 
 
-def _gains() -> Law:
+def _law() -> Law:
     return pid_of(Peltier)
 
 
@@ -112,8 +112,8 @@ class TwinSettings:
     start: Parameters = field(default_factory=_start)
     """Start values, and values of the parameters not free; their structure is the one that is matched."""
     noise: Noise = Noise.of(Peltier)  # noqa: RUF009 (immutable)
-    gains: Law | None = field(default_factory=_gains)
-    """Gains of the running controller; None if the loop is not known: twins then get the recorded input."""
+    law: Law | None = field(default_factory=_law)
+    """The running controller; None if the loop is not known: twins then get the recorded input."""
     sensor: Sensor = Peltier.sensor
     """Sensor model applied to the twin's response before its models are identified."""
     seed: int = setting(2022, "Seed of that sensor's noise.", "", 0, 2**31)
@@ -135,12 +135,12 @@ class TwinSettings:
         plant: type[Plant],
         structure: str | None = None,
         period: float = 1.0,
-        gains: LoopGains = FROM_PLANT_FILE,
+        law: LoopLaw = FROM_PLANT_FILE,
         scale: float = 1.0,
     ) -> TwinSettings:
         """Settings for a plant in one of its structures (the first, if none is named).
 
-        The controller is the plant file's unless `gains` gives another; None: the loop is not known. Windows
+        The controller is the plant file's unless `law` gives another; None: the loop is not known. Windows
         and horizons follow the plant's time constant; `scale` lengthens them.
 
         Raises:
@@ -148,7 +148,7 @@ class TwinSettings:
         """
         model = plant.model(structure)
         noise = plant.output.noise
-        running = gains_for(plant, period, gains)
+        running = law_for(plant, period, law)
         return cls(
             plant=plant,
             period=period,
@@ -156,7 +156,7 @@ class TwinSettings:
             free=model.structure.free,
             start=model.parameters(),
             noise=Noise.of(plant),
-            gains=running,
+            law=running,
             sensor=plant.sensor or Sensor(),
             decimals=plant.output.decimals + 1,
             regime_width=_REGIME * noise,
@@ -168,13 +168,13 @@ class TwinSettings:
     def least_movement(self) -> float:
         """Least step that excites the plant: of the set-point, or of the input if the loop is not known."""
         schedule = self.schedule
-        return schedule.min_input_step if self.gains is None else schedule.min_step
+        return schedule.min_input_step if self.law is None else schedule.min_step
 
     @property
     def model_scale(self) -> float | None:
         """`scale` for `identify` if models are from input to output; None if the loop is known and models are
         from its set-point."""
-        return None if self.gains is not None else spans_of(self.plant).ratio
+        return None if self.law is not None else spans_of(self.plant).ratio
 
     def __post_init__(self) -> None:
         for name, of in (("start", self.start), ("health.reference", self.health.reference)):
@@ -187,8 +187,8 @@ class TwinSettings:
         if not self.regime_width > 0:
             msg = f"twin: regime_width is {self.regime_width}; it must be positive"
             raise TwinError(msg)
-        if self.gains is not None and self.gains.period != self.period:
+        if self.law is not None and self.law.period != self.period:
             raise TwinError(
-                f"twin: the controller runs every {self.gains.period} s but samples come every "
+                f"twin: the controller runs every {self.law.period} s but samples come every "
                 f"{self.period} s; give both the same period"
             )

@@ -86,7 +86,7 @@ class StructureFits:
         self,
         models: Sequence[Model],
         noise: Noise,
-        gains: Law | None,
+        law: Law | None,
         period: float = 1.0,
         *,
         matched: Model | None = None,
@@ -99,14 +99,14 @@ class StructureFits:
         Args:
             models: the plant in each structure that is watched, simple ones first.
             noise: unit of the residuals.
-            gains: those of the running controller; None if the loop is not known.
+            law: that of the running controller; None if the loop is not known.
             period: sample time, s.
             matched: the structure that matches fit, which does not compete as a structure, too.
             decimals: decimal places of the tables of the information gain.
             choice: the times of `CHOICE_S`, s.
             scale: factor on these and the other times.
         """
-        self._models, self._noise, self._gains, self._decimals = tuple(models), noise, gains, decimals
+        self._models, self._noise, self._law, self._decimals = tuple(models), noise, law, decimals
         self._competing = tuple(model for model in models if model is not matched)
         # Structures that run elsewhere may fail, so they are the plant now only if there are no others.
         own = [model for model in models if not model.is_external] or models
@@ -145,7 +145,7 @@ class StructureFits:
                 self._models,
                 previous=self.choice,
                 noise=self._noise,
-                gains=self._gains,
+                law=self._law,
                 decimals=self._decimals,
                 thorough=False,
             )
@@ -182,7 +182,7 @@ class StructureFits:
         fitted_at = max((candidate.samples[1] for candidate, _ in self._fits.values()), default=None)
         if not excited and (fitted_at is None or 0 <= window.last - fitted_at < self._fit_every):
             return
-        level = window.output if self._gains is None else window.reference
+        level = window.output if self._law is None else window.reference
         for model in self._competing:
             name, free = model.structure_name, model.structure.free
             before = self._fits.get(name)
@@ -202,7 +202,7 @@ class StructureFits:
                 model,
                 start=start,
                 noise=self._noise,
-                gains=self._gains,
+                law=self._law,
                 thorough=False,
                 informed=informed,
             )

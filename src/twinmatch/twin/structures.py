@@ -24,7 +24,7 @@ import numpy as np
 
 from twinmatch.comparing import information_gain
 from twinmatch.comparing.criteria import Criteria
-from twinmatch.dynamics import FROM_PLANT_FILE, LoopGains, Model, Parameters
+from twinmatch.dynamics import FROM_PLANT_FILE, LoopLaw, Model, Parameters
 from twinmatch.errors import TwinmatchError
 from twinmatch.fitting import FittingError, Noise, StructureFit, fit_structure
 from twinmatch.signals import FloatArray, Window
@@ -125,7 +125,7 @@ def choose_structure(
     *,
     previous: StructureChoice | None = None,
     noise: Noise | None = None,
-    gains: LoopGains = FROM_PLANT_FILE,
+    law: LoopLaw = FROM_PLANT_FILE,
     decimals: int = 2,
     thorough: bool = True,
 ) -> StructureChoice:
@@ -141,7 +141,7 @@ def choose_structure(
             these, its evidence is added: the plant is assumed to have kept its structure, though not its
             parameters.
         noise: unit of the residuals of the fits; default: the plant's.
-        gains: those of the running controller, None if the loop is not known; default: the plant file's.
+        law: that of the running controller, None if the loop is not known; default: the plant file's.
         decimals: decimal places of the tables of the information gain.
         thorough: as in `fit_structure`.
 
@@ -158,7 +158,7 @@ def choose_structure(
                 model,
                 start=before.get(model.structure_name),
                 noise=noise,
-                gains=gains,
+                law=law,
                 thorough=thorough,
             )
             scores.append(score_structure(fitted, decimals))

@@ -173,7 +173,7 @@ def test_another_plant_is_tested_as_the_rig_is(tmp_path: Path) -> None:
     truth = Motor.model("without friction").parameters(k=0.06, j=5e-4, b=2e-4)
     reference = np.repeat([50.0, 150.0, 90.0, -60.0], 240)
     sensor = Sensor(noise=Motor.output.noise).realise(reference.size, 0.05, 3)
-    run = simulate_closed_loop(truth, reference, states=begin(truth, 0.0), gains=Motor.loop, sensor=sensor)
+    run = simulate_closed_loop(truth, reference, states=begin(truth, 0.0), law=Motor.loop, sensor=sensor)
     samples = samples_of(Window(reference, run.output, run.input, period=0.05))
     choices = Choices(every=2.0, horizons=(0.5, 5.0))
     settings = TwinSettings.of(Motor, period=0.05)

@@ -109,7 +109,7 @@ class Graph:
         if samples[0].index <= self._last:
             self._replace("plant/sample", LoopSample)
         self._last = samples[-1].index
-        mirror = Mirror(TwinSettings().start, TwinSettings().gains)
+        mirror = Mirror(TwinSettings().start, TwinSettings().law)
         for sample in samples:
             self.publish("plant/sample", sample_message(sample))
             self.publish("twin/state", state_message(mirror.push(sample), "", Peltier.states))

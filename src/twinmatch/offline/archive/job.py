@@ -126,14 +126,14 @@ def _rows(judgement: Judgement, entry: dict[str, Any]) -> list[dict[str, Any]]:
     from twinmatch.signals import Window, unbroken  # noqa: PLC0415
     from twinmatch.twin import window_fit  # noqa: PLC0415
 
-    gains, period = judgement.settings.gains, judgement.settings.period
+    law, period = judgement.settings.law, judgement.settings.period
     longest = Window.from_samples(max(unbroken(judgement.bridged), key=len), period)
     rows = []
     for candidate, known in zip(
         judgement.verdicts[-1].modelled, entry["verdicts"][-1]["candidates"], strict=False
     ):
         chosen = next(order for order in known["orders"] if order["order"] == candidate.chosen_order)
-        fit = window_fit(candidate.parameters, longest, gains)
+        fit = window_fit(candidate.parameters, longest, law)
         rows.append(
             {"session": judgement.name, "nominal": candidate.name == judgement.summary.nominal}
             | {key: value for key, value in known.items() if key != "orders"}

@@ -169,18 +169,16 @@ class Choices:
         return tuple(sorted(set(self.horizons)))
 
 
-def with_constant_band(
-    forecast: Forecast, parameters: Parameters, past: Window, gains: Law | None
-) -> Forecast:
+def with_constant_band(forecast: Forecast, parameters: Parameters, past: Window, law: Law | None) -> Forecast:
     """The same means with a band of one width at all horizons.
 
     The band contains its share of the residuals of the closed-loop twin over the whole past (measured minus
-    twin, for output and input), or, without gains, of the driven twin (output only). The twin was matched on
+    twin, for output and input), or, without a law, of the driven twin (output only). The twin was matched on
     part of that past, so the band tends to be narrow; such bands are usually made so.
     """
-    twin = response_on(parameters, past, gains)
+    twin = response_on(parameters, past, law)
     output = _around(forecast.output.mean, past.output[SKIPPED:] - twin.output, forecast.confidence)
-    if gains is None:
+    if law is None:
         return replace(forecast, outputs=(output,))
     entry = _around(forecast.input.mean, past.input[SKIPPED:] - twin.input, forecast.confidence)
     ends = (np.clip(end, *parameters.model.plant.drive.limits) for end in (entry.low, entry.high))
@@ -247,7 +245,7 @@ class Listener:
         self.twin = twin
         if not (outcome.verdicts or sample.index in self.wanted):
             return
-        for origin in origins(self.held, [sample.index], self.horizons, driven=twin.settings.gains is None):
+        for origin in origins(self.held, [sample.index], self.horizons, driven=twin.settings.law is None):
             asked = _outlooks(twin)
             task = self.work.give(_grade, self.common, origin, asked) if LEADER in asked.who else None
             self.graded[sample.index] = task
@@ -288,7 +286,7 @@ def _grade(terms: _Common, origin: Origin, asked: _Outlooks) -> _Graded:
         if NOMINAL in asked.who and len(origin.past) > SKIPPED + 1:
             name = asked.who[NOMINAL]
             parameters = asked.outlooks[name].parameters
-            same = with_constant_band(forecasts[name], parameters, origin.past, settings.gains)
+            same = with_constant_band(forecasts[name], parameters, origin.past, settings.law)
             marked += scored(CONSTANT, same, name)
     marked += best_in_hindsight(itertools.chain.from_iterable(of.values()))
     for peer in peers(settings.plant, names, driven=origin.driven)[0]:
@@ -375,7 +373,7 @@ def graded(judgement: Judgement, listener: Listener, *, watch: Watch | None = No
     everything = [one for result, kept in found for one in result.marked if one.horizon in kept]
     marked = common(everything)
     judged = {one.sample for one in marked}
-    driven = judgement.settings.gains is None
+    driven = judgement.settings.law is None
     return Backtest(
         name=judgement.name,
         plant=plant,

@@ -206,7 +206,7 @@ def _draw_member(upper: Axes, control: Axes, member: Member) -> None:
     window, order = member.window, member.score.chosen_order
     twin, model = member.quiet_twin, member.simulated(order)
     time = window.time[SKIPPED:]
-    closed = member.settings.gains is not None
+    closed = member.settings.law is not None
     draw_outputs(upper, window, closed=closed, lw=1.4)
     upper.plot(time, twin.output, color=CLOSED, lw=1, label="twin")
     upper.plot(time, model.output, color=MODEL, lw=0.9, ls=(0, (1, 1.2)), label="Box–Jenkins B/F")
@@ -224,11 +224,11 @@ def draw_uncertainty(members: Sequence[Member]) -> Figure:
     """The twins of all candidates on the nominal one's window; their spread is the uncertainty."""
     nominal = next((m for m in members if m.nominal), members[0])
     window = nominal.window
-    answers = [response_on(m.score.parameters, window, m.settings.gains) for m in members]
+    answers = [response_on(m.score.parameters, window, m.settings.law) for m in members]
     figure = new_figure(10, 6.2)
     axes = stack(figure, (3, 2, 1.5, 1.5))
     time = window.time[SKIPPED:]
-    draw_outputs(axes[0], window, closed=nominal.settings.gains is not None, lw=2)
+    draw_outputs(axes[0], window, closed=nominal.settings.law is not None, lw=2)
     draw_inputs(axes[1], window, 1.6)
     for member, answer, colour in zip(members, answers, family_colours(len(members)), strict=True):
         line: dict[str, Any] = {"color": colour, "lw": 0.9, "zorder": 2}

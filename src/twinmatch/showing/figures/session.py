@@ -50,7 +50,7 @@ def draw_session(samples: Sequence[Sample], verdicts: Sequence[Verdict], setting
     """
     shown = shown_twin(verdicts[-1] if verdicts else None)
     parts = compare(samples, shown.parameters, settings) if shown else ()
-    closed = settings.gains is not None
+    closed = settings.law is not None
     rows = (4 if closed else 3) if parts else 2
     figure = new_figure(10, 1.75 * rows)
     axes = stack(figure, (3, 2, 1.6, 1.6)[:rows])
@@ -204,7 +204,7 @@ def draw_verdict(
     shown = shown_twin(verdicts[-1] if verdicts else None)
     for number, stretch in enumerate(unbroken(samples)):
         window = Window.from_samples(stretch, settings.period)
-        draw_outputs(upper, window, closed=settings.gains is not None, named=number == 0, lw=1.2)
+        draw_outputs(upper, window, closed=settings.law is not None, named=number == 0, lw=1.2)
         draw_inputs(control, window, 0.9)
     parts = compare(samples, shown.parameters, settings) if shown else ()
     for number, part in enumerate(parts):

@@ -347,9 +347,9 @@ def update_sentence(state: DashboardState, settings: TwinSettings) -> None:
     samples = [Sample(int(k), int(k), r, y, u) for k, r, y, u in rows if not math.isnan(r)]  # NaN: a gap
     summed_up = ""
     if samples and verdict is not None and (verdict.leader or verdict.nominal):
-        gains = settings.gains and replace(settings.gains, period=period)
+        law = settings.law and replace(settings.law, period=period)
         with suppress(TwinmatchError):  # so few samples that there is no window
-            summed_up = sentence(summarise(bridged(samples, settings), [verdict], gains, period=period))
+            summed_up = sentence(summarise(bridged(samples, settings), [verdict], law, period=period))
     with state.lock:
         if state.verdict is verdict:
             state.sentence = summed_up

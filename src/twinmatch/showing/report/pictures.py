@@ -173,7 +173,7 @@ def write_pictures(found: dict[str, Picture], folder: Path, ending: str) -> list
 def _session_alt(j: Judgement) -> str:
     low, high = min(s.output for s in j.samples), max(s.output for s in j.samples)
     y, u = signal_names(j.settings.plant)
-    closed = j.settings.gains is not None
+    closed = j.settings.law is not None
     set_point = "set-point, " if closed else ""
     base = f"Time series of {set_point}measured {y.name} ({y.text(low, high)}) and {u.name}"
     shown = shown_twin(j.verdicts[-1] if j.verdicts else None)

@@ -255,7 +255,7 @@ class SessionReport:
     def _content(self) -> dict[str, object]:
         judged, judgement, settings = self.judged, self.judged.judgement, self.judged.judgement.settings
         last, nominal, tested = last_verdict(judgement.verdicts), self.nominal, judged.tested
-        period, level, closed = settings.period, judgement.summary.level, settings.gains is not None
+        period, level, closed = settings.period, judgement.summary.level, settings.law is not None
         plant, matched = settings.plant, settings.start.model.structure_name
         return {
             "name": self.name,

@@ -150,7 +150,7 @@ def family_table(members: Sequence[Member]) -> ReportTable | None:
     """Parameters of every candidate with their 95 % intervals; None without one."""
     if not members:
         return None
-    closed = any(m.settings.gains is not None for m in members)
+    closed = any(m.settings.law is not None for m in members)
 
     def parameter(m: Member, q: ParameterFormat) -> Cell:
         if m.match is None or q.name not in m.match.free:

@@ -29,7 +29,7 @@ def duration(seconds: float) -> str:
 def session_facts(judgement: Judgement) -> list[tuple[str, str]]:
     """The session in numbers: pairs of name and value."""
     samples, settings, signals = judgement.samples, judgement.settings, _signals(judgement)
-    closed = settings.gains is not None
+    closed = settings.law is not None
     limits = " to ".join(number(edge, signals.input.decimals) for edge in settings.plant.drive.limits)
     facts = [
         ("samples", f"{len(samples)}, one every {settings.period:g} s"),
@@ -79,7 +79,7 @@ def _what(judgement: Judgement) -> str:
     plant, signals = judgement.settings.plant, _signals(judgement)
     control = f"control ({plant.drive.text or plant.drive.name})"
     recorded = f"were recorded every {period:g} s, {len(samples)} samples in total"
-    if judgement.settings.gains is None:
+    if judgement.settings.law is None:
         beside = "".join(f" and {d.text or d.name}" for d in plant.disturbances.values())
         return (
             f"For {_duration(judgement)} the {signals.output} of a plant ({plant.title}), its "
@@ -95,7 +95,7 @@ def _what(judgement: Judgement) -> str:
 
 def _matching(judgement: Judgement) -> str:
     count = sum(1 for v in judgement.verdicts if v.match)
-    closed = judgement.settings.gains is not None
+    closed = judgement.settings.law is not None
     kind = "set-point" if closed else "control"
     twin = "of the plant with its controller" if closed else "of the plant under the recorded control"
     if not count:
@@ -115,7 +115,7 @@ def _matching(judgement: Judgement) -> str:
 def _nothing(judgement: Judgement) -> str:
     if any(v.match for v in judgement.verdicts):
         return "There is no valid match, so there is no twin to trust."
-    if judgement.settings.gains is None:
+    if judgement.settings.law is None:
         unit, least = judgement.settings.plant.drive.unit, judgement.settings.least_movement
         step = f"{least:g} {unit}".rstrip()
         return f"The control has to move by {step} or more, for some minutes in total."
@@ -165,7 +165,7 @@ def _fit(judgement: Judgement, shown: ShownTwin) -> str:
     s, signals = judgement.summary, _signals(judgement)
     y, u, driven = _residuals(judgement, shown)
     by, off, control = "by the recorded control", driven, ""
-    if judgement.settings.gains is not None:
+    if judgement.settings.law is not None:
         by, off = "only by the set-points", y
         control = f" and the {signals.input} to {percent(s.fit_u)} % ({signals.input.text(u, finer=1)} RMS)"
     faulty = any(v.level is TrustLevel.FAULT for v in judgement.verdicts)
@@ -215,7 +215,7 @@ def _fit_facts(judgement: Judgement, shown: ShownTwin) -> list[tuple[str, str]]:
     y, u, driven = _residuals(judgement, shown)
     loop, open_loop = f"closed-loop twin of {shown.name}, ", f"driven twin of {shown.name}, {signals.output}"
     trusted = ("trusted between", str(s.range) if s.range else "–")
-    if judgement.settings.gains is None:
+    if judgement.settings.law is None:
         return [(open_loop, f"fit {percent(s.fit_y)} %, {signals.output.text(driven, finer=2)} RMS"), trusted]
     return [
         (f"{loop}{signals.output}", f"fit {percent(s.fit_y)} %, {signals.output.text(y, finer=2)} RMS"),
@@ -232,7 +232,7 @@ def _matches(judgement: Judgement) -> str:
 
 
 def _steps(samples: Sequence[Sample], settings: TwinSettings) -> str:
-    least, driven = settings.least_movement, settings.gains is None
+    least, driven = settings.least_movement, settings.law is None
     moving = [s.input if driven else s.reference for s in samples]
     count, anchor = 0, moving[0]
     for value in moving:
