@@ -1,7 +1,7 @@
 """Which samples of a session are doubted: those during which somebody else published what the twin judges.
 
 Messages of two publishers reach each node in an order of its own, so of two samples of one index the twin may
-take one and the recorder the other. Nobody can tell afterwards; when it may have happened can be told.
+take one and the recorder the other. Nobody can tell afterwards; when it may have happened is recorded.
 """
 
 from __future__ import annotations
