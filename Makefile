@@ -14,7 +14,7 @@ $(error ROS=$(ROS): wheels exist for jazzy and kilted; make setup ROS=jazzy)
 endif
 PYTEST_ARGS ?= -n auto --dist loadfile --no-loadscope-reorder
 PYTHONS ?= python3.10 python3.11 python3.12 python3.13
-PYTHON_TESTS ?= tests/test_signals.py tests/sessions tests/comparing tests/fitting tests/nodes/test_runner.py
+PYTHON_TESTS ?= tests/test_signals.py tests/sessions tests/importing tests/sampling tests/comparing tests/fitting tests/nodes/test_runner.py
 SESSION ?=
 BENCH_ARGS ?=
 

@@ -27,7 +27,7 @@ from benchmarks.box_jenkins_peers import Fit, missing, own, peers
 from benchmarks.common import Row, document, measure_side_by_side, print_rows, rows_of
 from benchmarks.rig import recorded
 from twinmatch.fitting import ORDERS, BoxJenkins, estimate, estimate_ladder
-from twinmatch.sessions import open_any
+from twinmatch.importing import open_any
 from twinmatch.signals import FloatArray, Sample
 
 NAME = "box_jenkins"

@@ -17,9 +17,9 @@ from benchmarks.common import Row, Timing, measure_side_by_side, print_rows, row
 from benchmarks.rig import recorded
 from twinmatch.comparing import Candidate, Verdict
 from twinmatch.dynamics import Parameters
+from twinmatch.importing import open_any
 from twinmatch.offline.judging import Judgement, judge_samples
 from twinmatch.plants import Peltier
-from twinmatch.sessions import open_any
 from twinmatch.signals import Sample
 from twinmatch.twin import Discriminator, MatchReport, TwinSettings, carry_out
 

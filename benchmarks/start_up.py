@@ -60,7 +60,7 @@ def _environment() -> dict[str, str]:
 def _loading(session: Path, repeats: int) -> Row:
     """CPU time of a new process before it judges: that of a first replay minus that of a second one."""
     code = (
-        "import sys, time; from pathlib import Path; from twinmatch.sessions import open_any\n"
+        "import sys, time; from pathlib import Path; from twinmatch.importing import open_any\n"
         "from twinmatch.offline.judging import judge, terms_from_files\n"
         "def run(): session = open_any(Path(sys.argv[1])); judge(session, terms_from_files(session))\n"
         "run(); first = time.process_time(); run(); print(2 * first - time.process_time())"

@@ -31,8 +31,9 @@ from rich.table import Table
 from twinmatch.dynamics import law_of, simulate_window
 from twinmatch.errors import TwinmatchError
 from twinmatch.fitting import Noise, StructureFit
+from twinmatch.importing import read_recording
 from twinmatch.plants import Peltier
-from twinmatch.sessions import read_recording, samples_of
+from twinmatch.sessions import samples_of
 from twinmatch.signals import Window
 from twinmatch.twin import Schedule, StructureFits, choose_structure, nrmse, watched
 

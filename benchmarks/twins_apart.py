@@ -28,9 +28,9 @@ from scipy.stats import spearmanr
 from twinmatch.comparing import CandidateScore
 from twinmatch.dynamics import Parameters, Response, simulate_window
 from twinmatch.errors import TwinmatchError
+from twinmatch.importing import open_any
 from twinmatch.offline.judging import judge, terms_from_files
 from twinmatch.plants import Peltier
-from twinmatch.sessions import open_any
 from twinmatch.signals import FloatArray, Window
 
 AHEAD = 300

@@ -25,10 +25,11 @@ from tests.support.places import PROJECT, SHIPPED
 from tests.support.processes import Process, run_twinmatch
 from tests.support.steps import drive_lost, quarter_of_an_hour
 from twinmatch.cli import main
+from twinmatch.importing import open_any
 from twinmatch.launching.forking import fork_server
 from twinmatch.offline.judging import judge, terms_from_files
 from twinmatch.offline.processes import held_interrupts
-from twinmatch.sessions import open_any, read_session, samples_of, write_session
+from twinmatch.sessions import read_session, samples_of, write_session
 from twinmatch.signals import Sample, Window
 from twinmatch.twin import Outcome, Twin
 

@@ -23,11 +23,12 @@ from twinmatch.adding import AddingError, Proposal, check_plant, example, files_
 from twinmatch.adding.data import check_data, compare_structures, loop_findings
 from twinmatch.adding.proposal import noise_of
 from twinmatch.dynamics import PidGains, begin, simulate_closed_loop, simulate_driven
+from twinmatch.importing import open_any
+from twinmatch.importing.column_map import ColumnMap, Source, parse_map
+from twinmatch.importing.recordings import session_of
+from twinmatch.importing.tables import Table, read_table
 from twinmatch.plants import find_plant
-from twinmatch.sessions import RecordingError, Session, open_any, samples_of
-from twinmatch.sessions.column_map import ColumnMap, Source, parse_map
-from twinmatch.sessions.sources import session_of
-from twinmatch.sessions.tables import Table, read_table
+from twinmatch.sessions import RecordingError, Session, samples_of
 from twinmatch.signals import Sample, Window
 from twinmatch.twin import TwinSettings
 

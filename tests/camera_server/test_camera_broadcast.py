@@ -11,11 +11,11 @@ from typing import BinaryIO
 
 import pytest
 from twinmatch_camera.broadcast import Broadcast
+from twinmatch_camera.emulation import PLATE
 from twinmatch_camera.errors import ListenError
 from twinmatch_camera.sources.base import EndOfRecording
 from twinmatch_camera.sources.followed import FollowedSource
 
-from twinmatch.emulation.lepton import PLATE
 from twinmatch.links.thermal_client import region
 
 PATIENCE = 10.0

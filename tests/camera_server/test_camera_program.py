@@ -11,11 +11,11 @@ from pathlib import Path
 
 import pytest
 from twinmatch_camera.__main__ import main
+from twinmatch_camera.emulation import PLATE, PlateFeed
 
 from tests.support.camera import CameraProgram
 from tests.support.places import CAMERA_PATHS
 from tests.support.waiting import wait_for
-from twinmatch.emulation.lepton import PLATE, PlateFeed
 from twinmatch.links.thermal_client import ClientSettings, Received, ThermalClient, region
 
 SETTINGS = ClientSettings(first_wait=0.05, longest_wait=0.2)

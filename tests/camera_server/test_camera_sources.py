@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 import twinmatch_camera.sources.v4l2 as v4l2_module
 from twinmatch_camera.broadcast import Broadcast
+from twinmatch_camera.emulation import LeptonSettings, PlateFeed
 from twinmatch_camera.errors import CameraError, SourceError
 from twinmatch_camera.program import CameraThread, run
 from twinmatch_camera.sources.base import EndOfRecording
@@ -25,7 +26,6 @@ from twinmatch_camera.sources.recorded import RecordedSource
 from twinmatch_camera.sources.v4l2 import V4l2Source
 
 from tests.support.camera import decoded
-from twinmatch.emulation.lepton import LeptonSettings, PlateFeed
 from twinmatch.links.thermal_frame import Exposure, FlatField, FrameFlags, encode_frame
 
 PATIENCE = 10.0

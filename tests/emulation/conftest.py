@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
+from twinmatch_camera.emulation import PLATE
 
 from tests.support.processes import Process, Processes
 from tests.support.waiting import PATIENCE
@@ -19,7 +20,6 @@ from twinmatch.dynamics import Controller as Law
 from twinmatch.dynamics.store import cache_folder
 from twinmatch.emulation.clock import ClockClient, parse_address
 from twinmatch.emulation.faults import tell
-from twinmatch.emulation.lepton import PLATE
 from twinmatch.links.pwm_link import PwmLatchedError, PwmLink, PwmLinkError
 from twinmatch.links.thermal_client import ThermalClient, region
 from twinmatch.plants import Peltier

@@ -22,11 +22,12 @@ from mcap.reader import make_reader
 from tests.support import faulty_rig
 from twinmatch.comparing import Verdict
 from twinmatch.health import Monitor
+from twinmatch.importing import open_any
 from twinmatch.launching.live import Live
 from twinmatch.launching.plan import LivePlan
 from twinmatch.offline.judging import judge, terms_from_files
 from twinmatch.offline.summary import Tally, conclude, summarise
-from twinmatch.sessions import Recording, open_any, read_session
+from twinmatch.sessions import Recording, read_session
 from twinmatch.sessions.messages import SAMPLE, encode_sample
 from twinmatch.showing.console import Console
 from twinmatch.showing.terminal import MOST_EVENTS, Screen

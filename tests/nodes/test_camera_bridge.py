@@ -15,10 +15,10 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Image, Temperature
 from std_msgs.msg import Float64, Header
+from twinmatch_camera.emulation import EmulatedLepton, LeptonSettings
 
 from tests.support.camera import CameraProgram
 from tests.support.processes import Processes, Start
-from twinmatch.emulation.lepton import EmulatedLepton, LeptonSettings
 from twinmatch.links.thermal_client import RegionError
 from twinmatch.links.thermal_frame import Exposure, FlatField, FrameFlags, encode_frame
 from twinmatch.nodes.camera_bridge import WallToRos, celsius_image, centikelvin, raw_image

@@ -15,7 +15,7 @@ from tests.support.oven import MAP, PERIOD, RIG, oven_file
 from tests.support.processes import Process, Processes, no_plant_files
 from tests.support.ros import Inside, Listener
 from twinmatch.nodes.topics import EVERYTHING, MessageTypeError, fields_of, message_class
-from twinmatch.sessions.channels import Field
+from twinmatch.sampling.channels import Field
 from twinmatch_msgs.msg import LoopSample
 
 pytestmark = pytest.mark.ros

@@ -20,10 +20,10 @@ from twinmatch.cli import main
 from twinmatch.offline.judging import Judgement, TermsError
 from twinmatch.offline.summary import summarise
 from twinmatch.offline.verification import VerifyError, verify_session
+from twinmatch.parameters.candidates import parse_candidates
 from twinmatch.parameters.twin import read_settings, settings_from, twin_values, values_of
 from twinmatch.plants import Peltier
 from twinmatch.sessions import SessionError, write_session
-from twinmatch.sessions.candidates import parse_candidates
 from twinmatch.sessions.metadata import parameters_of, parameters_record
 from twinmatch.signals import Sample
 from twinmatch.twin import Outcome, Twin, TwinSettings

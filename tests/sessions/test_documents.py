@@ -22,11 +22,11 @@ from tests.support.rig import rig
 from tests.support.schemas import bare
 from twinmatch.cli import main
 from twinmatch.errors import TwinmatchError
+from twinmatch.parameters.candidates import CandidateFileError, parse_candidates, read_candidates
 from twinmatch.parameters.twin import read_settings
 from twinmatch.plants import Peltier
 from twinmatch.plants.records import parameters_from
 from twinmatch.sessions import SessionError, messages
-from twinmatch.sessions.candidates import CandidateFileError, parse_candidates, read_candidates
 from twinmatch.sessions.documents import MOST_BYTES, DocumentError, parse_json, parse_yaml, read_yaml
 from twinmatch.sessions.messages import PLANT_TOPICS, SAMPLE, Qos, Topic, fields_of, schema_of
 from twinmatch.sessions.metadata import files_listed, parse_qos

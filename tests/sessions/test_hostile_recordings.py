@@ -19,10 +19,11 @@ from mcap.records import Chunk
 
 from tests.support.limits import within
 from twinmatch.cli import main
-from twinmatch.sessions import RecordingError, SessionError, open_any, read_recording
+from twinmatch.importing import open_any, read_recording
+from twinmatch.importing.tables import read_table
+from twinmatch.sessions import RecordingError, SessionError
 from twinmatch.sessions.files import MOST_LINE
 from twinmatch.sessions.scan import MAGIC, Scan
-from twinmatch.sessions.tables import read_table
 
 CSV = "time,reference,temperature,pwm\n0,30,25.5,-1\n1,30,26,2\n"
 COLUMNS = np.array([[1.0, 2.0], [25.0, 26.0], [0.0, 1.0], [30.0, 30.0]])

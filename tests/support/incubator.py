@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from twinmatch.sessions import resample
+from twinmatch.importing import resample
 from twinmatch.signals import FloatArray, Window
 
 FIRST, SECOND, LID = "exp1_ht3_hg2", "exp2_ht20_hg30", "lid_opening_jan_2021"

@@ -22,11 +22,12 @@ from tests.golden import compare, digest
 from twinmatch.comparing import TrustLevel
 from twinmatch.dynamics import Parameters, begin, simulate_closed_loop
 from twinmatch.forecasting import Outlook
+from twinmatch.importing import open_any
 from twinmatch.offline.backtest import Choices, Listener, graded
 from twinmatch.offline.backtest.scoring import LEADER, TWINS
 from twinmatch.offline.judging import Judgement, judge, judge_samples, terms_from_files
 from twinmatch.plants import Peltier
-from twinmatch.sessions import open_any, samples_of
+from twinmatch.sessions import samples_of
 from twinmatch.showing.summary import document
 from twinmatch.signals import FloatArray, Sample, Window
 from twinmatch.twin import Outcome, Twin, TwinSettings, choose_structure

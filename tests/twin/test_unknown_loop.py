@@ -12,9 +12,10 @@ from tests.support.plants import Box, Motor
 from twinmatch.comparing import TrustLevel, Verdict
 from twinmatch.dynamics import PlantError, begin, simulate_closed_loop
 from twinmatch.forecasting import Question, what_if
+from twinmatch.importing import open_any
 from twinmatch.offline.judging import Judgement, judge_samples
 from twinmatch.record import tree_of
-from twinmatch.sessions import SessionWriter, open_any
+from twinmatch.sessions import SessionWriter
 from twinmatch.sessions.messages import SAMPLE, encode_sample
 from twinmatch.signals import Sample
 from twinmatch.twin import Twin, TwinSettings

@@ -61,7 +61,7 @@ def _address(text: str, default_port: int) -> tuple[str, int]:
 
 
 def _emulated(arguments: argparse.Namespace) -> Source:
-    from twinmatch.emulation.lepton import LeptonError, LeptonSettings  # noqa: PLC0415
+    from twinmatch_camera.emulation import LeptonError, LeptonSettings  # noqa: PLC0415
     from twinmatch_camera.sources.emulated import EmulatedSource  # noqa: PLC0415
     from twinmatch_camera.sources.followed import FollowedSource  # noqa: PLC0415
 

@@ -20,12 +20,13 @@ from twinmatch.adding.trial import CheckedPlant, Finding, time_constants
 from twinmatch.dynamics import Law, Output, Plant, PlantError, commands_of
 from twinmatch.fitting import FittingError
 from twinmatch.fitting.gate import Status
+from twinmatch.importing import open_any
+from twinmatch.importing.column_map import ColumnMap
+from twinmatch.importing.mapped import TIME, map_samples, with_plant_names
+from twinmatch.importing.recordings import session_of
+from twinmatch.importing.tables import read_table
 from twinmatch.offline.judging import judge, terms_from_files
-from twinmatch.sessions import Session, open_any
-from twinmatch.sessions.column_map import ColumnMap
-from twinmatch.sessions.mapped import TIME, map_samples, with_plant_names
-from twinmatch.sessions.sources import session_of
-from twinmatch.sessions.tables import read_table
+from twinmatch.sessions import Session
 from twinmatch.showing.series import root_mean_square
 from twinmatch.signals import FloatArray, Sample, Window, only, unbroken
 from twinmatch.twin import MatchReport, StructureScore, TwinSettings, choose_structure

@@ -17,11 +17,11 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from twinmatch.dynamics import Plant
-from twinmatch.sessions.column_map import ColumnMap, Source
-from twinmatch.sessions.mapped import require_columns
-from twinmatch.sessions.resampling import Resampled, repeated, resample
-from twinmatch.sessions.tables import Table, split_title
-from twinmatch.sessions.times import read_times, row_times
+from twinmatch.importing.column_map import ColumnMap, Source
+from twinmatch.importing.mapped import require_columns
+from twinmatch.importing.resampling import Resampled, repeated, resample
+from twinmatch.importing.tables import Table, split_title
+from twinmatch.importing.times import read_times, row_times
 from twinmatch.signals import FloatArray
 from twinmatch.units import measure
 

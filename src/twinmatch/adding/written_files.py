@@ -14,9 +14,9 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from twinmatch.adding.proposal import Proposal, rounded
 from twinmatch.errors import TwinmatchError
+from twinmatch.importing.column_map import Source
 from twinmatch.plants import PLANTS
 from twinmatch.plants.files import installed_names
-from twinmatch.sessions.column_map import Source
 
 _WIDE: Final = 20.0
 """Bounds of gain and lag are this factor below and above; a first guess is rarely further off."""

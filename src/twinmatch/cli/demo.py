@@ -66,8 +66,8 @@ def _look_back(session: Path) -> int:
 
 def _recorded(session: Path) -> int:
     """Play a session within `LONGEST`, then write the report; returns the exit code."""
+    from twinmatch.importing import open_any  # noqa: PLC0415
     from twinmatch.launching.replay import Replay, play  # noqa: PLC0415 — needs ROS
-    from twinmatch.sessions import open_any  # noqa: PLC0415
     from twinmatch.showing.report.report import make_report  # noqa: PLC0415
 
     found = open_any(session)

@@ -10,13 +10,14 @@ from typing import Any
 
 from twinmatch.cli.shared import Progress, add_options, column_map, console_for, positive_period
 from twinmatch.errors import TwinmatchError
+from twinmatch.importing import read_recording
+from twinmatch.importing.bags import is_bag, map_bag, open_bag
+from twinmatch.importing.column_map import ColumnMap, columns_of, proposed
+from twinmatch.importing.mapped import map_samples, with_plant_names
+from twinmatch.importing.tables import read_table
 from twinmatch.plants import find_plant
-from twinmatch.sessions import plant_topics, read_recording, samples_of, write_session
-from twinmatch.sessions.bags import is_bag, map_bag, open_bag
-from twinmatch.sessions.column_map import ColumnMap, columns_of, proposed
-from twinmatch.sessions.mapped import map_samples, with_plant_names
+from twinmatch.sessions import plant_topics, samples_of, write_session
 from twinmatch.sessions.metadata import NO_REFERENCE, PLANT
-from twinmatch.sessions.tables import read_table
 from twinmatch.signals import Sample
 
 

@@ -11,8 +11,8 @@ from typing import Any
 from twinmatch.adding import Proposal, example, files_of, propose
 from twinmatch.cli.shared import add_options, positive_period
 from twinmatch.errors import TwinmatchError
-from twinmatch.sessions.column_map import ColumnMap, columns_of, parse_map, proposed
-from twinmatch.sessions.tables import read_table
+from twinmatch.importing.column_map import ColumnMap, columns_of, parse_map, proposed
+from twinmatch.importing.tables import read_table
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

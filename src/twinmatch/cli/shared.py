@@ -20,8 +20,8 @@ from twinmatch.errors import TwinmatchError
 if TYPE_CHECKING:
     from rich import progress
 
+    from twinmatch.importing.column_map import ColumnMap
     from twinmatch.sessions import Session
-    from twinmatch.sessions.column_map import ColumnMap
     from twinmatch.showing.console import Console
 
 EXIT_PARTLY: Final = 3
@@ -93,7 +93,7 @@ def add_options(parser: argparse._ActionsContainer, *names: str, **changed: Any)
 
 def open_shown(path: Path, plant: str | None = None) -> Session:
     """Read a session of any kind, with a progress bar."""
-    from twinmatch.sessions import open_any  # noqa: PLC0415 — slow to import
+    from twinmatch.importing import open_any  # noqa: PLC0415 — slow to import
 
     with Progress("reading") as progress:
         return open_any(path, progress=progress.advance, plant=plant)
@@ -111,7 +111,7 @@ def column_map(options: argparse.Namespace) -> ColumnMap:
     Raises:
         TwinmatchError: one of them is not a map.
     """
-    from twinmatch.sessions.column_map import ColumnMap, parse_map, read_map  # noqa: PLC0415
+    from twinmatch.importing.column_map import ColumnMap, parse_map, read_map  # noqa: PLC0415
 
     written = read_map(options.map_file) if options.map_file else ColumnMap()
     return written.joined(parse_map(options.map))

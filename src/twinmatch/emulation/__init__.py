@@ -1,1 +1,1 @@
-"""Emulated hardware behind the real protocols: camera, Arduino, and Temperature Control Lab."""
+"""Emulated hardware behind the real protocols: Arduino, Temperature Control Lab, and a camera led in step."""

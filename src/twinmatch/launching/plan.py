@@ -12,6 +12,8 @@ from itertools import chain
 from pathlib import Path
 from typing import Final
 
+from twinmatch.importing.column_map import ColumnMap
+from twinmatch.importing.mapped import by_signal
 from twinmatch.launching.processes import LaunchError
 from twinmatch.links.kit_link import require_package, require_port
 from twinmatch.nodes.sampler import sources_of, understood
@@ -19,9 +21,7 @@ from twinmatch.nodes.step import PATIENCE
 from twinmatch.parameters.declared import Values, check, render, sections_of
 from twinmatch.parameters.twin import at_period, read_settings, table_of, values_of
 from twinmatch.plants import find_plant, written_name
-from twinmatch.sessions.column_map import ColumnMap
-from twinmatch.sessions.mapped import by_signal
-from twinmatch.sessions.sampler import REFERENCE
+from twinmatch.sampling.sampler import REFERENCE
 
 SAMPLER = "sampler"
 

@@ -29,7 +29,7 @@ from twinmatch.nodes.messages import (
 )
 from twinmatch.nodes.samples import SampleNode, TwinNode
 from twinmatch.nodes.topics import EVERYTHING, LATCHED, RELIABLE
-from twinmatch.sessions.candidates import read_candidates
+from twinmatch.parameters.candidates import read_candidates
 from twinmatch.signals import Sample
 from twinmatch.twin import Discriminator, MatchReport, Snapshot, Step
 from twinmatch_msgs.msg import Candidate, Forecast, ForecastScore, Match, MatchRequest, ModelScore

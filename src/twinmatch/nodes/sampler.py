@@ -13,6 +13,7 @@ from typing import Any, ClassVar, Final
 from twinmatch.description import Quantity
 from twinmatch.dynamics import Plant, PlantError
 from twinmatch.errors import TwinmatchError
+from twinmatch.importing.column_map import parse_source
 from twinmatch.nodes.health import Level, Report
 from twinmatch.nodes.messages import nanoseconds, sample_message
 from twinmatch.nodes.node import READERS, Missed, Readers, TwinmatchNode
@@ -20,9 +21,8 @@ from twinmatch.nodes.topics import RELIABLE, ForeignTopics
 from twinmatch.parameters.declared import ParameterError, Setting
 from twinmatch.plants import Peltier, find_plant, written_name
 from twinmatch.plants.records import description_of
-from twinmatch.sessions.channels import SamplingError, SignalSource, follow
-from twinmatch.sessions.column_map import parse_source
-from twinmatch.sessions.sampler import INPUT, OUTPUT, REFERENCE, TIMER, Limits, Sampler
+from twinmatch.sampling.channels import SamplingError, SignalSource, follow
+from twinmatch.sampling.sampler import INPUT, OUTPUT, REFERENCE, TIMER, Limits, Sampler
 from twinmatch_msgs.msg import LoopSample
 
 _PERIODS: Final = 3.0

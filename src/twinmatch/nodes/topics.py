@@ -13,8 +13,8 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 from twinmatch.errors import TwinmatchError
+from twinmatch.sampling.channels import Channel, Field, SamplingError, check_path
 from twinmatch.sessions import Qos
-from twinmatch.sessions.channels import Channel, Field, SamplingError, check_path
 
 EVERYTHING = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE)
 """For readers that must not miss a message: a full queue applies back-pressure to the writer."""

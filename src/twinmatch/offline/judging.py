@@ -17,9 +17,9 @@ from twinmatch.dynamics.store import cache_folder
 from twinmatch.errors import TwinmatchError
 from twinmatch.offline.processes import held_interrupts
 from twinmatch.offline.summary import SessionSummary, summarise
+from twinmatch.parameters.candidates import parse_candidates, read_candidates
 from twinmatch.parameters.twin import at_period, read_settings, recorded_values, settings_from
 from twinmatch.sessions import Session, samples_of
-from twinmatch.sessions.candidates import parse_candidates, read_candidates
 from twinmatch.sessions.metadata import CANDIDATES, parameters_of
 from twinmatch.signals import Sample, Window
 from twinmatch.twin import MatchReport, Outcome, Twin, TwinSettings, bridged

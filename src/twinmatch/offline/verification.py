@@ -12,9 +12,10 @@ from twinmatch.comparing import Verdict
 from twinmatch.dynamics import Plant
 from twinmatch.errors import TwinmatchError
 from twinmatch.fmu import is_fmu, unmarked
+from twinmatch.importing import open_any
 from twinmatch.offline.judging import Judgement, Watch, judge, prefix_of, recorded_terms
 from twinmatch.record import Tree, comparable, differences, tree_of, tree_of_message
-from twinmatch.sessions import Session, open_any
+from twinmatch.sessions import Session
 from twinmatch.sessions.files import ProgressCallback
 from twinmatch.sessions.messages import decoded
 from twinmatch.signals import Sample, bridge

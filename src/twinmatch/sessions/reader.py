@@ -37,13 +37,14 @@ from twinmatch.sessions.metadata import (
     mcap_files,
     plant_of,
 )
-from twinmatch.sessions.resampling import rounded_period
 from twinmatch.sessions.scan import Scan, messages_of
 from twinmatch.signals import Sample, Window
 
 SUFFIX = "plant/sample"
 MESSAGES_BETWEEN = 5000
 """Messages between two reports of progress."""
+ROUNDED: Final = 5e-3
+"""Share by which a measured sampling period may be rounded."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -389,3 +390,15 @@ def period_of(samples: Sequence[Sample]) -> float:
         msg = f"session: the stamps do not advance between samples {samples[0].index} and {samples[-1].index}"
         raise SessionError(msg)
     return rounded_period(mean)
+
+
+def rounded_period(mean: float) -> float:
+    """The nominal period of a loop, s, from its measured mean.
+
+    Loops are set to whole milliseconds, and clocks and stamps are slightly off: a mean within half a percent
+    of whole milliseconds is rounded to them, any other to the nanosecond.
+    """
+    whole = round(mean, 3)
+    if whole > 0 and abs(mean - whole) <= ROUNDED * whole:
+        return whole
+    return round(mean, 9)

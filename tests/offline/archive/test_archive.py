@@ -20,13 +20,13 @@ import pytest
 
 from tests.support.processes import run_twinmatch
 from tests.support.waiting import wait_for
+from twinmatch.importing import open_any
 from twinmatch.offline import archive as archives
 from twinmatch.offline.archive import ArchiveError, find_sessions, is_single
 from twinmatch.offline.archive.files import Store, content_of, key_of
 from twinmatch.offline.archive.job import ArchiveTerms, Job, judge_in_processes, judge_job
 from twinmatch.offline.judging import judge, terms_from_files
 from twinmatch.offline.processes import Beside, pool
-from twinmatch.sessions import open_any
 from twinmatch.showing.summary import document
 from twinmatch.twin import TwinSettings
 

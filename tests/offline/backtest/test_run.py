@@ -18,6 +18,7 @@ from tests.support.processes import run_twinmatch
 from tests.support.steps import drive_lost
 from twinmatch.cli.shared import PEERS as OFFERED
 from twinmatch.dynamics import Sensor, begin, simulate_closed_loop
+from twinmatch.importing import open_any
 from twinmatch.offline.backtest import Choices
 from twinmatch.offline.backtest.peer import BacktestError
 from twinmatch.offline.backtest.peers import PEERS, Absent, peers
@@ -48,7 +49,7 @@ from twinmatch.offline.backtest.scoring import (
 )
 from twinmatch.offline.judging import judge_samples, terms_from_files
 from twinmatch.plants import Peltier
-from twinmatch.sessions import open_any, samples_of, write_session
+from twinmatch.sessions import samples_of, write_session
 from twinmatch.showing.console import Console
 from twinmatch.showing.figures.drawing import save
 from twinmatch.showing.figures.forecasts import draw_backtest

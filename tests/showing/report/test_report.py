@@ -17,9 +17,10 @@ from tests.support.places import SHIPPED
 from tests.support.rig import rig, run
 from twinmatch.comparing import ADMITTED
 from twinmatch.errors import TwinmatchError
+from twinmatch.importing import read_recording
 from twinmatch.offline.backtest.scoring import LEADER, TWINS
 from twinmatch.plants import Peltier
-from twinmatch.sessions import SessionWriter, read_recording, samples_of, write_session
+from twinmatch.sessions import SessionWriter, samples_of, write_session
 from twinmatch.sessions.messages import SAMPLE, encode_sample
 from twinmatch.showing.figures.drawing import svg
 from twinmatch.showing.forecasts import backtest_words, card_columns

@@ -20,9 +20,10 @@ import pytest
 
 from tests.support.processes import Process
 from tests.support.waiting import wait_for
+from twinmatch.importing import open_any
 from twinmatch.nodes import network
 from twinmatch.offline.judging import judge, terms_from_files
-from twinmatch.sessions import open_any, read_session, write_session
+from twinmatch.sessions import read_session, write_session
 
 pytestmark = pytest.mark.ros
 

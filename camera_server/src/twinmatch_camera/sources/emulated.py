@@ -7,8 +7,8 @@ import math
 import time
 from pathlib import Path
 
-from twinmatch.emulation.lepton import EmulatedLepton, LeptonError, LeptonSettings, PlateReceiver
 from twinmatch.links.thermal_frame import Exposure
+from twinmatch_camera.emulation import EmulatedLepton, LeptonError, LeptonSettings, PlateReceiver
 from twinmatch_camera.errors import SourceError
 
 _log = logging.getLogger(__name__)

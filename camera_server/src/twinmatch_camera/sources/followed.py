@@ -12,8 +12,8 @@ import logging
 import os
 import select
 
-from twinmatch.emulation.lepton import EmulatedLepton, LeptonError, LeptonSettings
 from twinmatch.links.thermal_frame import Exposure, FrameFieldError
+from twinmatch_camera.emulation import EmulatedLepton, LeptonError, LeptonSettings
 from twinmatch_camera.sources.base import EndOfRecording
 
 _log = logging.getLogger(__name__)

@@ -137,9 +137,9 @@ def _described(terms: ArchiveTerms) -> str:
 def _terms(
     config: Path | None, candidates: Path | None, plant: str | None, document: Callable[..., dict[str, Any]]
 ) -> ArchiveTerms:
+    from twinmatch.parameters.candidates import read_candidates  # noqa: PLC0415
     from twinmatch.parameters.twin import read_settings  # noqa: PLC0415 — imports the whole twin
     from twinmatch.plants import find_plant  # noqa: PLC0415
-    from twinmatch.sessions.candidates import read_candidates  # noqa: PLC0415
 
     if plant:
         plant = find_plant(plant).name

@@ -100,10 +100,11 @@ def judge_job(job: Job, place: str = "") -> JobResult:
 
 def _record(job: Job) -> dict[str, Any]:
     """The judged session as a dictionary for JSON, with one row per candidate."""
+    from twinmatch.importing import open_any  # noqa: PLC0415
     from twinmatch.offline.judging import judge_samples  # noqa: PLC0415 — numpy: not before the process is set up
     from twinmatch.parameters.twin import at_period, read_settings  # noqa: PLC0415
     from twinmatch.plants import plant_named  # noqa: PLC0415
-    from twinmatch.sessions import SessionError, open_any  # noqa: PLC0415
+    from twinmatch.sessions import SessionError  # noqa: PLC0415
 
     terms, session = job.terms, open_any(job.path)
     settings = terms.settings

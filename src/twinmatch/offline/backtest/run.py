@@ -13,6 +13,7 @@ import numpy as np
 
 from twinmatch.dynamics import SKIPPED, Law, Parameters, Plant
 from twinmatch.forecasting import CONFIDENCE, Band, Forecast, ForecastError, Outlook
+from twinmatch.importing import open_any
 from twinmatch.offline.backtest.peer import BacktestError, Peer
 from twinmatch.offline.backtest.peers import PEERS, peers
 from twinmatch.offline.backtest.scoring import (
@@ -29,7 +30,7 @@ from twinmatch.offline.backtest.scoring import (
 )
 from twinmatch.offline.judging import Judgement, Terms, Watch, judge, terms_from_files
 from twinmatch.offline.processes import Beside, beside, held_interrupts
-from twinmatch.sessions import Session, open_any
+from twinmatch.sessions import Session
 from twinmatch.sessions.files import ProgressCallback, part_of
 from twinmatch.signals import FloatArray, Sample, Window, unbroken
 from twinmatch.twin import Outcome, Twin, TwinSettings, bridged, response_on

@@ -17,12 +17,13 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 import twinmatch
 from twinmatch.errors import TwinmatchError
+from twinmatch.importing import open_any
 from twinmatch.offline.backtest import Backtest, Choices, Listener, graded, portable
 from twinmatch.offline.judging import Judgement, Terms, Watch, judge, recorded_terms, terms_from_files
 from twinmatch.offline.processes import Beside, beside
 from twinmatch.offline.verification import compare, holds_verdicts
 from twinmatch.parameters.twin import table_of, values_of
-from twinmatch.sessions import Session, open_any
+from twinmatch.sessions import Session
 from twinmatch.sessions.files import ProgressCallback, part_of
 from twinmatch.showing.family import CRITERIA, FIGURES, Member, family
 from twinmatch.showing.forecasts import backtest_words

@@ -12,7 +12,8 @@ import scipy.sparse
 from hypothesis import given
 from hypothesis import strategies as st
 
-from twinmatch.sessions import EPOCH, RecordingError, SessionError, open_any, read_recording, write_session
+from twinmatch.importing import open_any, read_recording
+from twinmatch.sessions import EPOCH, RecordingError, SessionError, write_session
 from twinmatch.signals import Sample
 
 

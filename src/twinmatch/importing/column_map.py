@@ -31,10 +31,10 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from twinmatch.errors import TwinmatchError
+from twinmatch.importing.tables import Table, split_title
+from twinmatch.importing.times import read_times
 from twinmatch.sessions.documents import read_yaml
 from twinmatch.sessions.files import RecordingError
-from twinmatch.sessions.tables import Table, split_title
-from twinmatch.sessions.times import read_times
 from twinmatch.signals import FloatArray
 
 _FORM: Final = "write SIGNAL=COLUMN, such as output=T or 'output=T; unit=K; scale=0.1; offset=-40'"

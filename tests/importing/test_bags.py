@@ -20,10 +20,11 @@ from tests.support.bags import START, STORE, bag, header, number, temperature
 from tests.support.plant_files import plant_file
 from tests.support.processes import run_twinmatch
 from twinmatch.errors import TwinmatchError
+from twinmatch.importing import bags
+from twinmatch.importing.bags import _means, _Signal, map_bag
+from twinmatch.importing.column_map import parse_map
 from twinmatch.plants import find_plant
-from twinmatch.sessions import bags, read_session
-from twinmatch.sessions.bags import _means, _Signal, map_bag
-from twinmatch.sessions.column_map import parse_map
+from twinmatch.sessions import read_session
 
 STORE.register(get_types_from_msg("float32 value\nstring name", "lab_msgs/msg/Reading"))
 STORE.register(get_types_from_msg("std_msgs/Header header\nReading[] readings", "lab_msgs/msg/Rack"))

@@ -25,8 +25,8 @@ from typing import Final
 
 import numpy as np
 
+from twinmatch.importing.matlab import read_matrices
 from twinmatch.sessions.files import ProgressCallback, RecordingError, lines_of, open_regular
-from twinmatch.sessions.matlab import read_matrices
 from twinmatch.signals import FloatArray
 from twinmatch.units import measure
 

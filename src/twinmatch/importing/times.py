@@ -22,8 +22,8 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from twinmatch.errors import TwinmatchError
+from twinmatch.importing.tables import Table
 from twinmatch.sessions.files import RecordingError
-from twinmatch.sessions.tables import Table
 from twinmatch.signals import FloatArray
 from twinmatch.units import conversion
 

@@ -18,15 +18,15 @@ from tests.support.plants import Motor
 from tests.support.processes import run_twinmatch
 from twinmatch.dynamics import Plant
 from twinmatch.errors import TwinmatchError
+from twinmatch.importing.column_map import ColumnMap, Source, columns_of, parse_map, proposed, read_map
+from twinmatch.importing.mapped import Mapped, map_samples, with_plant_names
+from twinmatch.importing.tables import read_table
+from twinmatch.importing.times import read_times
 from twinmatch.offline.judging import terms_from_files
 from twinmatch.plants import find_plant
 from twinmatch.sessions import RecordingError, read_session, write_session
-from twinmatch.sessions.column_map import ColumnMap, Source, columns_of, parse_map, proposed, read_map
-from twinmatch.sessions.mapped import Mapped, map_samples, with_plant_names
 from twinmatch.sessions.metadata import PLANT
 from twinmatch.sessions.recording import EPOCH
-from twinmatch.sessions.tables import read_table
-from twinmatch.sessions.times import read_times
 from twinmatch.signals import Sample
 
 

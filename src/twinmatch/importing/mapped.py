@@ -11,13 +11,13 @@ import numpy as np
 
 from twinmatch.dynamics import Plant
 from twinmatch.errors import TwinmatchError
-from twinmatch.sessions.column_map import ColumnMap, Source
+from twinmatch.importing.column_map import ColumnMap, Source
+from twinmatch.importing.resampling import Gaps, Kind, Resampled, repeated, resample
+from twinmatch.importing.tables import Table, split_title
+from twinmatch.importing.times import Times, read_times, row_times
+from twinmatch.sampling.sampler import INPUT, OUTPUT, REFERENCE
 from twinmatch.sessions.files import RecordingError
 from twinmatch.sessions.recording import EPOCH
-from twinmatch.sessions.resampling import Gaps, Kind, Resampled, repeated, resample
-from twinmatch.sessions.sampler import INPUT, OUTPUT, REFERENCE
-from twinmatch.sessions.tables import Table, split_title
-from twinmatch.sessions.times import Times, read_times, row_times
 from twinmatch.signals import FloatArray, Sample, Signals
 from twinmatch.units import Conversion, conversion, measure
 

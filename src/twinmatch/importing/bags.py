@@ -16,7 +16,11 @@ import numpy as np
 
 from twinmatch.dynamics import Plant
 from twinmatch.errors import TwinmatchError
-from twinmatch.sessions.channels import (
+from twinmatch.importing.column_map import Column, ColumnMap, Source, described
+from twinmatch.importing.mapped import TIME, Mapped, by_signal, map_samples
+from twinmatch.importing.resampling import Gaps, bridged_up_to, held_means
+from twinmatch.importing.tables import Table
+from twinmatch.sampling.channels import (
     Channel,
     Field,
     SamplingError,
@@ -26,12 +30,8 @@ from twinmatch.sessions.channels import (
     follow,
     usual_unit,
 )
-from twinmatch.sessions.column_map import Column, ColumnMap, Source, described
+from twinmatch.sampling.sampler import INPUT, OUTPUT, REFERENCE
 from twinmatch.sessions.files import ProgressCallback, RecordingError, part_of
-from twinmatch.sessions.mapped import TIME, Mapped, by_signal, map_samples
-from twinmatch.sessions.resampling import Gaps, bridged_up_to, held_means
-from twinmatch.sessions.sampler import INPUT, OUTPUT, REFERENCE
-from twinmatch.sessions.tables import Table
 from twinmatch.signals import FloatArray
 
 if TYPE_CHECKING:

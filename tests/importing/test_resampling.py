@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import tracemalloc
-from contextlib import closing
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
 
@@ -12,15 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from twinmatch.offline.archive import find_sessions
-from twinmatch.offline.archive.files import content_of
-from twinmatch.sessions import RecordingError, SessionError, SessionWriter, read_session, resample
-from twinmatch.sessions.messages import SAMPLE, encode_sample
-from twinmatch.sessions.metadata import CONTINUES
-from twinmatch.sessions.spool import SIGNALS, MessageSpool, SampleSpool
-from twinmatch.sessions.tables import read_table
-from twinmatch.sessions.times import DAY_FIRST, MONTH_FIRST, in_order, order_of, read_times
-from twinmatch.signals import Sample
+from twinmatch.importing import resample
+from twinmatch.importing.tables import read_table
+from twinmatch.importing.times import DAY_FIRST, MONTH_FIRST, in_order, order_of, read_times
+from twinmatch.sessions import RecordingError
 
 
 def test_rows_on_a_clock_stay_as_they_are_to_the_last_bit():
@@ -174,90 +167,6 @@ def test_without_a_gap_splitting_changes_nothing():
     assert one.sentence == other.sentence
 
 
-# A run whose recorder was killed lies in several folders, and is one session for every reader.
-
-
-def record(folder: Path, *indices: int, continues: str = "run") -> Path:
-    """A piece with these samples."""
-    with SessionWriter(folder) as writer:
-        if continues:
-            writer.add_record(CONTINUES, {"session": continues})
-        writer.add_topic(SAMPLE)
-        for k in indices:
-            sample = Sample(k, (k + 1) * 10**9, 30.0, 25.0, float(k))
-            writer.write(SAMPLE.name, encode_sample(sample), sample.stamp)
-    return folder
-
-
-def indices(path: Path) -> list[int]:
-    return [sample.index for sample in read_session(path).samples]
-
-
-@pytest.fixture
-def killed(tmp_path: Path) -> Path:
-    """A run with four recorders: one had no time for a sample, the last two fetched the past."""
-    first = record(tmp_path / "run", 0, 1, 2, continues="")
-    record(tmp_path / "run_2")
-    record(tmp_path / "run_3", 0, 1, 2, 3, 4)
-    record(tmp_path / "run_4", 0, 1, 2, 3, 4, 5, 6)
-    return first
-
-
-def test_the_last_piece_that_begins_at_the_beginning_is_the_run(killed: Path) -> None:
-    session = read_session(killed)
-    assert [sample.index for sample in session.samples] == list(range(7))
-    assert (session.name, session.path) == ("run", killed)
-    assert session.counts == {SAMPLE.name: 7}
-    assert len(list(session.messages())) == 7
-    assert any(note.startswith("run_2 is left out: session run_2: has no ") for note in session.notes)
-
-
-def test_a_piece_without_samples_stands_for_its_run(killed: Path) -> None:
-    assert indices(killed.with_name("run_2")) == list(range(7))
-    assert indices(killed.with_name("run_3")) == list(range(5))
-
-
-def test_samples_after_the_keeper_was_gone_are_appended(tmp_path: Path) -> None:
-    first = record(tmp_path / "run", 0, 1, 2, continues="")
-    record(tmp_path / "run_2", 2, 5, 6)
-    session = read_session(first)
-    assert [sample.index for sample in session.samples] == [0, 1, 2, 5, 6]
-    assert session.counts == {SAMPLE.name: 5}
-    assert session.end == 7 * 10**9
-
-
-def test_a_piece_that_is_an_empty_file_is_left_out(tmp_path: Path) -> None:
-    first = record(tmp_path / "run", 0, 1, continues="")
-    (tmp_path / "run_2").mkdir()
-    (tmp_path / "run_2" / "run_2_0.mcap").touch()
-    assert indices(first) == [0, 1]
-    assert indices(tmp_path / "run_2") == [0, 1]
-
-
-def test_sessions_that_only_have_such_names_stay_apart(tmp_path: Path) -> None:
-    first = record(tmp_path / "run", 0, 1, continues="")
-    record(tmp_path / "run_2", 7, 8, 9, continues="")
-    (tmp_path / "run_3").mkdir()
-    assert indices(first) == [0, 1]
-    assert indices(tmp_path / "run_2") == [7, 8, 9]
-    assert find_sessions([tmp_path]) == [first, tmp_path / "run_2"]
-
-
-def test_a_run_without_any_sample_is_refused(tmp_path: Path) -> None:
-    first = record(tmp_path / "run", continues="")
-    record(tmp_path / "run_2")
-    with pytest.raises(SessionError, match="session run: has no "):
-        read_session(first)
-
-
-def test_an_archive_lists_a_run_once_and_sees_its_pieces_change(killed: Path) -> None:
-    assert find_sessions([killed.parent]) == [killed]
-    assert find_sessions([killed.with_name("run_3")]) == [killed.with_name("run_3")]
-    before = content_of(killed)
-    record(killed.with_name("run_5"), 0, 1)
-    assert content_of(killed) != before
-
-
 # Dates with the year last: which number is the day.
 
 FORMS = {DAY_FIRST: "%d/%m/%Y %H:%M:%S", MONTH_FIRST: "%m/%d/%Y %I:%M:%S %p"}
@@ -313,72 +222,3 @@ def test_a_cell_with_other_text_is_named(tmp_path: Path) -> None:
     found = read_times(read_table(path), "when")
     assert found.seconds.tolist() == [0.0, 30.0]
     assert found.order == DAY_FIRST
-
-
-# What is kept on the disk comes back as it was, whatever was missing and whatever is asked.
-
-numbers = st.floats(allow_nan=False, allow_infinity=False)
-
-
-@given(
-    st.lists(st.integers(1, 5), max_size=40),
-    st.integers(0, 2**40),
-    st.tuples(st.integers(0, 200), st.integers(0, 200), st.integers(1, 50)),
-    st.tuples(*(st.integers(least, 3) for least in (1, 1, 1, 0))),
-    st.data(),
-)
-def test_rows_are_the_samples_with_these_indices(
-    steps: list[int],
-    begin: int,
-    wish: tuple[int, int, int],
-    shape: tuple[int, int, int, int],
-    data: st.DataObject,
-) -> None:
-    first, count, most = wish
-    samples, index = [], begin
-    with closing(SampleSpool(shape)) as spool:  # an example may end in the middle
-        for step in steps:
-            signals = [data.draw(st.tuples(*[numbers] * width)) for width in shape]
-            samples.append(Sample(index, index * 1000, *signals))
-            spool.push(samples[-1])
-            index += step
-        assert len(spool) == len(samples)
-        assert spool.end == (samples[-1].index + 1 if samples else 0)
-        first = max(0, begin - 20) + first
-        wanted = [s for s in samples if first <= s.index < first + count][:most]
-        rows = spool.rows(first, count, most)
-        found = [
-            Sample(row["index"].item(), row["stamp"].item(), *(tuple(row[name].tolist()) for name in SIGNALS))
-            for row in rows
-        ]
-        assert found == wanted
-
-
-@given(st.lists(st.binary(max_size=30), max_size=20), st.integers(0, 25), st.integers(0, 25))
-def test_messages_come_back_by_their_number_and_repeated_ones_count_once(
-    messages: list[bytes], number: int, most: int
-) -> None:
-    texts = MessageSpool()
-    for data in messages:
-        texts.push(data)
-        texts.push(data)
-    once = [data for data, before in zip(messages, [b"", *messages], strict=False) if data != before]
-    assert len(texts) == len(once)
-    assert list(texts.since(number, most)) == once[number : number + most]
-    texts.close()
-
-
-def test_a_sample_takes_no_memory() -> None:
-    spool = SampleSpool()
-    for k in range(1000):
-        spool.push(Sample(k, k, 1.0, 2.0, 3.0))
-    tracemalloc.start()
-    try:
-        for k in range(1000, 9_000):
-            spool.push(Sample(k, k, 1.0, 2.0, 3.0))
-        taken, _ = tracemalloc.get_traced_memory()
-    finally:
-        tracemalloc.stop()
-    assert taken < 8_000  # a byte per sample would be as much
-    assert len(spool) == 9_000
-    spool.close()

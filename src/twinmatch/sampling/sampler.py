@@ -18,7 +18,7 @@ from typing import Final
 
 import numpy as np
 
-from twinmatch.sessions.channels import SamplingError
+from twinmatch.sampling.channels import SamplingError
 from twinmatch.signals import Sample
 
 OUTPUT: Final = "output"

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-
-from twinmatch.emulation.lepton import (
+from twinmatch_camera.emulation import (
     PLATE,
     EmulatedLepton,
     LeptonError,
@@ -19,6 +18,7 @@ from twinmatch.emulation.lepton import (
     PlateFeed,
     PlateReceiver,
 )
+
 from twinmatch.links.thermal_client import Region, celsius, region
 from twinmatch.links.thermal_frame import LEPTON_SHAPE, Exposure, FlatField, FrameFlags
 

@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from twinmatch.sessions.files import RecordingError
+from twinmatch.sessions.reader import ROUNDED, rounded_period
 from twinmatch.signals import FloatArray
 
 Kind = Literal["reading", "held", "set"]
@@ -41,8 +42,6 @@ _BRIDGED: Final = 3.0
 """Longest step that is interpolated by default, in usual steps: up to two lost rows."""
 _USUAL: Final = 1.5
 """Longer steps, in medians, contain lost rows."""
-_ROUNDED: Final = 5e-3
-"""Share by which a period may be rounded; interpolation still uses the rows' own times."""
 _DIGITS: Final = 9
 """Significant digits of the period of a regular recording."""
 _JITTER: Final = 0.1
@@ -208,18 +207,6 @@ def period_of_ticks(
     return rounded_period(float(steps.mean()))
 
 
-def rounded_period(mean: float) -> float:
-    """The nominal period of a loop, s, from its measured mean.
-
-    Loops are set to whole milliseconds, and clocks and stamps are slightly off: a mean within half a percent
-    of whole milliseconds is rounded to them, any other to the nanosecond.
-    """
-    whole = round(mean, 3)
-    if whole > 0 and abs(mean - whole) <= _ROUNDED * whole:
-        return whole
-    return round(mean, 9)
-
-
 def bridged_up_to(stamps: FloatArray, longest: float | None = None) -> float:
     """The longest step between rows that is interpolated, s: the user's limit, or of usual steps.
 
@@ -293,9 +280,9 @@ def _refuse_gap(
 
 def _period(stretches: list[FloatArray], mean: float) -> float:
     """The default period, from the mean period of the rows: the roundest one that the rows keep exactly, or
-    else the roundest within `_ROUNDED`."""
+    else the roundest within `ROUNDED`."""
     rounded = (float(f"{mean:.{digits}g}") for digits in range(1, _DIGITS + 1))
-    near = [period for period in rounded if abs(period - mean) <= _ROUNDED * mean]
+    near = [period for period in rounded if abs(period - mean) <= ROUNDED * mean]
     return next((period for period in near if all(_clock(s, period)[1] for s in stretches)), near[0])
 
 

@@ -23,18 +23,18 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
+from twinmatch.importing.mapped import TIME, PlantSignal, check_range
+from twinmatch.importing.matlab import MAT_BEGINNING
+from twinmatch.importing.resampling import period_of_ticks
+from twinmatch.importing.tables import Table, read_table, split_title
 from twinmatch.plants import Peltier, find_plant
 from twinmatch.plants.files import is_plant_file
+from twinmatch.sampling.sampler import INPUT, OUTPUT, REFERENCE
 from twinmatch.sessions.files import ProgressCallback, RecordingError, SessionError, open_regular
-from twinmatch.sessions.mapped import TIME, PlantSignal, check_range
-from twinmatch.sessions.matlab import MAT_BEGINNING
 from twinmatch.sessions.messages import SAMPLE, plant_messages, topics_of
 from twinmatch.sessions.reader import Session, read_session
 from twinmatch.sessions.recording import samples_of
-from twinmatch.sessions.resampling import period_of_ticks
-from twinmatch.sessions.sampler import INPUT, OUTPUT, REFERENCE
 from twinmatch.sessions.scan import MAGIC
-from twinmatch.sessions.tables import Table, read_table, split_title
 from twinmatch.signals import KELVIN, Sample, Window
 
 _SUFFIXES: Final = (".mat", ".csv")

@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from twinmatch.sessions.channels import (
+from twinmatch.importing.resampling import resample
+from twinmatch.sampling.channels import (
     Channel,
     Field,
     SamplingError,
@@ -20,8 +21,7 @@ from twinmatch.sessions.channels import (
     parse_channel,
     steps,
 )
-from twinmatch.sessions.resampling import resample
-from twinmatch.sessions.sampler import Grid, Limits, Rate, Sampler, SignalBuffer
+from twinmatch.sampling.sampler import Grid, Limits, Rate, Sampler, SignalBuffer
 from twinmatch.signals import Sample
 
 SECOND = 1_000_000_000
