@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from tests.support.plants import Lag
 from twinmatch.dynamics import advance, begin
-from twinmatch.dynamics.tracker import Belief, Readings, Tracker, no_traces
+from twinmatch.dynamics.filters import Readings
+from twinmatch.dynamics.tracker import Belief, Tracker, no_traces
 
 PERIOD, NOISE = 1.0, 0.01
 TRUTH = Lag.model().parameters(gain=2.4, lag=7.0)
@@ -71,14 +72,14 @@ def test_with_known_parameters_it_is_the_kalman_filter_of_the_textbook() -> None
     for index in range(1, of.size):
         known = known.closed(index)
     for name in of.free:
-        of._drifts[1][of.at[name]] = 0.0
+        of._drifts[1].each[of.at[name]] = 0.0
     record = stretch(5, 60)
     belief, cost = of.run(known, record, 1)
     p = of.parameters
     a = np.exp(-PERIOD / p["lag"])
-    drift, swift = of._drifts[1][0] ** 2 * PERIOD, of._swift[1]
+    drift, swift = of._drifts[1].each[0] ** 2 * PERIOD, of._drifts[1].swift
     fading, fade = 0.0, of._fixed.keeps[of.fading]
-    strays = of._drifts[1][of.fading] ** 2 * PERIOD
+    strays = of._drifts[1].each[of.fading] ** 2 * PERIOD
     state, push = np.zeros(2), np.array([1.0, 0.0])
     state[0] = known.values[0]
     covariance = np.diag([known.covariance[0, 0], fading])

@@ -45,6 +45,13 @@ MOST_NOISE = 1e8
 """Greatest factor on the process noise; below 1, the drift that was given, it never falls."""
 
 
+SHARE, OFFSET, PASSING, FADING, PUSH, RATE = range(-6, 0)
+"""Places in a belief, from its end, of what no plant file declares: share of the drive, permanent and passing
+offset of the reading, fading and permanent push, and the rate at which one of the others rises."""
+EXTRA = 6
+"""How many these are."""
+
+
 class TrackerConstants(NamedTuple):
     """Constants for m tracked parameters and a belief of n numbers."""
 
@@ -68,6 +75,50 @@ class TrackerConstants(NamedTuple):
     """Sample time, s."""
     steps: int
     """Runge–Kutta steps per sample."""
+
+
+class Readings(NamedTuple):
+    """Consecutive samples."""
+
+    output: FloatArray
+    """Readings, shape (N + 2,): the first two are those before (NaN if there are none)."""
+    input: FloatArray
+    """Shape (N,)."""
+    disturbances: FloatArray
+    """Shape (N, m)."""
+    noise: FloatArray
+    """Standard deviation of each reading, shape (N,); infinite where it was lost."""
+
+
+class Traces(NamedTuple):
+    """Traces that jumps at past samples would have left in the innovations since."""
+
+    effects: FloatArray
+    """Effects on the current belief, shape (n, kinds, starts)."""
+    hits: FloatArray
+    """Sums of innovation times effect over variance, shape (kinds, starts)."""
+    weights: FloatArray
+    """Sums of squared effect over variance, shape (kinds, starts)."""
+
+
+class Drift(NamedTuple):
+    """How a belief strays."""
+
+    each: FloatArray
+    """Standard deviations of its numbers' drift, per root of a second, shape (n,)."""
+    swift: float
+    """Error of a movement of the output, as a share of it."""
+
+
+class Opening(NamedTuple):
+    """What is tested of a belief: numbers that may change from now on."""
+
+    drift: FloatArray
+    """Additional drift, per root of a second, in the first samples, shape (n,)."""
+    lasting: int
+    """Number of those samples."""
+    rising: int
+    """Index of the number that rises at the believed rate; negative: none."""
 
 
 @compiled(inside=True)
@@ -265,33 +316,18 @@ def _use(code: Code, fixed: TrackerConstants, at: FloatArray, vector: FloatArray
 
 @compiled
 def track(
-    code: Code, fixed: TrackerConstants, at: FloatArray, covariance: FloatArray, drift: FloatArray,
-    swift: float, y: FloatArray, u: FloatArray, disturbances: FloatArray, noise: FloatArray,
-    opened: FloatArray, lasting: int, rising: int, effects: FloatArray, hits: FloatArray, weights: FloatArray,
+    code: Code, fixed: TrackerConstants, at: FloatArray, covariance: FloatArray, drift: Drift,
+    readings: Readings, opening: Opening, traces: Traces,
 ) -> float:  # fmt: skip
     """Track some samples; belief and traces change in place. Return the readings' code length, in nats.
 
-    Args:
-        fixed: the constants.
-        at: means of the belief, shape (n,): states, parameters, share of the drive, permanent and passing
-            offset of the reading, fading and permanent push, and the rate at which one of the others rises.
-        covariance: their covariance, shape (n, n).
-        drift: standard deviations of their drift per second, shape (n,).
-        swift: error of a movement of the output, as a share of it.
-        y: readings, shape (N + 2,), the first two being those before.
-        u: input, shape (N,).
-        disturbances: shape (N, m).
-        noise: standard deviation of each reading, shape (N,).
-        opened: additional drift, per second, in the first `lasting` samples, shape (n,).
-        lasting: number of those samples.
-        rising: index of the number that rises at the rate; negative: none.
-        effects: effects of past jumps on the current belief, shape (n, kinds, starts).
-        hits: sums of innovation times effect over variance, shape (kinds, starts).
-        weights: sums of squared effect over variance, shape (kinds, starts).
+    `at`, shape (n,), are the means of the belief: states, parameters, and the places SHARE to RATE;
+    `covariance`, shape (n, n), is theirs.
     """
     m, size = fixed.places.size, at.size
-    n = size - m - 6
-    offset, passing, rate = n + m + 1, n + m + 2, size - 1
+    n = size - m - EXTRA
+    offset, passing, rate = size + OFFSET, size + PASSING, size + RATE
+    y, u, opened, rising = readings.output, readings.input, opening.drift, opening.rising
     vector, inputs, cost = fixed.vector.copy(), np.empty(1), 0.0
     work = work_for(code, vector)
     slope, reach, gain, noises = np.zeros(size), np.zeros(size), np.zeros(size), np.zeros(size)
@@ -299,7 +335,7 @@ def track(
     slope[offset] = slope[passing] = 1.0
     _use(code, fixed, at, vector, work)
     for k in range(u.size):
-        given = disturbances[k]
+        given = readings.disturbances[k]
         call(code[OUTPUTS], at, inputs, given, work.p, work.b, work.seen)
         call(code[OUTPUT_SLOPES], at, inputs, given, work.p, work.b, work.shown)
         for i in range(n):
@@ -309,22 +345,22 @@ def track(
             slope[n + j] = by * vector[fixed.places[j]] if fixed.logged[j] else by
         innovation = y[k + 2] - work.seen[0] - at[offset] - at[passing]
         expected = _expected(covariance, slope, reach)
-        variance, own = _weighed(y, k, innovation, expected, noise[k], passing, covariance, reach)
+        variance, own = _weighed(y, k, innovation, expected, readings.noise[k], passing, covariance, reach)
         if own < STALE:
             cost += 0.5 * math.log(variance) + 0.5 * innovation**2 / variance
         _take(covariance, slope, reach, innovation, variance, own, math.inf, at, gain)
-        _correct_effects(slope, gain, innovation, variance, effects, hits, weights)
+        _correct_effects(slope, gain, innovation, variance, traces)
         for j in range(m):
             at[n + j] = min(max(at[n + j], fixed.least[j]), fixed.most[j])
-        at[n + m] = min(max(at[n + m], -1.0), 1.0)
+        at[size + SHARE] = min(max(at[size + SHARE], -1.0), 1.0)
         _use(code, fixed, at, vector, work)
         way = _move_belief(code, fixed, at, vector, work, u[k], given, moved, there)
         for i in range(size):
-            noises[i] = drift[i] ** 2 * fixed.period
-            if k < lasting:
+            noises[i] = drift.each[i] ** 2 * fixed.period
+            if k < opening.lasting:
                 noises[i] += opened[i] ** 2 * fixed.period
             if i < n:
-                noises[i] += (swift * way * moved[i, n + m + 3] / fixed.period) ** 2
+                noises[i] += (drift.swift * way * moved[i, size + FADING] / fixed.period) ** 2
         _carry(moved, covariance, fixed.keeps, noises)
         if rising >= 0:
             at[rising] += at[rate] * fixed.period
@@ -333,7 +369,7 @@ def track(
             for i in range(size):
                 covariance[i, rising] += covariance[i, rate] * fixed.period
             _use(code, fixed, at, vector, work)
-        _carry_effects(moved, there, effects, fixed.keeps)
+        _carry_effects(moved, there, traces.effects, fixed.keeps)
     return cost
 
 
@@ -365,7 +401,8 @@ def _move_belief(
     """Move a belief one period on; returns how far the equations move the output. `moved` gets the
     derivatives of the states by all of its numbers. A push moves them as far as the output shows them."""
     n, m = there.size, fixed.places.size
-    share, fading, inputs = n + m, n + m + 3, np.empty(1)
+    share, fading, push = at.size + SHARE, at.size + FADING, at.size + PUSH
+    inputs = np.empty(1)
     shows = 0.0
     for i in range(n):
         there[i] = at[i]
@@ -380,9 +417,9 @@ def _move_belief(
             if fixed.logged[j]:
                 moved[i, n + j] *= vector[fixed.places[j]]
         moved[i, share] = columns[i, m + n] * (u - fixed.rest)
-        push = work.shown[i] / shows * fixed.period
-        moved[i, fading] = moved[i, fading + 1] = push
-        at[i] = there[i] + push * (at[fading] + at[fading + 1])
+        by_push = work.shown[i] / shows * fixed.period
+        moved[i, fading] = moved[i, push] = by_push
+        at[i] = there[i] + by_push * (at[fading] + at[push])
     for i in range(n, at.size):
         at[i] *= fixed.keeps[i]
     return float(work.seen[0] - before)
@@ -390,10 +427,10 @@ def _move_belief(
 
 @compiled(inside=True)
 def _correct_effects(
-    slope: FloatArray, gain: FloatArray, innovation: float, variance: float, effects: FloatArray,
-    hits: FloatArray, weights: FloatArray,
-) -> None:  # fmt: skip
+    slope: FloatArray, gain: FloatArray, innovation: float, variance: float, traces: Traces
+) -> None:
     """Correct the effects of jumps as the belief is, and add what they leave in this innovation."""
+    effects, hits, weights = traces
     for kind in range(effects.shape[1]):
         for start in range(effects.shape[2]):
             shown = 0.0

@@ -11,11 +11,24 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 
-from twinmatch.dynamics.filters import TrackerConstants
+from twinmatch.dynamics.filters import (
+    EXTRA,
+    FADING,
+    OFFSET,
+    PASSING,
+    PUSH,
+    RATE,
+    SHARE,
+    Drift,
+    Opening,
+    Readings,
+    Traces,
+    TrackerConstants,
+)
 from twinmatch.dynamics.pace import slow_scale
 from twinmatch.dynamics.plant import Parameters
 from twinmatch.dynamics.simulation import begin
@@ -33,30 +46,6 @@ _MODEL_ERROR: Final = np.array([0.6, 0.001, 5e-4, 0.2, 0.15])
 """Model error of a real rig, as standard deviations: drift of a state that the output shows, in noises, and
 of another, in scales, per root of a sample; drift of a parameter, in scales, per root of a second; the fading
 push, in noises per sample; and the error of a movement, as a share of it."""
-
-
-class Readings(NamedTuple):
-    """Consecutive samples."""
-
-    output: FloatArray
-    """Readings, shape (N + 2,): the first two are those before (NaN if there are none)."""
-    input: FloatArray
-    """Shape (N,)."""
-    disturbances: FloatArray
-    """Shape (N, m)."""
-    noise: FloatArray
-    """Standard deviation of each reading, shape (N,); infinite where it was lost."""
-
-
-class Traces(NamedTuple):
-    """Traces that jumps at past samples would have left in the innovations since."""
-
-    effects: FloatArray
-    """Effects on the current belief, shape (n, kinds, starts)."""
-    hits: FloatArray
-    """Sums of innovation times effect over variance, shape (kinds, starts)."""
-    weights: FloatArray
-    """Sums of squared effect over variance, shape (kinds, starts)."""
 
 
 def no_traces(size: int) -> Traces:
@@ -98,10 +87,12 @@ class Tracker:
         self.parameters = parameters
         self.free = free
         n, m = len(model.states), len(free)
-        self.size = n + m + 6
+        self.size = n + m + EXTRA
         self.at = {name: n + j for j, name in enumerate(free)}
         """Indices of the parameters in a belief."""
-        self.share, self.offset, self.passing, self.fading, self.push, self.rate = range(n + m, self.size)
+        self.share, self.offset, self.passing, self.fading, self.push, self.rate = (
+            self.size + place for place in (SHARE, OFFSET, PASSING, FADING, PUSH, RATE)
+        )
         logged = [declared[k].relative and parameters[k] > 0 and math.isinf(declared[k].most) for k in free]
         self.logged = np.array(logged)
         self._scales = np.array(
@@ -129,8 +120,7 @@ class Tracker:
         drift[:n] /= math.sqrt(period)  # a plant sampled faster is assumed to be faster
         self._fading = _MODEL_ERROR[3] * noise / period
         drift[self.fading] = self._fading * math.sqrt(2.0 / push_time)
-        self._drifts = [level * drift for level in levels]
-        self._swift = [level * float(_MODEL_ERROR[4]) for level in levels]
+        self._drifts = [Drift(level * drift, level * float(_MODEL_ERROR[4])) for level in levels]
         self._closed = np.zeros(self.size)
         self._none = no_traces(self.size)
         self._levels = levels
@@ -208,10 +198,10 @@ class Tracker:
             rising: index of the number that rises at the believed rate; negative: none.
         """
         values, covariance = belief.values.copy(), belief.covariance.copy()
+        opening = Opening(self._closed if opened is None else opened, lasting, rising)
         cost = self._track(
-            self._fixed, values, covariance, self._drifts[level], self._swift[level],
-            *readings, self._closed if opened is None else opened, lasting, rising, *(traces or self._none),
-        )  # fmt: skip
+            self._fixed, values, covariance, self._drifts[level], readings, opening, traces or self._none
+        )
         return Belief(values, covariance), float(cost)
 
     def named(self, belief: Belief, name: str) -> float:

@@ -19,8 +19,9 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from twinmatch.dynamics import Parameters
+from twinmatch.dynamics.filters import Readings, Traces
 from twinmatch.dynamics.pace import slow_scale, time_scale
-from twinmatch.dynamics.tracker import Belief, Readings, Traces, Tracker
+from twinmatch.dynamics.tracker import Belief, Tracker
 from twinmatch.health.tracking import REACH, Block, TrackedBlocks, joined
 from twinmatch.signals import FloatArray, Sample
 

@@ -11,8 +11,9 @@ from typing import Final
 import numpy as np
 
 from twinmatch.dynamics import Parameters
+from twinmatch.dynamics.filters import Readings, Traces
 from twinmatch.dynamics.pace import slow_scale
-from twinmatch.dynamics.tracker import Belief, Readings, Traces, Tracker
+from twinmatch.dynamics.tracker import Belief, Tracker
 from twinmatch.signals import FloatArray, Sample
 
 LEVELS: Final = (0.12, 0.25, 0.5, 1.0, 2.0, 4.0)
