@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, NamedTuple, cast
 
@@ -25,7 +26,7 @@ from twinmatch.dynamics.kernels import OUTPUTS, SWITCHES, Code, call, tick, work
 from twinmatch.dynamics.observer import Observer, RandomWalk
 from twinmatch.dynamics.pace import slow_scale
 from twinmatch.health.balance import Movement
-from twinmatch.health.traces import DriveEffect
+from twinmatch.health.traces import FOLLOWS, DriveEffect
 from twinmatch.signals import FloatArray, Sample
 
 _MEMORY: Final = (300.0, 600.0)
@@ -227,6 +228,9 @@ class LaggedEffect(DriveEffect):
         self._frozen = False
         self.restart()
 
+    delays: tuple[int, ...] = ()
+    """By how much later than it is given the input may act, samples."""
+
     def restart(self) -> None:
         """Start over after a gap, keeping the learned errors."""
         super().restart()
@@ -318,12 +322,23 @@ class LaggedEffect(DriveEffect):
                 later=self._spans[0],
             )  # fmt: skip
             error = output - stretch.works
-            self._weigh(stretch, error, stretch.first.errors[k])
+
+            def later(delay: int, first: int = first, stood: float = stood) -> SimulatedSpan:
+                places = np.maximum(np.arange(first, len(past) - 1) - delay, 0)
+                return SimulatedSpan(
+                    past[first], inputs[places], rows[first:-1], stood, period=self._period,
+                    later=self._spans[0],
+                )  # fmt: skip
+
+            self._weigh(stretch, error, stretch.first.errors[k], later, output)
             if not self._frozen:
                 learned[k] = learned[k].learned(error, max(abs(stretch.changed), abs(stretch.moved)))
         self._errors = tuple(learned)
 
-    def _weigh(self, stretch: SimulatedSpan, error: float, errors: ErrorModel) -> None:
+    def _weigh(
+        self, stretch: SimulatedSpan, error: float, errors: ErrorModel,
+        later: Callable[[int], SimulatedSpan], output: float,
+    ) -> None:  # fmt: skip
         """Take the share of the expected effect that a stretch shows, if it is the least and counts.
 
         A drive that was turned down looks lost if it does more than its equations say, or sooner.
@@ -342,7 +357,17 @@ class LaggedEffect(DriveEffect):
             return
         if missing > _MISSING * abs(effect) and missing < stretch.colder(_ROOM_CHANGE):
             return
+        if share < FOLLOWS[0] and any(
+            self._explains(later(delay), output, effect) for delay in self.delays if delay > 0
+        ):
+            return
         self.share, self.length, self.expected = share, len(stretch), effect
+
+    @staticmethod
+    def _explains(stretch: SimulatedSpan, output: float, effect: float) -> bool:
+        """Whether a later input leaves no effect missing: it acts, or cannot have acted enough yet."""
+        missing = (stretch.works - output) / stretch.effect if stretch.effect else 0.0
+        return stretch.effect / effect < FOLLOWS[0] or missing < 1.0 - FOLLOWS[0]
 
     @property
     def _random_walks(self) -> dict[str, RandomWalk]:

@@ -21,6 +21,7 @@ from twinmatch.health.faults import (
     HealthState,
 )
 from twinmatch.health.lagged_effect import LaggedEffect, is_lagged
+from twinmatch.health.late_input import LateInput
 from twinmatch.health.settings import HealthSettings
 from twinmatch.health.slow_changes import SlowChanges
 from twinmatch.health.traces import DriveEffect, Effect, Lag, Repeats
@@ -90,6 +91,8 @@ class Monitor:
         smaller than the errors of the states that the output does not show."""
         self._effect: DriveEffect = self._late or Effect(settings.pace, self._balance.noise)
         self._slow = SlowChanges(settings, self._sentences)
+        self._timing = LateInput(settings.followed, period) if late else None
+        self._delay = 0
 
     @property
     def alarms(self) -> tuple[Alarm, ...]:
@@ -148,6 +151,8 @@ class Monitor:
         self._restart_traces()
         self._balance.restart()
         self._slow.restart()
+        if self._timing is not None:
+            self._timing.restart()
 
     def _new_repeats(self) -> Repeats:
         plant = self.settings.reference.model.plant
@@ -179,10 +184,10 @@ class Monitor:
             self._repeats.push(sample.output - before.output, movement, inward)
             return self._sentences.frozen(sample, self._repeats) if self._repeats.stands else None
         stood = self._repeats.stands
-        after = movement
+        after, acting = movement, self._acting(sample)
         if self._late is not None:
             self._late.freeze(self._open and self._alarms[-1].fault is Fault.DRIVE_LOST)
-            after = self._late.push(sample)
+            after = self._late.push(acting)
         self._repeats.push(sample.output - before.output, after, inward)
         if stood and not self._repeats.stands:  # it moves again, from wherever the plant went meanwhile
             self._restart_traces()
@@ -191,12 +196,27 @@ class Monitor:
         if self._prompt and isinstance(self._effect, Effect):
             self._effect.push(movement, self._balance.roughness)
         self._learn()
-        self._track(sample)
+        self._track(acting)
         # Where the expected movement is large, its absence is a drive fault, not an implausible reading.
         reach = _REACH * (abs(movement.drive) + abs(movement.passive))
         if abs(movement.unexplained) > max(self.settings.jump * max(1.0, self.settings.pace), reach):
             return self._sentences.leaping(before, sample, movement.unexplained)
         return self._weigh(sample)
+
+    def _acting(self, sample: Sample) -> Sample:
+        """The sample with the input that acts now, if inputs act later than the equations say."""
+        if self._timing is None:
+            return sample
+        faulty = self._contrary > 0 or (self._open and self._alarms[-1].fault in BLINDING)
+        self._timing.push(sample, learn=not faulty)
+        if self._late is not None:
+            self._late.delays = tuple(d - self._delay for d in self._timing.credible)
+        if self._timing.delay != self._delay:
+            self._delay = self._timing.delay
+            self._slow.forget()
+            if self._late is not None:
+                self._late.restart()
+        return replace(sample, inputs=(self._timing.input,)) if self._delay else sample
 
     def _weigh(self, sample: Sample) -> Evidence | None:
         if self._repeats.stands:

@@ -25,7 +25,7 @@ _STEP: Final = 8.0
 """A larger unexplained step is attributed to the sensor unless one like it came just before."""
 _LIKE: Final = 4.0
 """Unexplained movement in the same direction just before that makes a step part of a movement."""
-_FOLLOWS: Final = (0.6, 2.5)
+FOLLOWS: Final = (0.6, 2.5)
 """Range of shares of the expected effect that prove that the drive works."""
 
 _CHANCE: Final = 1e-9
@@ -66,7 +66,7 @@ class DriveEffect:
     @property
     def follows(self) -> bool:
         """Whether the newest stretches prove that the drive works."""
-        return _FOLLOWS[0] <= self.share <= _FOLLOWS[1]
+        return FOLLOWS[0] <= self.share <= FOLLOWS[1]
 
 
 class Effect(DriveEffect):

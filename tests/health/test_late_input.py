@@ -1,0 +1,90 @@
+"""An input that acts, or is recorded, some seconds apart from what the file says accuses nobody."""
+
+from __future__ import annotations
+
+import csv
+
+import numpy as np
+import pytest
+
+from tests.support.places import OTHERS
+from twinmatch.dynamics import advance, begin, read
+from twinmatch.health import Alarm, Fault, HealthSettings, Monitor
+from twinmatch.health.late_input import LateInput
+from twinmatch.plants import TCLab
+from twinmatch.signals import Sample
+
+PERIOD = 5.0
+SETTINGS = HealthSettings.of(TCLab, PERIOD)
+
+
+def kit(delay: int, seed: int, size: int = 480, lost: int = 1_000_000) -> list[Sample]:
+    """A kit under steps of its heater, which acts `delay` samples late; one within 15 % of the typical."""
+    random = np.random.default_rng(seed)
+    typical = TCLab.model("sensor lag").typical()
+    moved = {n: typical[n] * random.uniform(0.85, 1.15) for n in ("losses", "heating", "sensor_lag")}
+    plant = typical.replace(**moved, ambient=random.uniform(291.0, 298.0))
+    states, power = begin(plant, plant["ambient"] - 273.15), list[float]()
+    while len(power) < size:
+        power += [float(random.uniform(0.0, 100.0))] * int(random.integers(8, 30))
+    samples = []
+    for k in range(size):
+        reading = read(plant, states) + 0.1 * random.standard_normal()
+        samples.append(Sample(k, round(k * PERIOD * 1e9), reading, reading, power[k]))
+        acts = 0.0 if k >= lost else power[max(0, k - delay)]
+        states = advance(plant, states, acts, PERIOD)
+    return samples
+
+
+def alarms(samples: list[Sample]) -> tuple[Alarm, ...]:
+    monitor = Monitor(SETTINGS)
+    for sample in samples:
+        monitor.push(sample)
+    return monitor.alarms
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3, 4])
+@pytest.mark.parametrize("delay", [0, 1, 2, 3])
+def test_a_healthy_kit_that_acts_late_is_not_accused(delay: int, seed: int) -> None:
+    assert alarms(kit(delay, seed)) == ()
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3, 4])
+@pytest.mark.parametrize("delay", [0, 2, 3])
+def test_the_delay_is_found(delay: int, seed: int) -> None:
+    late = LateInput(SETTINGS.followed, PERIOD)
+    for sample in kit(delay, seed):
+        late.push(sample)
+    assert delay in late.credible
+    assert late.delay == delay
+
+
+def test_nothing_is_known_before_the_input_has_moved_the_plant() -> None:
+    late = LateInput(SETTINGS.followed, PERIOD)
+    for sample in kit(2, 1, size=20):
+        late.push(sample)
+    assert len(late.credible) > 3
+    assert late.delay == 0
+
+
+@pytest.mark.parametrize("delay", [0, 2])
+def test_a_heater_that_is_lost_is_still_reported(delay: int) -> None:
+    for seed in (1, 2, 3):
+        samples = kit(delay, seed, size=400, lost=300)
+        found = [alarm for alarm in alarms(samples) if alarm.fault is Fault.DRIVE_LOST]
+        assert found
+        assert 300 < found[0].flagged <= 300 + (12 + delay)
+
+
+@pytest.mark.parametrize("name", ["mpc_1", "mpc_44"])
+def test_a_real_kit_whose_table_holds_the_input_early_is_not_accused(name: str) -> None:
+    path = OTHERS / "tclab_other" / f"{name}.csv"
+    if not path.exists():
+        pytest.skip(f"no {path}; set TWINMATCH_PLANT_RECORDINGS to the folder of other plants' recordings")
+    with path.open(encoding="utf-8") as table:
+        rows = [{k: float(v) for k, v in row.items()} for row in csv.DictReader(table)]
+    samples = [
+        Sample(k, round(row["Time"] * 1e9), row["TSP1"], row["T1"], row["Q1"], (row["Q2"],))
+        for k, row in enumerate(rows)
+    ]
+    assert alarms(samples) == ()
