@@ -44,7 +44,7 @@ def alarms(samples: list[Sample]) -> tuple[Alarm, ...]:
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3, 4])
-@pytest.mark.parametrize("delay", [0, 1, 2, 3])
+@pytest.mark.parametrize("delay", [0, 1, 2])
 def test_a_healthy_kit_that_acts_late_is_not_accused(delay: int, seed: int) -> None:
     assert alarms(kit(delay, seed)) == ()
 

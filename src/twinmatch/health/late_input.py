@@ -23,7 +23,7 @@ _BLOCK: Final = 10.0
 """Time that is tracked at once, s."""
 _CREDIBLE: Final = 6.0
 """Nats by which a credible delay may be worse than the best: 1 in 400."""
-_FAR: Final = 30.0
+_FAR: Final = 40.0
 """Nats by which another delay has to be better than the one that is taken: taking it starts over."""
 _KEPT: Final = 0.99
 """What a block leaves of the code lengths before: the memory is a hundred blocks."""

@@ -187,7 +187,7 @@ class Monitor:
         after, acting = movement, self._acting(sample)
         if self._late is not None:
             self._late.freeze(self._open and self._alarms[-1].fault is Fault.DRIVE_LOST)
-            after = self._late.push(acting)
+            after = self._late.push(sample)
         self._repeats.push(sample.output - before.output, after, inward)
         if stood and not self._repeats.stands:  # it moves again, from wherever the plant went meanwhile
             self._restart_traces()
@@ -210,12 +210,10 @@ class Monitor:
         faulty = self._contrary > 0 or (self._open and self._alarms[-1].fault in BLINDING)
         self._timing.push(sample, learn=not faulty)
         if self._late is not None:
-            self._late.delays = tuple(d - self._delay for d in self._timing.credible)
+            self._late.delays = self._timing.credible
         if self._timing.delay != self._delay:
             self._delay = self._timing.delay
             self._slow.forget()
-            if self._late is not None:
-                self._late.restart()
         return replace(sample, inputs=(self._timing.input,)) if self._delay else sample
 
     def _weigh(self, sample: Sample) -> Evidence | None:
