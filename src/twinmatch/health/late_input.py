@@ -13,8 +13,9 @@ from typing import Final
 import numpy as np
 
 from twinmatch.dynamics import Parameters
+from twinmatch.dynamics.filters import Readings
 from twinmatch.dynamics.pace import slow_scale
-from twinmatch.dynamics.tracker import Belief, Readings, Tracker
+from twinmatch.dynamics.tracker import Belief, Tracker
 from twinmatch.signals import FloatArray, Sample
 
 _DELAYS: Final = (0.0, 2.0, 4.0, 7.0, 10.0, 15.0, 20.0)

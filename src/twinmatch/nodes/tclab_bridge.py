@@ -86,8 +86,8 @@ class TCLabBridge(GatedNode):
         drive_unit=unit_of(TCLab.drive),
         # A heater at full power gains 8 °C in 30 s at first, and 2 °C near its highest temperature.
         runaway=RunawayLimits(gain=1.5, gain_time=30.0, full_drive=95.0),
-        # Typical heaters are held by 1.3 % per °C; a degree costs 235 %·s, and the reading lags by 18 s. With all
-        # parameters 25 % on the wrong side, a set-point uses two thirds of it.
+        # Typical heaters are held by 1.3 % per °C; a degree costs 235 %·s, and the reading lags by 18 s.
+        # With all parameters 25 % on the wrong side, a set-point uses two thirds of it.
         budget=BudgetLimits(hold=2.5, least=6000.0, each=400.0),
     )
     PLANT: ClassVar = TCLab
