@@ -24,10 +24,10 @@ from twinmatch.adding.data import check_data, compare_structures, loop_findings
 from twinmatch.adding.proposal import noise_of
 from twinmatch.dynamics import PidGains, begin, simulate_closed_loop, simulate_driven
 from twinmatch.importing import open_any
-from twinmatch.importing.column_map import ColumnMap, Source, parse_map
 from twinmatch.importing.recordings import session_of
 from twinmatch.importing.tables import Table, read_table
 from twinmatch.plants import find_plant
+from twinmatch.sampling.sources import SignalMap, SignalSource, parse_map
 from twinmatch.sessions import RecordingError, Session, samples_of
 from twinmatch.signals import Sample, Window
 from twinmatch.twin import TwinSettings
@@ -113,7 +113,7 @@ def test_any_titles_and_units_give_valid_files(y: str, u: str, room: str, unit: 
     }
     table = Table(Path('a"b\\{{c}}.csv'), columns, range(1, 401))
     sources = zip(("time", "output", "input", "on"), columns, strict=True)
-    held = propose(table, ColumnMap({signal: Source((title,)) for signal, title in sources}))
+    held = propose(table, SignalMap({signal: SignalSource((title,)) for signal, title in sources}))
     files = files_of(f"my_{name}" if name == "plant" else name, held)
     plant, test, config, columns_map = files.values()
     compile(test, "test", "exec")

@@ -22,8 +22,8 @@ from tests.support.processes import run_twinmatch
 from twinmatch.errors import TwinmatchError
 from twinmatch.importing import bags
 from twinmatch.importing.bags import _means, _Signal, map_bag
-from twinmatch.importing.column_map import parse_map
 from twinmatch.plants import find_plant
+from twinmatch.sampling.sources import parse_map
 from twinmatch.sessions import read_session
 
 STORE.register(get_types_from_msg("float32 value\nstring name", "lab_msgs/msg/Reading"))

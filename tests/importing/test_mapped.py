@@ -18,12 +18,13 @@ from tests.support.plants import Motor
 from tests.support.processes import run_twinmatch
 from twinmatch.dynamics import Plant
 from twinmatch.errors import TwinmatchError
-from twinmatch.importing.column_map import ColumnMap, Source, columns_of, parse_map, proposed, read_map
+from twinmatch.importing.column_map import columns_of, proposed, read_map
 from twinmatch.importing.mapped import Mapped, map_samples, with_plant_names
 from twinmatch.importing.tables import read_table
 from twinmatch.importing.times import read_times
 from twinmatch.offline.judging import terms_from_files
 from twinmatch.plants import find_plant
+from twinmatch.sampling.sources import SignalMap, SignalSource, parse_map
 from twinmatch.sessions import RecordingError, read_session, write_session
 from twinmatch.sessions.metadata import PLANT
 from twinmatch.sessions.recording import EPOCH
@@ -136,7 +137,7 @@ def test_a_time_column_may_repeat_a_few_stamps(tmp_path: Path) -> None:
     stamps[50] = stamps[49]
     path = tmp_path / "log.csv"
     path.write_text("time (ms),speed,pwm\n" + "".join(f"{t},{(t * 7) % 11},{t % 3}\n" for t in stamps))
-    assert proposed(columns_of(read_table(path)))["time"].columns == ("time (ms)",)
+    assert proposed(columns_of(read_table(path)))["time"].places == ("time (ms)",)
     path.write_text("timer,speed,pwm\n" + "".join(f"{t // 300},{(t * 7) % 11},{t % 3}\n" for t in stamps))
     assert "time" not in proposed(columns_of(read_table(path)))
 
@@ -158,7 +159,7 @@ def test_a_recording_that_knows_its_date_keeps_it(tmp_path: Path, heated: type[P
         ([*MAP, "input=on"], "heater and input are the same signal"),
         (["time"], "write SIGNAL=COLUMN"),
         (["time=t; unit=V", *MAP[1:]], "is in V, not a unit of time"),
-        (["time=t", "output=T1; unit=V", *MAP[2:]], "'T1' is in V, the plant's output in °C"),
+        (["time=t", "output=T1; unit=V", *MAP[2:]], "'T1' is in V, but the plant's output in °C"),
         (["time=t", "output=T1; scale=much", *MAP[2:]], "scale is 'much'; give a number"),
         (["time=t", "output=T1; scale=0", *MAP[2:]], "scale is 0"),
         (["time=t", "output=T1; per=2", *MAP[2:]], "unknown setting 'per'; there are unit, scale and offset"),
@@ -195,7 +196,7 @@ def test_tables_that_cannot_be_used_are_explained(
 def test_without_set_points_the_loop_is_taken_as_not_known(tmp_path: Path) -> None:
     text = "time,speed,volts\n0,1,2\n0.05,1,2\n0.1,1,2\n"
     table = read_table(written(tmp_path, text))
-    found = map_samples(table, with_plant_names(table, Motor, ColumnMap()), Motor)
+    found = map_samples(table, with_plant_names(table, Motor, SignalMap()), Motor)
     assert Motor.loop is not None
     assert not found.has_reference
     records = {PLANT: {"plant": "tclab", "reference": "none"}}
@@ -213,9 +214,9 @@ def test_a_few_odd_readings_are_those_of_a_sensor_that_failed(tmp_path: Path, he
 
 def test_columns_called_as_the_signals_need_no_map(tmp_path: Path, heated: type[Plant]) -> None:
     table = read_table(written(tmp_path, CSV.replace("t,T1,T2,on", "Time (s),Temperature (degC),x,Heater")))
-    found = map_samples(table, with_plant_names(table, heated, ColumnMap()), heated)
-    assert found.sources["output"].columns == ("Temperature (degC)",)
-    assert found.sources["room"].columns == ("room",)
+    found = map_samples(table, with_plant_names(table, heated, SignalMap()), heated)
+    assert found.sources["output"].places == ("Temperature (degC)",)
+    assert found.sources["room"].places == ("room",)
 
 
 @given(
@@ -248,10 +249,10 @@ def test_a_map_in_a_file_says_the_same(tmp_path: Path) -> None:
     found = read_map(path)
     assert (found.plant, found.period) == ("block", 3.0)
     assert found.sources == {
-        "time": Source(("time",), "ns"),
-        "output": Source(("t2", "t3")),
-        "input": Source(("heater_on",)),
-        "room": Source(("t1",), scale=0.1, offset=-40.0),
+        "time": SignalSource(("time",), "ns"),
+        "output": SignalSource(("t2", "t3")),
+        "input": SignalSource(("heater_on",)),
+        "room": SignalSource(("t1",), scale=0.1, offset=-40.0),
     }
     said = [f"{signal}={source.text}" for signal, source in found.sources.items() if signal != "output"]
     assert all(parse_map(said).sources[name] == found.sources[name] for name in ("time", "input", "room"))

@@ -176,7 +176,7 @@ MISFITS: tuple[tuple[dict[str, str], str], ...] = (
     ({"output": "/oven/temperature:value"}, "std_msgs/msg/Float64 has no field 'value'; its numbers:"),
     (
         {"output": "/oven/temperature; unit=Pa"},
-        "output: /oven/temperature:data is in Pa, but the plant's output",
+        "'/oven/temperature:data' is in Pa, but the plant's output",
     ),
     ({"input": "/oven/heater; unit=wibble"}, "'wibble' is not a known unit"),
     ({"input": ""}, "map.input is missing"),

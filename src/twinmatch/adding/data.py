@@ -21,11 +21,11 @@ from twinmatch.dynamics import Law, Output, Plant, PlantError, commands_of
 from twinmatch.fitting import FittingError
 from twinmatch.fitting.gate import Status
 from twinmatch.importing import open_any
-from twinmatch.importing.column_map import ColumnMap
-from twinmatch.importing.mapped import TIME, map_samples, with_plant_names
+from twinmatch.importing.mapped import map_samples, with_plant_names
 from twinmatch.importing.recordings import session_of
 from twinmatch.importing.tables import read_table
 from twinmatch.offline.judging import judge, terms_from_files
+from twinmatch.sampling.sources import TIME, SignalMap
 from twinmatch.sessions import Session
 from twinmatch.showing.series import root_mean_square
 from twinmatch.signals import FloatArray, Sample, Window, only, unbroken
@@ -56,14 +56,14 @@ _FAULTY: Final = (
 )
 
 
-def data_for(path: Path, plant: type[Plant], given: ColumnMap, period: float | None = None) -> Session:
+def data_for(path: Path, plant: type[Plant], given: SignalMap, period: float | None = None) -> Session:
     """Read a recording as a session of the plant; a table needs a map unless its columns have the names of
     the signals, and a sampling period, s, unless it has times.
     """
     if path.suffix.lower() in {".csv", ".txt", ".tsv"} or given.sources:
         table = read_table(path)
         whole = with_plant_names(table, plant, given)
-        whole = whole if TIME in whole.sources else whole.joined(ColumnMap(period=period))
+        whole = whole if TIME in whole.sources else whole.joined(SignalMap(period=period))
         found = map_samples(table, whole, plant)
         return session_of(path, found.samples, plant=plant.name, has_reference=found.has_reference)
     return open_any(path, plant=plant.name)

@@ -17,11 +17,11 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from twinmatch.dynamics import Plant
-from twinmatch.importing.column_map import ColumnMap, Source
 from twinmatch.importing.mapped import require_columns
 from twinmatch.importing.resampling import Resampled, repeated, resample
 from twinmatch.importing.tables import Table, split_title
 from twinmatch.importing.times import read_times, row_times
+from twinmatch.sampling.sources import SignalMap, SignalSource
 from twinmatch.signals import FloatArray
 from twinmatch.units import measure
 
@@ -58,7 +58,7 @@ class Proposal:
     """Time constant, s."""
     rest: float
     """Steady-state output without input, where no disturbance determines it."""
-    sources: dict[str, Source]
+    sources: dict[str, SignalSource]
     """By signal, with the names of this plant; empty without a table."""
     table: str = ""
     """Name of the table's file."""
@@ -95,7 +95,7 @@ def example() -> Proposal:
     )
 
 
-def propose(table: Table, given: ColumnMap) -> Proposal:
+def propose(table: Table, given: SignalMap) -> Proposal:
     """Estimate the numbers for a first plant file from a table.
 
     Args:
@@ -140,13 +140,13 @@ def propose(table: Table, given: ColumnMap) -> Proposal:
     )
 
 
-def _on_one_clock(table: Table, given: ColumnMap) -> Resampled:
+def _on_one_clock(table: Table, given: SignalMap) -> Resampled:
     """All signals on one clock, in the units of their columns."""
     source = given.sources.get("time")
     if source is None:
         times = row_times(len(table.lines), given.period or 1.0)
     else:
-        times = read_times(table, table.find(source.columns[0]), source.unit, source.scale)
+        times = read_times(table, table.find(source.places[0]), source.unit, source.scale)
     columns = {name: _values(table, s) for name, s in given.sources.items() if name != "time"}
     whole = np.isfinite(times.seconds) & np.all([np.isfinite(v) for v in columns.values()], axis=0)
     kept = np.flatnonzero(whole)
@@ -162,26 +162,26 @@ def _on_one_clock(table: Table, given: ColumnMap) -> Resampled:
     )
 
 
-def _titles(table: Table, source: Source) -> list[str]:
-    columns = source.columns
+def _titles(table: Table, source: SignalSource) -> list[str]:
+    columns = source.places
     if len(columns) == 1 and "," in columns[0] and columns[0] not in table.columns:
         columns = tuple(part for part in columns[0].split(",") if part.strip())
     return [table.find(column) for column in columns]
 
 
-def _values(table: Table, source: Source) -> FloatArray:
+def _values(table: Table, source: SignalSource) -> FloatArray:
     columns = [source.scale * table.values(title) + source.offset for title in _titles(table, source)]
     return np.asarray(np.mean(columns, axis=0), dtype=np.float64)
 
 
-def _signal(table: Table, given: ColumnMap, signal: str, taken: list[str]) -> tuple[str, str]:
+def _signal(table: Table, given: SignalMap, signal: str, taken: list[str]) -> tuple[str, str]:
     """Name and unit."""
     title = split_title(_titles(table, given.sources[signal])[0])[0]
     name = _word(title if re.search(r"[a-zA-Z]{3}", title) else signal, taken)
     return name, _unit(table, given, signal)
 
 
-def _unit(table: Table, given: ColumnMap, signal: str) -> str:
+def _unit(table: Table, given: SignalMap, signal: str) -> str:
     source = given.sources[signal]
     unit = source.unit or table.unit(_titles(table, source)[0])
     return _OFFSET_UNITS.get(unit.lower(), unit)

@@ -14,9 +14,9 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from twinmatch.adding.proposal import Proposal, rounded
 from twinmatch.errors import TwinmatchError
-from twinmatch.importing.column_map import Source
 from twinmatch.plants import PLANTS
 from twinmatch.plants.files import installed_names
+from twinmatch.sampling.sources import SignalSource
 
 _WIDE: Final = 20.0
 """Bounds of gain and lag are this factor below and above; a first guess is rarely further off."""
@@ -107,9 +107,9 @@ def _quoted(value: Any) -> str:
     return "".join(c if c.isprintable() else f"\\U{ord(c):08x}" for c in text)
 
 
-def _source(source: Source) -> str:
+def _source(source: SignalSource) -> str:
     """A source as YAML, in one line."""
-    columns: Any = list(source.columns) if len(source.columns) > 1 else source.columns[0]
+    columns: Any = list(source.places) if len(source.places) > 1 else source.places[0]
     entry: dict[str, Any] = {"column": columns}
     more = {"unit": (source.unit, ""), "scale": (source.scale, 1.0), "offset": (source.offset, 0.0)}
     entry |= {name: value for name, (value, usual) in more.items() if value != usual}

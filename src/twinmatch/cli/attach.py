@@ -29,12 +29,12 @@ def run(options: argparse.Namespace) -> int:
     """Run until Ctrl-C; returns the exit code: 3 if a process could not be kept running."""
     if not (options.config or options.map or options.map_file):
         options.parser.error("map topics to signals with --config FILE, --map-file FILE or --map …")
-    from twinmatch.importing.column_map import ColumnMap  # noqa: PLC0415
     from twinmatch.launching.live import Live, run_live  # noqa: PLC0415 — needs ROS
     from twinmatch.launching.plan import attach_plan  # noqa: PLC0415
+    from twinmatch.sampling.sources import SignalMap  # noqa: PLC0415
 
     session = session_to_record(options)
-    said = ColumnMap(plant=options.plant, period=options.period)
+    said = SignalMap(plant=options.plant, period=options.period)
     with tempfile.TemporaryDirectory(prefix="twinmatch-attach-") as folder:
         asked = {name: getattr(options, name) for name in ("config", "twin_config", "candidates")}
         plan = attach_plan(Path(folder), column_map(options).joined(said), session=session, **asked)

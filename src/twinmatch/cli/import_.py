@@ -12,10 +12,11 @@ from twinmatch.cli.shared import Progress, add_options, column_map, console_for,
 from twinmatch.errors import TwinmatchError
 from twinmatch.importing import read_recording
 from twinmatch.importing.bags import is_bag, map_bag, open_bag
-from twinmatch.importing.column_map import ColumnMap, columns_of, proposed
+from twinmatch.importing.column_map import columns_of, proposed
 from twinmatch.importing.mapped import map_samples, with_plant_names
 from twinmatch.importing.tables import read_table
 from twinmatch.plants import find_plant
+from twinmatch.sampling.sources import SignalMap
 from twinmatch.sessions import plant_topics, samples_of, write_session
 from twinmatch.sessions.metadata import NO_REFERENCE, PLANT
 from twinmatch.signals import Sample
@@ -106,9 +107,9 @@ def _import_mapped(options: argparse.Namespace) -> int:
     return 0
 
 
-def _given(options: argparse.Namespace) -> ColumnMap:
+def _given(options: argparse.Namespace) -> SignalMap:
     period = positive_period(options, "import")
-    return column_map(options).joined(ColumnMap(plant=options.plant or "", period=period))
+    return column_map(options).joined(SignalMap(plant=options.plant or "", period=period))
 
 
 def _list(path: Path) -> int:

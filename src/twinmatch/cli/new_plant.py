@@ -11,8 +11,9 @@ from typing import Any
 from twinmatch.adding import Proposal, example, files_of, propose
 from twinmatch.cli.shared import add_options, positive_period
 from twinmatch.errors import TwinmatchError
-from twinmatch.importing.column_map import ColumnMap, columns_of, parse_map, proposed
+from twinmatch.importing.column_map import columns_of, proposed
 from twinmatch.importing.tables import read_table
+from twinmatch.sampling.sources import SignalMap, parse_map
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -57,7 +58,7 @@ def _proposal(options: argparse.Namespace) -> Proposal:
         return example()
     table = read_table(options.table)
     if not given.sources:
-        given = ColumnMap(proposed(columns_of(table)))
+        given = SignalMap(proposed(columns_of(table)))
         words = shlex.join(f"{signal}={source.text}" for signal, source in given.sources.items())
         print(f"Columns guessed as: --map {words}")
     return propose(table, replace(given, period=period))

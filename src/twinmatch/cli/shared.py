@@ -20,7 +20,7 @@ from twinmatch.errors import TwinmatchError
 if TYPE_CHECKING:
     from rich import progress
 
-    from twinmatch.importing.column_map import ColumnMap
+    from twinmatch.sampling.sources import SignalMap
     from twinmatch.sessions import Session
     from twinmatch.showing.console import Console
 
@@ -105,15 +105,16 @@ def judging(options: argparse.Namespace, progress: Progress) -> dict[str, Any]:
     return {**given, "watch": progress.advance, "progress": partial(progress.show, "reading")}
 
 
-def column_map(options: argparse.Namespace) -> ColumnMap:
+def column_map(options: argparse.Namespace) -> SignalMap:
     """The map in `--map-file`, updated with `--map`.
 
     Raises:
         TwinmatchError: one of them is not a map.
     """
-    from twinmatch.importing.column_map import ColumnMap, parse_map, read_map  # noqa: PLC0415
+    from twinmatch.importing.column_map import read_map  # noqa: PLC0415
+    from twinmatch.sampling.sources import SignalMap, parse_map  # noqa: PLC0415
 
-    written = read_map(options.map_file) if options.map_file else ColumnMap()
+    written = read_map(options.map_file) if options.map_file else SignalMap()
     return written.joined(parse_map(options.map))
 
 

@@ -16,21 +16,29 @@ import numpy as np
 
 from twinmatch.dynamics import Plant
 from twinmatch.errors import TwinmatchError
-from twinmatch.importing.column_map import Column, ColumnMap, Source, described
-from twinmatch.importing.mapped import TIME, Mapped, by_signal, map_samples
+from twinmatch.importing.column_map import Column, described
+from twinmatch.importing.mapped import Mapped, by_signal, map_samples
 from twinmatch.importing.resampling import Gaps, bridged_up_to, held_means
 from twinmatch.importing.tables import Table
 from twinmatch.sampling.channels import (
     Channel,
     Field,
     SamplingError,
-    SignalSource,
     check_path,
     fields_below,
     follow,
     usual_unit,
 )
-from twinmatch.sampling.sampler import INPUT, OUTPUT, REFERENCE
+from twinmatch.sampling.sources import (
+    INPUT,
+    OUTPUT,
+    REFERENCE,
+    TIME,
+    FollowedSignal,
+    SignalMap,
+    SignalSource,
+    signals_of,
+)
 from twinmatch.sessions.files import ProgressCallback, RecordingError, part_of
 from twinmatch.signals import FloatArray
 
@@ -240,7 +248,7 @@ class _Signal(NamedTuple):
 
 def map_bag(
     path: Path,
-    given: ColumnMap,
+    given: SignalMap,
     plant: type[Plant],
     *,
     longest: float | None = None,
@@ -265,7 +273,7 @@ def map_bag(
             msg = f"{path}: no topic is mapped to {name}; add --map {name}=TOPIC:FIELD (--list shows them)"
             raise RecordingError(msg)
     with open_bag(path) as bag:
-        signals, units, notes = _read(bag, sources, progress)
+        signals, notes = _read(bag, plant, sources, progress)
     columns, left_out = _rows(signals, longest)
     if columns[TIME].size < 2:
         msg = f"{path}: fewer than two readings of {sources[OUTPUT].text} follow the first input; check --map"
@@ -273,26 +281,28 @@ def map_bag(
     if left_out:
         notes.append(f"The first {left_out} readings precede the first input or set-point and are left out.")
     table = Table(path, columns, range(left_out + 1, left_out + 1 + columns[TIME].size), "reading")
-    named = {TIME: Source((TIME,), "s")}
-    named |= {n: Source((n,), s.unit or units[n], s.scale, s.offset) for n, s in sources.items()}
-    found = map_samples(table, ColumnMap(named, given.plant, given.period), plant, longest=longest, gaps=gaps)
+    named = {name: SignalSource((name,)) for name in columns}  # the values are in the plant's units
+    given = SignalMap(named, given.plant, given.period)
+    found = map_samples(table, given, plant, longest=longest, gaps=gaps)
     return found._replace(sources=sources, notes=[*found.notes, *notes])
 
 
 def _read(
-    bag: Bag, sources: Mapping[str, Source], progress: ProgressCallback | None
-) -> tuple[dict[str, _Signal], dict[str, str], list[str]]:
-    """Signals with their times, the units of their message types, and notes."""
-    wanted = {
-        name: SignalSource.of(name, s.columns, s.unit, s.scale, s.offset) for name, s in sources.items()
-    }
-    series = {
-        name: bag.series(source.channels, progress=part_of(progress, number, len(wanted)))
-        for number, (name, source) in enumerate(wanted.items())
-    }
+    bag: Bag, plant: type[Plant], sources: Mapping[str, SignalSource], progress: ProgressCallback | None
+) -> tuple[dict[str, _Signal], list[str]]:
+    """Signals in the plant's units with their times, and notes."""
+    known, followed, recorded = signals_of(plant), {}, {}
+    for number, (name, source) in enumerate(sources.items()):
+        progress_here = part_of(progress, number, len(sources))
+        recorded[name] = held = bag.series(source.channels(name), progress=progress_here)
+        channels = [Channel(c.topic, s.path) for c, s in zip(source.channels(name), held, strict=True)]
+        try:
+            followed[name] = source.follow(name, known[name].unit, channels, [s.kind for s in held])
+        except SamplingError as error:
+            raise RecordingError(f"{bag.path}: {error}") from None
     offsets = [
-        f"{wanted[name].channels[0].topic} by {off:.3g} s"
-        for name, held in series.items()
+        f"{followed[name].channels[0].topic} by {off:.3g} s"
+        for name, held in recorded.items()
         if (off := max(map(_clock_offset, held))) > _ASTRAY
     ]
     notes = []
@@ -300,11 +310,8 @@ def _read(
         notes.append(
             f"The headers have another clock ({', '.join(offsets)}); the times of the bag are used instead."
         )
-    signals = {name: _joined(bag.path, name, held, bool(offsets)) for name, held in series.items()}
-    # A signal with a scale in the map is not in the unit of its message type.
-    bare = {name: (s.scale, s.offset) == (1.0, 0.0) for name, s in sources.items()}
-    units = {n: usual_unit(held[0].kind, held[0].path) if bare[n] else "" for n, held in series.items()}
-    return signals, units, notes
+    logged = bool(offsets)
+    return {n: _joined(bag.path, n, followed[n], held, logged) for n, held in recorded.items()}, notes
 
 
 def _clock_offset(series: Series) -> float:
@@ -313,12 +320,12 @@ def _clock_offset(series: Series) -> float:
     return float(np.median(apart[np.isfinite(apart)])) if np.isfinite(apart).any() else 0.0
 
 
-def _joined(path: Path, name: str, series: list[Series], logged: bool) -> _Signal:
-    """The mean of a signal's channels, at the times of the first."""
+def _joined(path: Path, name: str, signal: FollowedSignal, series: list[Series], logged: bool) -> _Signal:
+    """A signal in the plant's unit, at the times of its first channel."""
     found = [_growing(path, name, one, logged) for one in series]
-    first = found[0]
-    values = [first.values, *(np.interp(first.time, other.time, other.values) for other in found[1:])]
-    return _Signal(first.time, np.mean(values, axis=0))
+    time = found[0].time
+    values = [found[0].values, *(np.interp(time, other.time, other.values) for other in found[1:])]
+    return _Signal(time, signal.value(values))
 
 
 def _growing(path: Path, name: str, series: Series, logged: bool) -> _Signal:

@@ -5,23 +5,21 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from twinmatch.dynamics import Plant
 from twinmatch.errors import TwinmatchError
-from twinmatch.importing.column_map import ColumnMap, Source
 from twinmatch.importing.resampling import Gaps, Kind, Resampled, repeated, resample
 from twinmatch.importing.tables import Table, split_title
 from twinmatch.importing.times import Times, read_times, row_times
-from twinmatch.sampling.sampler import INPUT, OUTPUT, REFERENCE
+from twinmatch.sampling.channels import SamplingError
+from twinmatch.sampling.sources import INPUT, OUTPUT, REFERENCE, TIME, SignalMap, SignalSource
 from twinmatch.sessions.files import RecordingError
 from twinmatch.sessions.recording import EPOCH
 from twinmatch.signals import FloatArray, Sample, Signals
 from twinmatch.units import Conversion, conversion, measure
-
-TIME: Final = "time"
 
 _ODD = 0.01
 """Up to this share of readings beyond the sensor's span, the sensor is suspected rather than the unit."""
@@ -33,7 +31,7 @@ class Mapped(NamedTuple):
     samples: list[Sample]
     period: float
     """Sampling period, s."""
-    sources: Mapping[str, Source]
+    sources: Mapping[str, SignalSource]
     """By signal, with the titles as in the table."""
     has_reference: bool
     """Whether the table has set-points; without, every sample has the same meaningless references."""
@@ -69,7 +67,7 @@ class LoopNames(NamedTuple):
         )
 
 
-def with_plant_names(table: Table, plant: type[Plant], given: ColumnMap) -> ColumnMap:
+def with_plant_names(table: Table, plant: type[Plant], given: SignalMap) -> SignalMap:
     """The map, completed with columns that have the names of signals."""
     sources = dict(by_signal(plant, given.sources))
     for signal, names in _names(plant).items():
@@ -77,14 +75,14 @@ def with_plant_names(table: Table, plant: type[Plant], given: ColumnMap) -> Colu
             for name in names:
                 found = [title for title in table.columns if split_title(title)[0].lower() == name.lower()]
                 if len(found) == 1:
-                    sources[signal] = Source((found[0],))
+                    sources[signal] = SignalSource((found[0],))
                     break
-    return ColumnMap(sources, given.plant, given.period)
+    return SignalMap(sources, given.plant, given.period)
 
 
 def map_samples(
     table: Table,
-    given: ColumnMap,
+    given: SignalMap,
     plant: type[Plant],
     *,
     longest: float | None = None,
@@ -153,14 +151,14 @@ def _names(plant: type[Plant]) -> dict[str, tuple[str, ...]]:
     }
 
 
-def by_signal(plant: type[Plant], sources: Mapping[str, Source]) -> dict[str, Source]:
+def by_signal(plant: type[Plant], sources: Mapping[str, SignalSource]) -> dict[str, SignalSource]:
     """The sources by signal, from sources by any accepted name.
 
     Raises:
         RecordingError: the plant has no signal of that name, or a signal is given twice.
     """
     known = {name: signal for signal, names in _names(plant).items() for name in names}
-    found: dict[str, Source] = {}
+    found: dict[str, SignalSource] = {}
     used: dict[str, str] = {}
     for name, source in sources.items():
         if name not in known:
@@ -174,18 +172,18 @@ def by_signal(plant: type[Plant], sources: Mapping[str, Source]) -> dict[str, So
     return found
 
 
-def _found(table: Table, source: Source) -> Source:
+def _found(table: Table, source: SignalSource) -> SignalSource:
     """The source with the table's own titles; a single text with commas may be several columns."""
-    columns = source.columns
-    if len(columns) == 1 and "," in columns[0]:
+    places = source.places
+    if len(places) == 1 and "," in places[0]:
         try:
-            columns = (table.find(columns[0]),)
+            places = (table.find(places[0]),)
         except RecordingError:
-            columns = tuple(part for part in columns[0].split(",") if part.strip())
-    return Source(tuple(map(table.find, columns)), source.unit, source.scale, source.offset)
+            places = source.separate
+    return replace(source, places=tuple(map(table.find, places)))
 
 
-def require_columns(table: Table, given: ColumnMap, needed: Sequence[str] = (OUTPUT, INPUT)) -> None:
+def require_columns(table: Table, given: SignalMap, needed: Sequence[str] = (OUTPUT, INPUT)) -> None:
     """Check that a map has these signals, and times or the distance of the rows.
 
     Raises:
@@ -203,7 +201,7 @@ def require_columns(table: Table, given: ColumnMap, needed: Sequence[str] = (OUT
         raise RecordingError(msg + (rows if TIME in missing else ""))
 
 
-def _wanted(table: Table, plant: type[Plant], given: ColumnMap) -> tuple[dict[str, PlantSignal], list[str]]:
+def _wanted(table: Table, plant: type[Plant], given: SignalMap) -> tuple[dict[str, PlantSignal], list[str]]:
     loop, sources = LoopNames.of(plant), given.sources
     require_columns(table, given, (*loop.outputs, *loop.inputs))
     outputs, signals = plant.outputs.values(), {}
@@ -231,34 +229,25 @@ def _wanted(table: Table, plant: type[Plant], given: ColumnMap) -> tuple[dict[st
     return signals, notes
 
 
-def _times(table: Table, source: Source | None, period: float | None) -> Times:
+def _times(table: Table, source: SignalSource | None, period: float | None) -> Times:
     if source is None:
         return row_times(len(table.lines), period or 1.0)
-    if len(source.columns) > 1:
+    if len(source.places) > 1:
         raise RecordingError(f"--map time={source.text}: names several columns; give one for time")
-    return read_times(table, source.columns[0], source.unit, source.scale)
+    return read_times(table, source.places[0], source.unit, source.scale)
 
 
-def _values(table: Table, source: Source, signal: str, known: PlantSignal) -> FloatArray:
+def _values(table: Table, source: SignalSource, signal: str, known: PlantSignal) -> FloatArray:
     """A signal in the plant's unit, shape (N,)."""
-    total = np.zeros(len(table.lines))
-    for title in source.columns:
-        unit = source.unit or table.unit(title)
-        change = _conversion(table, title, unit, signal, known.unit) if unit else Conversion()
-        total += (source.scale * table.values(title) + source.offset) * change.scale + change.offset
-    return total / len(source.columns)
-
-
-def _conversion(table: Table, title: str, unit: str, signal: str, wanted: str) -> Conversion:
-    try:
-        return conversion(unit, wanted)
-    except TwinmatchError:
-        if not measure(unit).known:  # the text in brackets is a remark
-            return Conversion()
-        raise RecordingError(
-            f"{table.path}: {title!r} is in {unit}, the plant's {signal} in {wanted or 'plain numbers'}; map "
-            f"another column, or give its conversion: '{signal}={title}; unit={wanted or '1'}; scale=…'"
-        ) from None
+    changes = []
+    for title in source.places:
+        stated = table.unit(title)
+        stated = stated if measure(stated).known else ""  # other text in brackets is a remark
+        try:
+            changes.append(source.change(signal, title, known.unit, stated))
+        except SamplingError as error:
+            raise RecordingError(f"{table.path}: {error}") from None
+    return source.value([table.values(title) for title in source.places], changes)
 
 
 def check_range(

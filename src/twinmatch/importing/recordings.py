@@ -23,13 +23,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
-from twinmatch.importing.mapped import TIME, PlantSignal, check_range
+from twinmatch.importing.mapped import PlantSignal, check_range
 from twinmatch.importing.matlab import MAT_BEGINNING
 from twinmatch.importing.resampling import period_of_ticks
 from twinmatch.importing.tables import Table, read_table, split_title
 from twinmatch.plants import Peltier, find_plant
 from twinmatch.plants.files import is_plant_file
-from twinmatch.sampling.sampler import INPUT, OUTPUT, REFERENCE
+from twinmatch.sampling.sources import INPUT, OUTPUT, REFERENCE, TIME
 from twinmatch.sessions.files import ProgressCallback, RecordingError, SessionError, open_regular
 from twinmatch.sessions.messages import SAMPLE, plant_messages, topics_of
 from twinmatch.sessions.reader import Session, read_session

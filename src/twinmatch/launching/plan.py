@@ -12,7 +12,6 @@ from itertools import chain
 from pathlib import Path
 from typing import Final
 
-from twinmatch.importing.column_map import ColumnMap
 from twinmatch.importing.mapped import by_signal
 from twinmatch.launching.processes import LaunchError
 from twinmatch.links.kit_link import require_package, require_port
@@ -21,7 +20,7 @@ from twinmatch.nodes.step import PATIENCE
 from twinmatch.parameters.declared import Values, check, render, sections_of
 from twinmatch.parameters.twin import at_period, read_settings, table_of, values_of
 from twinmatch.plants import find_plant, written_name
-from twinmatch.sampling.sampler import REFERENCE
+from twinmatch.sampling.sources import REFERENCE, SignalMap
 
 SAMPLER = "sampler"
 
@@ -205,7 +204,7 @@ class AttachPlan(LivePlan):
 
 def attach_plan(
     folder: Path,
-    said: ColumnMap,
+    said: SignalMap,
     *,
     config: Path | None = None,
     twin_config: Path | None = None,
@@ -250,7 +249,7 @@ def attach_plan(
     )
 
 
-def _sampler_values(config: Path | None, said: ColumnMap) -> Values:
+def _sampler_values(config: Path | None, said: SignalMap) -> Values:
     given = sections_of(config, SAMPLER) if config is not None else {}
     if said.plant:
         given["plant"] = said.plant

@@ -10,19 +10,25 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, ClassVar, Final
 
-from twinmatch.description import Quantity
 from twinmatch.dynamics import Plant, PlantError
 from twinmatch.errors import TwinmatchError
-from twinmatch.importing.column_map import parse_source
 from twinmatch.nodes.health import Level, Report
 from twinmatch.nodes.messages import nanoseconds, sample_message
 from twinmatch.nodes.node import READERS, Missed, Readers, TwinmatchNode
 from twinmatch.nodes.topics import RELIABLE, ForeignTopics
 from twinmatch.parameters.declared import ParameterError, Setting
 from twinmatch.plants import Peltier, find_plant, written_name
-from twinmatch.plants.records import description_of
-from twinmatch.sampling.channels import SamplingError, SignalSource, follow
-from twinmatch.sampling.sampler import INPUT, OUTPUT, REFERENCE, TIMER, Limits, Sampler
+from twinmatch.sampling.channels import SamplingError, follow
+from twinmatch.sampling.sampler import TIMER, Limits, Sampler
+from twinmatch.sampling.sources import (
+    INPUT,
+    OUTPUT,
+    REFERENCE,
+    FollowedSignal,
+    SignalSource,
+    parse_source,
+    signals_of,
+)
 from twinmatch_msgs.msg import LoopSample
 
 _PERIODS: Final = 3.0
@@ -31,13 +37,6 @@ _SLOWLY: Final = 60.0
 """The same for disturbances, which change slowly."""
 _SLACK: Final = 1e-9
 """Relative tolerance of a limit, for rounding in unit conversions."""
-
-
-def signals_of(plant: type[Plant]) -> dict[str, Quantity]:
-    """The signals of a plant: reference, output, input, and its disturbances in their order."""
-    found = description_of(plant)
-    loop = {REFERENCE: found.reference, OUTPUT: found.output, INPUT: found.input}
-    return loop | dict(zip(plant.disturbances, found.disturbances, strict=True))
 
 
 def sampler_table(plant: type[Plant] = Peltier, period: float | None = None) -> tuple[Setting, ...]:
@@ -96,8 +95,8 @@ def sources_of(place: str, values: Mapping[str, Any]) -> dict[str, SignalSource]
     for name in signals_of(find_plant(values["plant"])):
         text = values[f"map.{name}"]
         if text.strip():
-            source = parse_source(f"{place}: map.{name}", text)
-            found[name] = SignalSource.of(name, source.columns, source.unit, source.scale, source.offset)
+            found[name] = parse_source(f"{place}: map.{name}", text)
+            found[name].channels(name)
     for name in (OUTPUT, INPUT):
         if name not in found:
             msg = f"{place}: map.{name} is missing; give its topic and field, such as /topic:data"
@@ -177,9 +176,10 @@ class SamplerNode(TwinmatchNode):
     def open(self) -> None:
         """Start to search for the topics."""
         self._publisher = self.create_publisher(LoopSample, "plant/sample", RELIABLE)
-        channels = [channel for source in self._sources.values() for channel in source.channels]
+        self._channels = {name: source.channels(name) for name, source in self._sources.items()}
+        channels = [channel for each in self._channels.values() for channel in each]
         self._topics = ForeignTopics(self, channels, self._types, self._on_message)
-        self._ready: dict[str, SignalSource] = {}
+        self._ready: dict[str, FollowedSignal] = {}
         self._fresh: dict[str, dict[int, tuple[float, int]]] = {name: {} for name in self._sources}
         self._begun = time.monotonic()
         self._heard: dict[str, float] = {}
@@ -200,7 +200,7 @@ class SamplerNode(TwinmatchNode):
         """Each signal's value and counts, and the reason if there are no samples."""
         sampler, now = self._sampler, time.monotonic()
         level = Level.ERROR if self._index >= 0 or self._late(now) else Level.WARN
-        for name, source in self._sources.items():
+        for name in self._sources:
             counts = sampler.counts[name]
             newest = sampler.newest(name)
             self.health.set(name, "none yet" if newest is None else f"{newest:g}")
@@ -208,8 +208,8 @@ class SamplerNode(TwinmatchNode):
                 f"{name}: missing, late, out of range, not a number",
                 f"{counts.missing}, {counts.late}, {counts.beyond}, {sampler.refused(name)}",
             )
-            trouble = self._silence(name, source, now) or sampler.troubles.get(name, "")
-            text = self._explained(name, source, trouble)
+            trouble = self._silence(name, now) or sampler.troubles.get(name, "")
+            text = self._explained(name, trouble)
             self.health.flag_if(bool(text), name, level, text)
         pace = sampler.troubles.get("pace", "")
         self.health.flag_if(bool(pace), "pace", level, pace)
@@ -222,11 +222,11 @@ class SamplerNode(TwinmatchNode):
         try:
             self._topics.search()
             for name, source in self._sources.items():
-                kinds = [self._topics.kinds.get(channel.topic, "") for channel in source.channels]
+                kinds = [self._topics.kinds.get(c.topic, "") for c in self._channels[name]]
                 if name not in self._ready and all(kinds):
-                    paths = [self._topics.path(channel) for channel in source.channels]
+                    channels = [c._replace(path=self._topics.path(c)) for c in self._channels[name]]
                     unit = signals_of(self._plant)[name].unit
-                    self._ready[name] = source.to(unit, kinds, paths)
+                    self._ready[name] = source.follow(name, unit, channels, kinds)
         except TwinmatchError as error:
             self.failed = SamplingError(f"{self.NAME}: {error}")
             return
@@ -272,10 +272,10 @@ class SamplerNode(TwinmatchNode):
                 self.health.say("sampling")
         self._missed.watch(self._sampler.grid.missed, self._index)
 
-    def _silence(self, name: str, source: SignalSource, now: float) -> str:
+    def _silence(self, name: str, now: float) -> str:
         """The report on a signal that is silent; empty if it is not, or if silence is allowed."""
-        topics = " and ".join(dict.fromkeys(channel.topic for channel in source.channels))
-        gone = [c.topic for c in source.channels if not self._topics.publishers(c.topic)]
+        topics = " and ".join(dict.fromkeys(channel.topic for channel in self._channels[name]))
+        gone = [c.topic for c in self._channels[name] if not self._topics.publishers(c.topic)]
         limit, heard = self.values[f"max_age.{name}"], self._heard.get(name)
         if heard is None:
             return f"no publisher on {gone[0]}" if gone else f"no message on {topics} yet"
@@ -284,8 +284,8 @@ class SamplerNode(TwinmatchNode):
             return f"no message on {topics} for {now - heard:.1f} s{why}"
         return ""
 
-    def _explained(self, name: str, source: SignalSource, trouble: str) -> str:
-        text = source.channels[0].text
+    def _explained(self, name: str, trouble: str) -> str:
+        text = self._channels[name][0].text
         if "outside" in trouble:
             unit = signals_of(self._plant)[name].unit
             return (

@@ -1,10 +1,11 @@
 """Sampling: a loop that foreign programs run as samples of a plant, live or from a bag.
 
-`channels` finds numbers in the messages of any topics and makes signals of them; a `Sampler` takes their
-values with their times, and gives one sample per tick. Nothing here knows ROS or files.
+A `SignalMap` says where each signal comes from, live, in a table or in a bag; `channels` finds numbers in the
+messages of any topics; a `Sampler` takes values with their times, and gives one sample per tick.
 """
 
-from twinmatch.sampling.channels import Channel, SamplingError, SignalSource
+from twinmatch.sampling.channels import Channel, SamplingError
 from twinmatch.sampling.sampler import Sampler
+from twinmatch.sampling.sources import SignalMap, SignalSource
 
-__all__ = ["Channel", "Sampler", "SamplingError", "SignalSource"]
+__all__ = ["Channel", "Sampler", "SamplingError", "SignalMap", "SignalSource"]

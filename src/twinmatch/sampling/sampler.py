@@ -19,11 +19,9 @@ from typing import Final
 import numpy as np
 
 from twinmatch.sampling.channels import SamplingError
+from twinmatch.sampling.sources import INPUT, OUTPUT, REFERENCE
 from twinmatch.signals import Sample
 
-OUTPUT: Final = "output"
-INPUT: Final = "input"
-REFERENCE: Final = "reference"
 TIMER: Final = "timer"
 """Paces the samples with the sampler's own clock instead of a signal."""
 
