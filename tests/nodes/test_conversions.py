@@ -193,6 +193,7 @@ def verdicts(draw: st.DrawFn) -> Verdict:
         first=draw(INDICES),
         last=draw(INDICES),
         level=draw(st.sampled_from(TrustLevel)),
+        level_reason=draw(TEXTS),
         stands=draw(st.booleans()),
         nominal=draw(st.none() | TEXTS.filter(bool)),
         reason=draw(TEXTS),
