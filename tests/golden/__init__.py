@@ -33,7 +33,9 @@ from tests.golden.sources import SOURCES, MissingSourceError, documents_of
 __all__ = ["SOURCES", "MissingSourceError"]
 
 FOLDER = Path(__file__).parent
-PROSE: Final = frozenset({"reason", "certainty", "suggestion", "determined", "sentence", "notes", "absent"})
+PROSE: Final = frozenset({
+    *("reason", "level_reason", "certainty", "suggestion", "determined", "sentence", "notes", "absent"),
+})  # fmt: skip
 """Texts that may be reworded; what they say is in other fields too."""
 GROUPS: Final = (
     ("matches", re.compile(r"^matches$")),

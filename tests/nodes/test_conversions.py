@@ -193,6 +193,7 @@ def verdicts(draw: st.DrawFn) -> Verdict:
         first=draw(INDICES),
         last=draw(INDICES),
         level=draw(st.sampled_from(TrustLevel)),
+        level_reason=draw(TEXTS),
         stands=draw(st.booleans()),
         nominal=draw(st.none() | TEXTS.filter(bool)),
         reason=draw(TEXTS),
@@ -324,6 +325,6 @@ def test_every_word_has_a_number_of_its_own(kind: Any) -> None:
 
 
 def test_a_words_number_is_beside_it() -> None:
-    verdict = Verdict(0, 0, 0, TrustLevel.DOUBTFUL, True, None, "", 2, (), None, (), 0.0, 0.0)
+    verdict = Verdict(0, 0, 0, TrustLevel.DOUBTFUL, "", True, None, "", 2, (), None, (), 0.0, 0.0)
     message = message_of(verdict, 0)
     assert (message.level, message.level_name) == (messages.ModelScore.DOUBTFUL, "doubtful")

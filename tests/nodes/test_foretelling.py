@@ -19,7 +19,7 @@ from twinmatch.nodes.messages import (
 )
 from twinmatch.nodes.topics import EVERYTHING, LATCHED
 from twinmatch.signals import Sample
-from twinmatch.twin import Discriminator, TwinSettings, carry_out
+from twinmatch.twin import Discriminator, Snapshot, TwinSettings, carry_out
 from twinmatch_msgs.msg import Forecast, ForecastScore, Match, MatchRequest, ModelScore
 from twinmatch_msgs.srv import WhatIf
 
@@ -33,23 +33,25 @@ class Offline:
         settings = TwinSettings()
         self.forecasts: list[Forecast] = []
         self.leaders: list[ForecastScore] = []
-        self.discriminator = Discriminator(settings, followed=self._followed)
+        self.discriminator = Discriminator(settings, snapshots=True)
         for sample in samples:
             step = self.discriminator.push_sample(sample)
+            snapshots = list(step.snapshots)
             if step.request is not None:
-                self.discriminator.push_match(carry_out(step.request, settings))
+                snapshots += self.discriminator.push_match(carry_out(step.request, settings)).snapshots
+            for snapshot in snapshots:
+                self._take(snapshot)
 
-    def _followed(self, sample: Sample) -> None:
-        forecaster = self.discriminator.forecaster
-        if forecaster.leader is None:
+    def _take(self, snapshot: Snapshot) -> None:
+        if snapshot.leading is None:
             return
-        (score,) = (score for score in forecaster.scores if score.name == forecaster.leader)
-        leader = message_of(score)
+        leader = message_of(snapshot.leading)
         if not self.leaders or _identity(leader) != _identity(self.leaders[-1]):
             self.leaders.append(leader)
-        ahead = shown_samples(1.0, forecaster.horizons)
-        forecast = forecaster.outlook().forecast(np.full(ahead[-1], sample.reference))
-        self.forecasts.append(forecast_message(forecast, sample.stamp, ahead))
+        outlook = snapshot.outlook()
+        ahead = shown_samples(1.0, self.discriminator.forecaster.horizons)
+        forecast = outlook.forecast(np.full(ahead[-1], outlook.sample.reference))
+        self.forecasts.append(forecast_message(forecast, outlook.sample.stamp, ahead))
 
 
 @pytest.fixture(scope="module")

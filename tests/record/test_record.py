@@ -69,6 +69,7 @@ VERDICT = Verdict(
     first=0,
     last=7,
     level=TrustLevel.DOUBTFUL,
+    level_reason="for a reason",
     stands=False,
     nominal="50 °C",
     reason="so it is",

@@ -30,6 +30,7 @@ def verdict(level: TrustLevel, sample: int = 300, *, nominal: str | None = "50 Â
     said: dict[str, Any] = {
         **{"sample": sample, "first": 0, "last": sample - 1, "level": level, "stands": True},
         **{"nominal": nominal, "order": "22221" if known else None, "reason": "because", "decimals": 2},
+        "level_reason": f"it is {level.value}",
         "candidates": (replace(CANDIDATE, name=nominal),) if nominal is not None else (),
         "nu_gap": ((0.0,),) if known else (),
         "driven_rms_y": 0.5 if known else math.nan,

@@ -7,12 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from twinmatch.comparing import TrustLevel
 from twinmatch.forecasting import Band, Forecast
-from twinmatch.twin.trust import BandCheck, BandHistory, LeaderConfidence, check_band, trust_level
+from twinmatch.twin.trust import BandCheck, BandHistory, LeaderConfidence, check_band
 
-INSIDE = BandCheck(0.6, 0.9, 0.6, 0.9)
-OUTSIDE = BandCheck(0.6, 0.9, 3.0, 0.1)
 NOISE = 0.1
 
 
@@ -52,7 +49,24 @@ def test_the_newest_samples_are_held_against_the_end_of_the_forecast() -> None:
     told = forecast(0.0, 1.0)
     told = Forecast(0, "c", "s", 0.9, told.time, told.reference, (band,), (band,))
     newest = np.arange(90.0, 100.0)[None]
-    assert check_band(told, newest, newest) == BandCheck(0.0, 1.0, 0.0, 1.0)
+    assert check_band(told, newest, newest) == BandCheck(0.0, 1.0, 0.0, 1.0, 90.0, 99.0, 99.0)
+
+
+def test_readings_that_do_not_count_are_neither_a_miss_nor_a_level() -> None:
+    values = np.full((1, 60), 20.0)
+    values[0, 30], values[0, 59] = 120.0, -40.0
+    counted = np.abs(values[0] - 20.0) < 1.0
+    found = check_band(forecast(20.0, 1.0), values, None, counted)
+    assert (found.miss, found.inside_y, found.low, found.high, found.last) == (0.0, 1.0, 20.0, 20.0, 20.0)
+    assert check_band(forecast(20.0, 1.0), values, None).high == 120.0
+
+
+def inside(*output: float) -> BandCheck:
+    return BandCheck(0.6, 0.9, 0.6, 0.9, min(output), max(output), output[-1])
+
+
+def outside(*output: float) -> BandCheck:
+    return inside(*output)._replace(miss_u=3.0, inside_u=0.1)
 
 
 def test_a_band_on_the_limit_of_the_controller_has_one_side() -> None:
@@ -67,25 +81,19 @@ def test_a_band_on_the_limit_of_the_controller_has_one_side() -> None:
 def test_since_when_and_between_which_levels() -> None:
     bands = BandHistory(2.0, NOISE)
     assert bands.levels is None
-    bands.push(INSIDE, 0, np.array([30.0, 40.0]))
-    bands.push(INSIDE, 60, np.array([40.5, 50.0]))
+    bands.push(inside(30.0, 40.0), 0)
+    bands.push(inside(40.5, 50.0), 60)
     assert bands.levels == (30.0, 50.0)
     assert bands.since is None
-    bands.push(OUTSIDE, 120, np.array([50.0, 70.0]))
-    bands.push(OUTSIDE, 180, np.array([70.0, 75.0]))
+    bands.push(outside(50.0, 70.0), 120)
+    bands.push(outside(70.0, 75.0), 180)
     assert bands.since == 120
     assert bands.levels == (30.0, 50.0), "a level at which it failed is not one to trust it at"
-    bands.push(INSIDE, 240, np.array([80.0, 82.0]))
+    bands.push(inside(80.0, 82.0), 240)
     assert bands.since is None
     assert bands.levels == (80.0, 82.0), "what lies between was not seen to hold"
-    bands.push(INSIDE, 300, np.array([49.0, 80.5]))
+    bands.push(inside(49.0, 80.5), 300)
     assert bands.levels == (30.0, 82.0)
-
-
-def test_the_level_says_whether_the_band_held() -> None:
-    assert trust_level(INSIDE, 2.0) is TrustLevel.TRUSTED
-    assert trust_level(OUTSIDE, 2.0) is TrustLevel.DOUBTFUL
-    assert trust_level(BandCheck(), 2.0) is TrustLevel.UNKNOWN
 
 
 def test_it_begins_undecided_and_counts() -> None:

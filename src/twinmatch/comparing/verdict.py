@@ -55,7 +55,15 @@ class TrustLevel(Enum):
     """The samples lie outside (`miss_since` says since when), no match explains the window, or forecasts that
     need no twin are better at every horizon."""
     FAULT = "fault"
-    """No parameters explain what the plant does; check the plant."""
+    """The plant has a fault, so that no twin holds; check the plant."""
+
+
+LEVEL_WORDS: Final = {
+    TrustLevel.UNKNOWN: "no forecast has been compared with measurements yet",
+    TrustLevel.TRUSTED: "measurements lie within the forecast bands",
+    TrustLevel.DOUBTFUL: "measurements lie outside the forecast bands",
+}
+"""What the readings alone say of the leader."""
 
 
 @dataclass(frozen=True)
@@ -148,6 +156,8 @@ class Verdict:
     last: int
     """Last sample of the window that was judged; `first` is its first."""
     level: TrustLevel
+    level_reason: str
+    """Why the leader is trusted so far and no further: a part of a sentence."""
     stands: bool
     """Whether nothing could be identified from the window and the scores are those of the verdict before."""
     nominal: str | None
@@ -214,6 +224,11 @@ class Verdict:
     def leading(self) -> ForecastScore | None:
         """The leader's score; None without a leader."""
         return next((score for score in self.forecasts if score.name == self.leader), None)
+
+    @property
+    def beaten(self) -> str:
+        """Where forecasts that need no twin are better than the leader's, in words; empty if nowhere."""
+        return beaten_words(self.leading.beaten(self.horizons)) if self.leading else ""
 
     @property
     def modelled(self) -> tuple[CandidateScore, ...]:

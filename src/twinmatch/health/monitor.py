@@ -75,6 +75,7 @@ class Monitor:
         self._quiet = 0  # samples in a row without any trace, except that of a slow change
         self._proofs = 0  # of those, the ones in which the plant followed the drive
         self._alarms: deque[Alarm] = deque(maxlen=_KEPT)
+        self._refused: deque[int] = deque(maxlen=_KEPT)  # samples with an implausible reading
         self._open = False  # whether the last alarm is still on
         self._slow_alarm = False  # whether a slow change raised it
 
@@ -107,6 +108,16 @@ class Monitor:
         faults = (alarm for alarm in self._alarms if alarm.fault not in SLOW)
         return next((alarm for alarm in faults if alarm.overlaps(first, last)), None)
 
+    def refused(self, first: int, last: int) -> frozenset[int]:
+        """The samples from `first` to `last` whose readings are implausible, each for itself or because they
+        belong to such a fault."""
+        within = {index for index in self._refused if first <= index <= last}
+        for alarm in self._alarms:
+            if alarm.fault is Fault.SENSOR_IMPLAUSIBLE and alarm.overlaps(first, last):
+                end = last if alarm.last is None else min(alarm.last, last)
+                within |= set(range(max(alarm.first, first), end + 1))
+        return frozenset(within)
+
     def push(self, sample: Sample, parameters: Parameters | None = None) -> Health:
         """Take one sample; judge the plant as it is now."""
         if sample.index != self._index + 1 or self._gap_before(sample):
@@ -128,6 +139,8 @@ class Monitor:
             self._before = None
             self._restart_traces()
             self._slow.restart()
+        if evidence is not None and evidence.fault is Fault.SENSOR_IMPLAUSIBLE:
+            self._refused.append(sample.index)
         news = self._judge(sample.index, evidence, starting)
         return self._health(sample.index, evidence, starting, news)
 
@@ -144,6 +157,7 @@ class Monitor:
     def _restart(self, index: int) -> None:
         if index <= self._index:  # another session
             self._alarms.clear()
+            self._refused.clear()
             self._open = False
             self._slow.forget()
         self._begin, self._before = index, None

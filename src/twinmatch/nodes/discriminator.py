@@ -46,9 +46,9 @@ class ForecastPublisher:
     newest snapshot in the callback thread, so that they never wait for a verdict.
     """
 
-    def __init__(self, node: TwinNode) -> None:
-        """Create the topics and the service."""
-        self._node, self._health = node, node.health
+    def __init__(self, node: TwinNode, horizons: tuple[int, ...]) -> None:
+        """Create the topics and the service; the forecasts shown have these horizons, in samples."""
+        self._node, self._health, self._horizons = node, node.health, horizons
         self._snapshot = Snapshot()
         self._leader: tuple[object, ...] = ()  # name and parameters
         self._ahead: tuple[int, ...] = ()
@@ -59,23 +59,21 @@ class ForecastPublisher:
         self._leaders = node.create_publisher(ForecastScore, "twin/leader", LATCHED)
         node.create_service(WhatIf, "twin/what_if", self._on_question)
 
-    def publish(self, discriminator: Discriminator) -> None:
-        """Publish the forecast from the newest sample that is fully judged, once there is a candidate."""
-        self.update(discriminator)
-        name = self._snapshot.leader
-        if name is None:
+    def publish(self, snapshot: Snapshot) -> None:
+        """Publish the forecast from the snapshot's sample, once there is a candidate."""
+        self.take(snapshot)
+        if snapshot.leading is None:
             return
         self._made += 1
         if self._made <= self.heard:
             return
-        outlook = self._snapshot.outlook(name)
+        outlook = snapshot.outlook()
         leader = (outlook.candidate, outlook.parameters)
         if leader != self._leader:
-            score = next(score for score in discriminator.forecaster.scores if score.name == name)
-            self._leaders.publish(message_of(score))
+            self._leaders.publish(message_of(snapshot.leading))
             self._leader = leader
         if not self._ahead:
-            self._ahead = shown_samples(outlook.period, discriminator.forecaster.horizons)
+            self._ahead = shown_samples(outlook.period, self._horizons)
         sample = outlook.sample
         try:
             forecast = outlook.forecast(np.full(max(self._ahead), outlook.standing))
@@ -84,12 +82,12 @@ class ForecastPublisher:
                 raise
             return  # at the next sample another candidate leads, which can be run
         self._node.publish(self._forecasts, forecast_message(forecast, sample.stamp, self._ahead))
-        self._health.set("leader", name)
+        self._health.set("leader", outlook.candidate)
         self._health.set("forecast from sample", sample.index)
 
-    def update(self, discriminator: Discriminator) -> None:
-        """Take a new snapshot."""
-        self._snapshot = discriminator.forecaster.snapshot()
+    def take(self, snapshot: Snapshot) -> None:
+        """Answer questions from this snapshot from now on."""
+        self._snapshot = snapshot
 
     def _on_question(self, request: WhatIf.Request, _: WhatIf.Response) -> WhatIf.Response:
         snapshot = self._snapshot
@@ -127,8 +125,8 @@ class DiscriminatorNode(SampleNode):
         """Start to judge samples and matches."""
         path = self.values["candidates"]
         given = read_candidates(Path(path)) if path else []
-        self._discriminator = Discriminator(self.settings, given, self._followed)
-        self._forecasts = ForecastPublisher(self)
+        self._discriminator = Discriminator(self.settings, given, snapshots=True)
+        self._forecasts = ForecastPublisher(self, self._discriminator.forecaster.horizons)
         self._nominal: tuple[object, ...] = ()  # name, window and parameters
         self._answers: deque[MatchReport] = deque()  # matches made before this node started, oldest first
         self._made = 0  # verdicts
@@ -187,13 +185,12 @@ class DiscriminatorNode(SampleNode):
         return None
 
     def _publish_step(self, step: Step) -> None:
+        for snapshot in step.snapshots:
+            self._forecasts.publish(snapshot)
         for verdict in step.verdicts:
             self._publish(verdict)
         if step.verdicts:  # a match may have brought a candidate
-            self._forecasts.update(self._discriminator)
-
-    def _followed(self, _: Sample) -> None:
-        self._forecasts.publish(self._discriminator)
+            self._forecasts.take(self._discriminator.forecaster.snapshot())
 
     def _request(self, request: MatchRequest) -> None:
         self._requested_at = time.monotonic()
@@ -224,6 +221,7 @@ class DiscriminatorNode(SampleNode):
     def _publish(self, verdict: Verdict) -> None:
         self.health.count(VERDICTS)
         self.health.set("level", verdict.level.value)
+        self.health.set("level because", verdict.level_reason)
         self.health.set("nominal", verdict.nominal or "none")
         self._made += 1
         if self._made > self._published_before:

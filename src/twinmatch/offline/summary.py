@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from twinmatch.comparing import REFUSED, CandidateScore, TrustLevel, Verdict, beaten_words
+from twinmatch.comparing import REFUSED, CandidateScore, TrustLevel, Verdict
 from twinmatch.dynamics import Law, Output, Parameters
 from twinmatch.signals import Sample, Window, unbroken
 from twinmatch.twin import window_fit
@@ -89,8 +89,8 @@ class SessionSummary:
     """Box–Jenkins order chosen for the nominal candidate."""
     range: TrustRange | None = None
     """Range of the output in which forecasts have held."""
-    fault: str = ""
-    """Name of the fault present at the end; empty for none."""
+    why: str = ""
+    """The reason of the level."""
     beaten: str = ""
     """Where a forecast that needs no twin is better, in words; empty if nowhere."""
     leader: str | None = None
@@ -176,8 +176,8 @@ def conclude(
         notes=tuple(remarks),
         order=nominal.chosen_order if nominal else None,
         range=trust_range(last, shown.parameters.model.plant.output) if last and shown else None,
-        fault=last.fault if last else "",
-        beaten=beaten_words(last.leading.beaten(last.horizons)) if last and last.leading else "",
+        why=last.level_reason if last else "",
+        beaten=last.beaten if last else "",
         leader=last.leader if last else None,
         leader_confidence=last.leader_confidence if last else math.nan,
         refusal=tally.refusal,

@@ -14,15 +14,13 @@ from twinmatch.twin import MatchReport
 
 _POOR: Final = 0.5
 """A fit over the whole session below this needs an explanation beside forecasts that hold."""
-UNEXPLAINED = "unexplained"
-"""Name in sessions of earlier versions for a fault seen only in the residuals."""
 
 
 def sentence(summary: SessionSummary) -> str:
     """The summary in one line: leader, fit, trust, and nominal candidate."""
     if summary.leader is None and summary.nominal is None:
         if summary.level is TrustLevel.FAULT:
-            return f"No nominal twin: {_trouble(summary)}. Look at the plant first."
+            return f"No nominal twin: {summary.why}. Look at the plant first."
         if summary.refusal:
             last = f"{summary.refusal[0].upper()}{summary.refusal[1:].rstrip('.')}."
             return f"No nominal twin: {summary.verdicts} verdicts, but no valid match. {last}"
@@ -75,17 +73,12 @@ def _trust(summary: SessionSummary) -> str:
     held = f"between {summary.range}" if summary.range else ""
     before = f" (it held {held})" if held else ""
     if summary.level is TrustLevel.FAULT:
-        return f"do not trust it now: {_trouble(summary)}{before}"
+        return f"do not trust it now: {summary.why}{before}"
     if summary.level is TrustLevel.DOUBTFUL:
-        return f"doubtful now: {summary.beaten or 'measurements lie outside the bands'}{before}"
+        return f"doubtful now: {summary.why}{before}"
     if not held:
         return "how far to trust it is not known yet"
     return f"trust it {held}, but {summary.beaten}" if summary.beaten else f"trust it {held}"
-
-
-def _trouble(summary: SessionSummary) -> str:
-    named = summary.fault and summary.fault != UNEXPLAINED
-    return f"the plant shows {summary.fault}" if named else "no twin explains the plant's behaviour"
 
 
 def closing_lines(summary: SessionSummary, verdict: Verdict | None) -> list[str]:

@@ -10,25 +10,19 @@ from typing import Final
 
 from twinmatch.comparing import (
     ADMITTED,
+    LEVEL_WORDS,
     REFUSED,
     CandidateScore,
     OrderScore,
     TrustLevel,
     Verdict,
-    beaten_words,
 )
 from twinmatch.fitting import Status
 from twinmatch.offline.summary import nominal_score
 from twinmatch.showing.family import GAIN, GAP_NOW, GAP_SUM, chosen_score
 from twinmatch.showing.quantities import number, signal_names
+from twinmatch.signals import Sample
 from twinmatch.twin import MatchReport
-
-LEVEL_WORDS: Final = {
-    TrustLevel.UNKNOWN: "no forecast has been compared with measurements yet",
-    TrustLevel.TRUSTED: "measurements lie within the forecast bands",
-    TrustLevel.DOUBTFUL: "measurements lie outside the forecast bands",
-    TrustLevel.FAULT: "no twin explains the plant's behaviour",
-}
 
 STATUS_WORDS: Final = {
     Status.NOT_EXPLAINED: "the twin cannot explain it",
@@ -83,15 +77,8 @@ def row(verdict: Verdict, period: float = 1.0) -> dict[str, str]:
 
 
 def level_words(verdict: Verdict | None) -> str:
-    """What a verdict's trust level means; None: before the first verdict."""
-    if verdict is None:
-        return LEVEL_WORDS[TrustLevel.UNKNOWN]
-    beaten = beaten_words(verdict.leading.beaten(verdict.horizons)) if verdict.leading else ""
-    if beaten and verdict.level is TrustLevel.TRUSTED:
-        return f"{LEVEL_WORDS[verdict.level]}, but {beaten}"
-    if beaten and verdict.level is TrustLevel.DOUBTFUL and verdict.miss_since is None:
-        return beaten
-    return LEVEL_WORDS[verdict.level]
+    """The reason of a verdict's trust level; None: before the first verdict."""
+    return LEVEL_WORDS[TrustLevel.UNKNOWN] if verdict is None else verdict.level_reason
 
 
 def missed(verdict: Verdict) -> str:
@@ -203,6 +190,21 @@ class Event:
     mark: Mark
     session: int = 1
     """Which of a live page's sessions it belongs to."""
+    after: float = 0.0
+    """Seconds from the sample to the event; negative: it was before the sample."""
+
+    stamp: int | None = None
+    """When it happened, ns by the clock of the samples' stamps; None: not known."""
+
+    def dated(self, near: Sample) -> Event:
+        """The event with its time, if it has a stamp, counted from a sample near it."""
+        if self.stamp is None:
+            return self
+        return replace(self, sample=near.index, after=(self.stamp - near.stamp) / 1e9)
+
+    def time(self, period: float) -> float | None:
+        """When it happened, s from sample 0 for a sampling period in s; None before the first sample."""
+        return None if self.sample is None else self.sample * period + self.after
 
 
 def events(verdicts: Iterable[Verdict]) -> list[Event]:
@@ -248,7 +250,8 @@ def _level_event(verdict: Verdict) -> tuple[str, str]:
     if verdict.fault:
         since = "" if verdict.fault_since is None else f" (since sample {verdict.fault_since})"
         return f"fault: {verdict.fault}", f"{verdict.reason}{since}"
-    more = f": {missed(verdict)}" if verdict.level in {TrustLevel.DOUBTFUL, TrustLevel.FAULT} else ""
+    outside = verdict.level is TrustLevel.DOUBTFUL and verdict.miss_since is not None
+    more = f": {missed(verdict)}" if outside else ""
     return verdict.level.value, f"{level_words(verdict)}{more}"
 
 

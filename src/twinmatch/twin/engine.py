@@ -3,35 +3,26 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from typing import NamedTuple
 
-import numpy as np
-
-from twinmatch.comparing import (
-    ADMITTED,
-    DECIDED_FROM,
-    REFUSED,
-    Candidate,
-    TrustLevel,
-    Verdict,
-)
-from twinmatch.dynamics import Parameters
+from twinmatch.comparing import ADMITTED, REFUSED, Candidate, Verdict
 from twinmatch.errors import TwinmatchError
 from twinmatch.fitting import Status
-from twinmatch.health import SLOW, Alarm, Fault, Health, HealthState, Monitor
+from twinmatch.health import SLOW, Alarm, Health, HealthState, Monitor
 from twinmatch.signals import Sample, Window
 from twinmatch.twin.bridge import Bridge
 from twinmatch.twin.candidates import UNSCORED, CandidatePool
-from twinmatch.twin.forecaster import Forecaster
+from twinmatch.twin.forecaster import Forecaster, Snapshot
+from twinmatch.twin.knowledge import Knowledge, MatchResult, verdict_of
 from twinmatch.twin.matcher import MatchReport, MatchRequest, carry_out, one_thread
 from twinmatch.twin.mirror import Residuals, residuals
 from twinmatch.twin.schedule import InputSchedule, Schedule, Trigger
 from twinmatch.twin.settings import TwinSettings
 from twinmatch.twin.structure_fits import watched
-from twinmatch.twin.trust import BandCheck, BandHistory, trust_level
+from twinmatch.twin.trust import BandCheck, BandHistory
 
 MOST_STAMPS = 10_000
 """Number of samples for which stamps are kept for verdicts still due."""
@@ -44,29 +35,9 @@ class Step(NamedTuple):
     """Verdicts in order."""
     request: MatchRequest | None
     """The match to request now; its answer is awaited."""
-
-
-class _Decision(NamedTuple):
-    """The decision on a match."""
-
-    word: str
-    """`ADMITTED` or `REFUSED`; empty if no match was requested."""
-    reason: str
-
-
-class _Assessment(NamedTuple):
-    """How far the twin is to be trusted at a sample; the fields are those of a verdict."""
-
-    level: TrustLevel
-    fault: str
-    fault_since: int | None
-    structure: str
-    structure_parameters: Parameters | None
-    driven_rms_y: float
-    closed_rms_u: float
-    miss_since: int | None
-    held_low: float
-    held_high: float
+    snapshots: tuple[Snapshot, ...] = ()
+    """All candidates at every sample that they have taken now, if the discriminator was asked for them; none
+    of lost samples."""
 
 
 class Discriminator:
@@ -82,13 +53,14 @@ class Discriminator:
         self,
         settings: TwinSettings | None = None,
         given: Sequence[Candidate] = (),
-        followed: Callable[[Sample], None] = lambda _: None,
+        *,
+        snapshots: bool = False,
     ) -> None:
         """Begin with the given candidates only (their twins are judged on the first excited window).
 
-        `followed` is called with every sample as soon as all candidates can forecast from it.
+        `snapshots`: whether steps have them. A snapshot takes longer than a sample without one.
         """
-        self._followed = followed
+        self._snapshots = snapshots
         self.stamps: dict[int, int] = {}
         """Stamps of the newest samples, ns, and of the lost ones that were bridged, by index."""
         self.settings = settings or TwinSettings()
@@ -152,26 +124,22 @@ class Discriminator:
         self._request = None
         trigger = self._waiting.popleft()
         assert isinstance(trigger, Trigger)  # noqa: S101 — only a trigger is waited for
-        return self._settle([self._judged(trigger, self._admit(trigger, report), report)])
+        return self._settle([self._judge(trigger, self._admit(trigger, report))])
 
     def _settle(self, verdicts: list[Verdict]) -> Step:
         """Process the queue until it is empty or a match is needed."""
+        snapshots: list[Snapshot] = []
         while self._waiting:
             item = self._waiting[0]
             if isinstance(item, Sample):
-                self._settled = item.index
-                due = self._watch(item)
-                self.forecaster.push(item)
-                self.forecaster.notes = self._notes()
-                if item.seen:
-                    self._followed(item)
-                if due is not None:
-                    verdicts.append(due())
+                verdicts += self._take(item)
+                if self._snapshots and item.seen:
+                    snapshots.append(self.forecaster.snapshot())
             elif not item.excited:
-                verdicts.append(self._judged(item, _Decision("", item.reason)))
+                verdicts.append(self._judge(item, MatchResult(reason=item.reason)))
             elif (alarm := self.monitor.fault_between(item.window.first, item.window.last)) is not None:
                 reason = f"not matched: {alarm.fault.value} since sample {alarm.first}: {alarm.reason}"
-                verdicts.append(self._judged(item, _Decision(REFUSED, reason)))
+                verdicts.append(self._judge(item, MatchResult(REFUSED, reason)))
             else:
                 self._request = self._new_request(item)
                 if not self._external:  # most of a match is compiled code, which releases the GIL
@@ -180,7 +148,7 @@ class Discriminator:
                     with_match.shutdown(wait=False)
                 break
             self._waiting.popleft()
-        return Step(tuple(verdicts), self._request)
+        return Step(tuple(verdicts), self._request, tuple(snapshots))
 
     def _new_request(self, trigger: Trigger) -> MatchRequest:
         """The request for a trigger; its incumbent is the regime's current candidate."""
@@ -197,9 +165,25 @@ class Discriminator:
             incumbent=incumbent,
         )
 
-    def _watch(self, sample: Sample) -> Callable[[], Verdict] | None:
-        """Judge the plant's health; return the verdict due if a fault has just begun or ended, which is to be
-        completed when the candidates have taken the sample, too."""
+    def _take(self, sample: Sample) -> list[Verdict]:
+        """Judge the plant's health and have all candidates take the sample; return the verdict that is due if
+        a fault has just begun or ended."""
+        self._settled, verdicts = sample.index, []
+        news = self._watch(sample)
+        gone = self._remove_spoilt(news) if news is not None and news.last is None else ()
+        self.forecaster.push(sample)
+        if news is not None:
+            reason = f"{news.fault.value} is over: the plant responds normally again"
+            match = MatchResult(reason=news.reason if news.last is None else reason)
+            window = Window.from_samples(list(self._recent), self.settings.period)
+            with one_thread():
+                self._pool.score_leader()
+                verdicts.append(verdict_of(self._known(sample.index, window, match, dismissed=gone)))
+        self.forecaster.notes = self._notes()
+        return verdicts
+
+    def _watch(self, sample: Sample) -> Alarm | None:
+        """Judge the plant's health; return the alarm that has just begun or ended."""
         if self._recent and sample.index != self._recent[-1].index + 1:
             if sample.index <= self._recent[-1].index:  # another session: the old alarms have other indices
                 self.monitor = Monitor(self.monitor.settings)
@@ -207,33 +191,22 @@ class Discriminator:
         self._recent.append(sample)
         nominal = self.nominal
         self._health = self.monitor.push(sample, nominal.parameters if nominal else None)
-        news = self._health.news
-        if news is None:
-            return None
-        window = Window.from_samples(list(self._recent), self.settings.period)
-        reason = news.reason
-        gone: tuple[str, ...] = ()
-        if news.last is not None:
-            reason = f"{news.fault.value} is over: the plant responds normally again"
-        with one_thread():
-            if news.last is None:
-                gone = self._remove_spoilt(news)
-            self._pool.score_leader()
-        return self._verdict(sample.index, window, _Decision("", reason), dismissed=gone)
+        return self._health.news
 
     def _remove_spoilt(self, alarm: Alarm) -> tuple[str, ...]:
         """Remove the candidates that were matched while the fault was already on; return their names."""
         if alarm.fault in SLOW:  # the plant has changed since then, but still obeys its drive
             self._pool.structures.cut(alarm.first)
             return ()
-        return self._pool.expel(alarm.first, alarm.flagged)
+        with one_thread():
+            return self._pool.expel(alarm.first, alarm.flagged)
 
     def _fit(self, trigger: Trigger) -> None:
         with one_thread():
             self._pool.structures.push(trigger.window, excited=trigger.excited)
 
-    def _judged(self, trigger: Trigger, decision: _Decision, report: MatchReport | None = None) -> Verdict:
-        """The verdict on a window and the decision on its match.
+    def _judge(self, trigger: Trigger, match: MatchResult) -> Verdict:
+        """The verdict on a window and on its match.
 
         If the window cannot be scored, the scores of the verdict before stand.
         """
@@ -245,94 +218,57 @@ class Discriminator:
             elif self.monitor.fault_between(window.first, window.last) is None:
                 self._fit(trigger)
             pool.enter()
-            scored = bool(decision.word) and not pool.empty
+            scored = bool(match.word) and not pool.empty
             if scored:
                 try:
                     pool.score(window)
                 except TwinmatchError as error:
-                    scored = False
-                    decision = decision._replace(reason=f"nothing could be identified: {error}")
+                    scored, match = False, MatchResult(match.word, f"nothing could be identified: {error}")
             if not scored:
                 pool.score_leader()
-            doubtful = scored and report is not None and report.match.status is Status.NOT_EXPLAINED
-            return self._verdict(trigger.sample, window, decision, stands=not scored, doubtful=doubtful)()
+            return verdict_of(self._known(trigger.sample, window, match, scored=scored))
 
-    def _verdict(
+    def _known(
         self,
         sample: int,
         window: Window,
-        decision: _Decision,
+        match: MatchResult,
         *,
-        stands: bool = True,
-        doubtful: bool = False,
+        scored: bool = False,
         dismissed: tuple[str, ...] = (),
-    ) -> Callable[[], Verdict]:
-        """The verdict on a window with the newest scores; its forecasts are added when it is called."""
-        scores = self._pool.scores or UNSCORED
-        bands = self._checked_bands(window)
-        assessment = self._assessed(bands, window, doubtful=doubtful)
-
-        def verdict() -> Verdict:
-            forecaster = self.forecaster
-            leader, confidence, forecasts = forecaster.leader, forecaster.confidence, forecaster.scores
-            level, useless = assessment.level, any(s.useless for s in forecasts if s.name == leader)
-            if useless and level is TrustLevel.TRUSTED:
-                level = TrustLevel.DOUBTFUL
-            sentences = (forecaster.sentence, scores.certainty)
-            return Verdict(
-                sample=sample,
-                first=window.first,
-                last=window.last,
-                stands=stands,
-                reason=decision.reason,
-                match=decision.word,
-                dismissed=dismissed,
-                decimals=self.settings.decimals,
-                leader=leader,
-                leader_confidence=float("nan") if leader is None else confidence,
-                decided=leader is not None and confidence >= DECIDED_FROM,
-                horizons=forecaster.settings.horizons,
-                forecasts=forecasts,
-                **bands._asdict(),
-                **assessment._replace(level=level)._asdict(),
-                **scores._replace(certainty="; ".join(s for s in sentences if s))._asdict(),
-            )
-
-        return verdict
-
-    def _assessed(self, bands: BandCheck, window: Window, *, doubtful: bool) -> _Assessment:
-        """Residuals, fault and level at the end of a window; `doubtful`: no match explains it."""
-        found, choice = self._residuals(window), self._pool.structures.choice
-        low, high = self._bands.levels or (float("nan"), float("nan"))
-        level, fault, since = trust_level(bands, self.settings.limits.doubtful), "", None
-        if doubtful and level is TrustLevel.TRUSTED:
-            level = TrustLevel.DOUBTFUL
-        health = self._health
-        if health is not None and health.state is HealthState.FAULT and health.fault is not None:
-            fault, since = health.fault.value, health.since
-            # A plant that has changed still obeys its drive: its next matches adapt the twin.
-            level = TrustLevel.DOUBTFUL if health.fault in (*SLOW, Fault.DISTURBANCE) else TrustLevel.FAULT
-        return _Assessment(
-            level=level,
-            fault=fault,
-            fault_since=since,
-            structure=choice.chosen if choice else "",
-            structure_parameters=choice.parameters if choice else None,
-            driven_rms_y=found.y,
-            closed_rms_u=found.u,
+    ) -> Knowledge:
+        """All that is known at a sample, when everything has taken it."""
+        bands, forecaster, choice = self._check_bands(window), self.forecaster, self._pool.structures.choice
+        return Knowledge(
+            sample=sample,
+            window=(window.first, window.last),
+            match=match,
+            scored=scored,
+            dismissed=dismissed,
+            scores=self._pool.scores or UNSCORED,
+            leader=forecaster.leader,
+            confidence=forecaster.confidence,
+            forecasts=forecaster.scores,
+            standing=forecaster.sentence,
+            horizons=forecaster.settings.horizons,
+            bands=bands,
+            miss_limit=self.settings.limits.doubtful,
             miss_since=self._bands.since,
-            held_low=low,
-            held_high=high,
+            held=self._bands.levels or (float("nan"), float("nan")),
+            residuals=self._residuals(window),
+            health=self._health,
+            structure=choice.chosen if choice else "",
+            decimals=self.settings.decimals,
         )
 
-    def _checked_bands(self, window: Window) -> BandCheck:
+    def _check_bands(self, window: Window) -> BandCheck:
         """How the newest samples lie in the bands that the leader forecast for them."""
-        samples = min(self.settings.schedule.stride, len(window))
-        check = self.forecaster.check_bands(samples)
+        samples, newest = min(self.settings.schedule.stride, len(window)), self._recent[-1].index
+        first = newest - samples + 1
+        check = self.forecaster.check_bands(samples, self.monitor.refused(first, newest))
         if check is None:
             return BandCheck()
-        newest = [s.output for s in self._recent][-samples:]
-        self._bands.push(check, self._recent[-1].index - len(newest) + 1, np.array(newest))
+        self._bands.push(check, first)
         return check
 
     def _residuals(self, window: Window) -> Residuals:
@@ -363,21 +299,22 @@ class Discriminator:
         """Whether the plant was known to be at fault between two samples."""
         return self.monitor.fault_between(first, last) is not None
 
-    def _admit(self, trigger: Trigger, report: MatchReport) -> _Decision:
+    def _admit(self, trigger: Trigger, report: MatchReport) -> MatchResult:
         match, window = report.match, trigger.window
         if match.status is not Status.ACCEPTED:
-            return _Decision(REFUSED, f"match refused: {match.reason}")
+            unexplained = match.status is Status.NOT_EXPLAINED
+            return MatchResult(REFUSED, f"match refused: {match.reason}", unexplained)
         name = f"{report.operating_point:g} {self.settings.plant.output.unit}"
         free, covariance = match.of_parameters()
         candidate = Candidate(name, report.operating_point, match.parameters, window, free, covariance)
         with one_thread():
             return self._admitted(candidate, window)
 
-    def _admitted(self, candidate: Candidate, window: Window) -> _Decision:
+    def _admitted(self, candidate: Candidate, window: Window) -> MatchResult:
         try:
-            return _Decision(ADMITTED, self._pool.admit(candidate, window))
+            return MatchResult(ADMITTED, self._pool.admit(candidate, window))
         except TwinmatchError as error:
-            return _Decision(REFUSED, f"no models identified for candidate {candidate.name}: {error}")
+            return MatchResult(REFUSED, f"no models identified for candidate {candidate.name}: {error}")
 
 
 class Outcome(NamedTuple):

@@ -72,9 +72,14 @@ class Standings:
         """The best of all."""
         return self.best_of(self._entrants)
 
+    @property
+    def leading(self) -> ForecastScore | None:
+        """The leader's score; None without candidates."""
+        return next((score for score in self.scores if score.name == self.leader), None)
+
     def sentence(self, confidence: float, horizons: Sequence[float]) -> str:
         """Who leads and how certain that is; empty without candidates. The horizons are in seconds."""
-        best = next((score for score in self.scores if score.name == self.leader), None)
+        best = self.leading
         if best is None:
             return ""
         if math.isnan(best.gain):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import accumulate, pairwise, starmap
 from types import MappingProxyType
@@ -46,6 +46,8 @@ class Snapshot(NamedTuple):
     """The candidate whose forecasts have saved the most characters; None without candidates."""
     outlooks: Mapping[str, Outlook] = MappingProxyType({})
     """Outlooks by name of the candidate."""
+    leading: ForecastScore | None = None
+    """The leader's score."""
 
     def outlook(self, name: str | None = None) -> Outlook:
         """The outlook of a candidate, by default the leader.
@@ -252,7 +254,8 @@ class Forecaster:
         if not self._recent:
             return Snapshot()
         self._catch_up()
-        return Snapshot(self.leader, {name: self._outlook(name) for name in self._twins})
+        outlooks = {name: self._outlook(name) for name in self._twins}
+        return Snapshot(self.leader, outlooks, self.standings.leading)
 
     def outlook(self, name: str | None = None) -> Outlook:
         """The outlook of a candidate, by default the leader, at the newest sample.
@@ -282,11 +285,12 @@ class Forecaster:
             notes=self.notes,
         )
 
-    def check_bands(self, samples: int) -> BandCheck | None:
+    def check_bands(self, samples: int, refused: Collection[int] = ()) -> BandCheck | None:
         """How the newest readings lie in the bands forecast for them; None if there was no forecast.
 
         The forecast is that of the leader at its time, from the last saved state before these samples, under
-        the actual set-points (or inputs) and disturbances.
+        the actual set-points (or inputs) and disturbances. Lost samples, and those whose reading was
+        `refused`, by their indices, are not compared.
         """
         if not self._recent:
             return None
@@ -303,11 +307,12 @@ class Forecaster:
             if not outlook.parameters.model.is_external:
                 raise
             return None
-        rows, seen = came[-samples:], came[-samples:, -1] > 0.0
-        if not seen.any():
+        rows, counted = came[-samples:], came[-samples:, -1] > 0.0
+        counted &= [index not in refused for index in range(newest - samples + 1, newest + 1)]
+        if not counted.any():
             return None
         found = rows[:, outputs].T, None if self._law is None else rows[:, inputs].T
-        return check_band(forecast, *found, None if seen.all() else seen)
+        return check_band(forecast, *found, None if counted.all() else counted)
 
     @contextmanager
     def _removing_lost(self, name: str) -> Iterator[None]:

@@ -1,12 +1,12 @@
-"""How far to trust the leader: whether samples lie in its bands, and how often it was nearly the best."""
+"""Whether readings lie in the leader's bands, and where they did; how often the leader was nearly best."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
 
-from twinmatch.comparing import TrustLevel
 from twinmatch.forecasting import Band, Forecast
 from twinmatch.signals import BoolArray, FloatArray
 
@@ -20,10 +20,7 @@ _DOUBT: Final = 0.5
 
 
 class BandCheck(NamedTuple):
-    """How readings lie in the band forecast for them; the fields are those of a verdict.
-
-    Of several outputs, or inputs, the worst counts.
-    """
+    """How readings lie in the band forecast for them; of several outputs, or inputs, the worst counts."""
 
     miss_y: float = float("nan")
     """RMS of measured minus forecast output, in half widths of its band: 0.6 is usual."""
@@ -32,6 +29,11 @@ class BandCheck(NamedTuple):
     miss_u: float = float("nan")
     """The same for the input; NaN where the input is given."""
     inside_u: float = float("nan")
+    low: float = float("nan")
+    """Lowest of these readings of the output (of several, the first)."""
+    high: float = float("nan")
+    last: float = float("nan")
+    """The newest of them."""
 
     @property
     def miss(self) -> float:
@@ -40,25 +42,29 @@ class BandCheck(NamedTuple):
 
 
 def check_band(
-    forecast: Forecast, outputs: FloatArray, inputs: FloatArray | None, seen: BoolArray | None = None
+    forecast: Forecast, outputs: FloatArray, inputs: FloatArray | None, counted: BoolArray | None = None
 ) -> BandCheck:
     """Compare the last N samples, shape (o, N) and (m, N), with a forecast; `inputs` is None where they were
     given.
 
-    Only those that were `seen` count; None: all.
+    Only those that are `counted` are compared; None: all.
     """
-    figures: list[float] = []
-    for values, bands in ((outputs, forecast.outputs), (inputs, forecast.inputs)):
-        if values is not None:
-            each = [_misses(came, band, seen) for came, band in zip(values, bands, strict=True)]
-            figures += [max(miss for miss, _ in each), min(inside for _, inside in each)]
-    return BandCheck(*figures)
+
+    def worst(values: FloatArray, bands: Sequence[Band]) -> tuple[float, float]:
+        each = [_misses(came, band, counted) for came, band in zip(values, bands, strict=True)]
+        return max(miss for miss, _ in each), min(inside for _, inside in each)
+
+    miss_y, inside_y = worst(outputs, forecast.outputs)
+    miss_u, inside_u = (float("nan"),) * 2 if inputs is None else worst(inputs, forecast.inputs)
+    came = outputs[0] if counted is None else outputs[0, counted]
+    low, high, last = float(came.min()), float(came.max()), float(came[-1])
+    return BandCheck(miss_y, inside_y, miss_u, inside_u, low, high, last)
 
 
-def _misses(values: FloatArray, band: Band, seen: BoolArray | None) -> tuple[float, float]:
+def _misses(values: FloatArray, band: Band, counted: BoolArray | None) -> tuple[float, float]:
     """RMS of one signal's last samples in half widths of its band, and their share within it."""
     parts = (values, *(part[-values.size :] for part in (band.mean, band.low, band.high)))
-    came, mean, low, high = parts if seen is None else (part[seen] for part in parts)
+    came, mean, low, high = parts if counted is None else (part[counted] for part in parts)
     half = np.where(came > mean, high - mean, mean - low)
     # At a limit of the controller a band has one side only.
     half = np.maximum(half, 0.5 * (high - low))
@@ -81,14 +87,14 @@ class BandHistory:
         self.since: int | None = None
         """First sample of the current stretch outside the bands; None while inside."""
 
-    def push(self, check: BandCheck, first: int, output: FloatArray) -> None:
-        """Add the result for samples from index `first` on, with this output."""
+    def push(self, check: BandCheck, first: int) -> None:
+        """Add the result for samples from index `first` on."""
         if check.miss >= self._limit:
             self.since = first if self.since is None else self.since
             return
         self.since = None
-        self._spans = _merged([*self._spans, (float(output.min()), float(output.max()))], self._near)
-        self._newest = float(output[-1])
+        self._spans = _merged([*self._spans, (check.low, check.high)], self._near)
+        self._newest = check.last
 
     @property
     def levels(self) -> tuple[float, float] | None:
@@ -107,13 +113,6 @@ def _merged(spans: list[tuple[float, float]], near: float) -> list[tuple[float, 
         else:
             merged.append((low, high))
     return merged
-
-
-def trust_level(check: BandCheck, doubtful: float) -> TrustLevel:
-    """Trust level of a leader with this result; from a miss of `doubtful` on, it is not trusted."""
-    if np.isnan(check.miss):
-        return TrustLevel.UNKNOWN
-    return TrustLevel.DOUBTFUL if check.miss >= doubtful else TrustLevel.TRUSTED
 
 
 class LeaderConfidence:

@@ -18,6 +18,7 @@ pytest.importorskip("bokeh", reason="bokeh is not installed; it is in the extra 
 
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
+from rclpy.time import Time
 from sensor_msgs.msg import Image, Temperature
 
 from tests.support.processes import Process, Processes
@@ -127,8 +128,10 @@ class Graph:
     def describe(self, plant: type[Plant]) -> None:
         self.publish("plant/description", description_message(description_of(plant), 1.0))
 
-    def fault(self, text: str) -> None:
-        self.publish("plant/pwm_applied", PwmApplied(pwm=0.0, current=0.1, fault=text))
+    def fault(self, text: str, stamp: int) -> None:
+        applied = PwmApplied(pwm=0.0, current=0.1, fault=text)
+        applied.header.stamp = Time(nanoseconds=stamp).to_msg()
+        self.publish("plant/pwm_applied", applied)
 
     def image(self, pixels: Any) -> None:
         rows, columns = pixels.shape
@@ -312,12 +315,14 @@ def _ask(browser: Any, level: str, hold: str) -> None:
 
 
 def test_a_fault_is_shown_and_goes(graph: Graph, browser: Any) -> None:
-    graph.session(counted(5))
-    graph.fault("over_temperature: 111.0 °C is above 110.0 °C <b>")
+    samples = counted(5)
+    # It is received before the first sample, or after any of them: its stamp alone says when it was.
+    graph.fault("over_temperature: 111.0 °C is above 110.0 °C <b>", samples[2].stamp + 500_000_000)
+    graph.session(samples)
     browser.wait_for(lambda: "Output held at zero: over temperature" in browser.text, "the alarm")
     assert "111.0 °C is above 110.0 °C <b>" in browser.text  # as text, whatever it looks like
-    browser.wait_for(lambda: len(browser.column("happened", 1, "t")) == 1, "its mark in the figure")
-    graph.fault("")
+    browser.wait_for(lambda: browser.column("happened", 1, "t") == [2.5], "its mark in the figure")
+    graph.fault("", samples[4].stamp)
     browser.wait_for(lambda: "Output held at zero: over temperature" not in browser.text, "the end of it")
     browser.wait_for(lambda: "fault cleared" in browser.text, "a word of it")
     assert browser.warnings() == []

@@ -205,6 +205,17 @@ def test_a_fault_is_reported_when_it_comes_and_when_it_goes() -> None:
     assert state.fault == ""
 
 
+@pytest.mark.parametrize("heard", [0, 1, 2, 5])
+def test_a_fault_is_dated_by_its_stamp_whatever_was_received_before_it(heard: int) -> None:
+    state, samples = DashboardState(), [sample(k, 0.5) for k in range(3, 8)]
+    for one in samples[:heard]:
+        state.push_sample(one, 0.0)
+    state.push_drive(DriveReport(0.0, math.nan, "stopped: as asked", samples[1].stamp + 125_000_000))
+    for one in samples[heard:]:
+        state.push_sample(one, 0.0)
+    assert [event.time(0.5) for event in state.events] == [2.125]
+
+
 def test_an_error_on_diagnostics_is_reported_once_however_its_figures_grow() -> None:
     state = DashboardState()
     for k in range(5):

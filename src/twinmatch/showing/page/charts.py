@@ -196,7 +196,7 @@ class TimeCharts:
             "colour": [LEVELS[s.level] for s in shown],
             "level": [s.level.value for s in shown],
         }
-        placed = [(e.sample * period, e) for e in events if e.sample is not None]
+        placed = [(t, e) for e in events if (t := e.time(period)) is not None]
         self._events.data = {
             "t": [t for t, _ in placed],
             "lane": [LANES[e.kind] for _, e in placed],

@@ -17,7 +17,7 @@ from sensor_msgs.msg import Image
 
 from twinmatch.description import UNDESCRIBED
 from twinmatch.nodes.health import Report
-from twinmatch.nodes.messages import description_from
+from twinmatch.nodes.messages import description_from, nanoseconds
 from twinmatch.nodes.node import TwinmatchNode
 from twinmatch.nodes.topics import LATCHED
 from twinmatch.parameters.declared import Setting
@@ -81,8 +81,9 @@ class Dashboard(TwinmatchNode):
         )
         state = self.state
 
-        def drive(applied: float, current: float, fault: str) -> None:
-            state.push_drive(DriveReport(applied, current, fault))
+        def drive(message: PwmApplied | PlantApplied, applied: float, current: float) -> None:
+            stamp = nanoseconds(message.header.stamp)
+            state.push_drive(DriveReport(applied, current, message.fault, stamp or None))
 
         def take_twin(message: TwinState) -> None:
             found = (one_of_each(name, getattr(message, name)) for name in TwinRow._fields)
@@ -94,8 +95,8 @@ class Dashboard(TwinmatchNode):
             (TwinState, "twin/state", take_twin, ALL),
             (Forecast, "twin/forecast", state.push_forecast, ALL),
             (ModelScore, "twin/model_score", state.push_verdict, ALL),
-            (PwmApplied, "plant/pwm_applied", lambda m: drive(m.pwm, m.current, m.fault), ALL),
-            (PlantApplied, "plant/applied", lambda m: drive(m.input, math.nan, m.fault), ALL),
+            (PwmApplied, "plant/pwm_applied", lambda m: drive(m, m.pwm, m.current), ALL),
+            (PlantApplied, "plant/applied", lambda m: drive(m, m.input, math.nan), ALL),
             (DiagnosticArray, "/diagnostics", self._on_health, ALL),
             (Image, "thermal/image", self._on_image, qos_profile_sensor_data),
         ):

@@ -233,7 +233,8 @@ def events_table(events: Iterable[Event], session: int, period: float) -> str:
     """The newest events, newest first."""
     lines = []
     for event in islice(events, RECENT):
-        at = DASH if event.sample is None else number(event.sample * period, 0)
+        when = event.time(period)
+        at = DASH if when is None else number(when, 0)
         if event.session != session:
             at = f"session {event.session}: {at}"
         lines.append(

@@ -66,6 +66,8 @@ class DriveReport(NamedTuple):
     """A; NaN: not measured."""
     fault: str
     """Why the output is held at zero; empty: no fault."""
+    stamp: int | None = None
+    """When it was made, ns by the clock of the samples' stamps; None: not known."""
 
 
 class WhatIfAnswer(NamedTuple):
@@ -239,8 +241,11 @@ class DashboardState:
                 self._begin(previous.index, sample.index)
             elif previous is not None:
                 self._note_interval(sample, previous)
+            first = self.sample is None
             self.plant.push(sample.index, (sample.reference, sample.output, sample.input))
             self._previous, self.received_at = sample, now
+            if first:
+                self._date(sample)
 
     def push_twin(self, index: int, row: TwinRow) -> None:
         """Take the twins' state at a sample."""
@@ -280,9 +285,10 @@ class DashboardState:
             if drive.fault:
                 kind, _, why = drive.fault.partition(": ")
                 title = f"output held at zero: {kind.replace('_', ' ')}"
-                self._note(EventKind.FAULT, Mark.BAD, title, why)
+                self._note(EventKind.FAULT, Mark.BAD, title, why, drive.stamp)
             else:
-                self._note(EventKind.FAULT, Mark.GOOD, "fault cleared", "the output may be driven")
+                why = "the output may be driven"
+                self._note(EventKind.FAULT, Mark.GOOD, "fault cleared", why, drive.stamp)
 
     def push_health(self, name: str, level: int, message: str, values: Mapping[str, str], now: float) -> None:
         """Take a report from /diagnostics: name, level of REP 107, message and values."""
@@ -327,8 +333,15 @@ class DashboardState:
             self._intervals.append(interval)
             self.period = float(f"{median(self._intervals):.2g}")
 
-    def _note(self, kind: EventKind, mark: Mark, title: str, why: str) -> None:
-        self._log(Event(self.sample, kind, title, why, mark))
+    def _note(self, kind: EventKind, mark: Mark, title: str, why: str, stamp: int | None = None) -> None:
+        """Log an event of this moment, or of its stamp (ns)."""
+        event, newest = Event(self.sample, kind, title, why, mark, stamp=stamp), self._previous
+        self._log(event if self.sample is None or newest is None else event.dated(newest))
+
+    def _date(self, first: Sample) -> None:
+        """Date the events that were received before the session's first sample."""
+        dated = (event.dated(first) if event.sample is None else event for event in self.events)
+        self.events = deque(dated, maxlen=EVENTS)
 
     def _log(self, event: Event) -> None:
         self.events.append(replace(event, session=self.session))

@@ -181,7 +181,8 @@ class Tab:
             self._twin.update(state.period, span)
             self._draw_forecast(span * state.period)
             self._update_texts(now)
-            if self._changed("happened", (state.verdicts, state.event_count, state.period)):
+            begun = state.sample is not None
+            if self._changed("happened", (state.verdicts, state.event_count, state.period, begun)):
                 mine = [e for e in reversed(state.events) if e.session == state.session]
                 self._charts.draw_events(state.trust, mine, state.period)
                 events = panels.events_table(reversed(state.events), state.session, state.period)

@@ -9,7 +9,6 @@ from twinmatch.offline.judging import Judgement
 from twinmatch.offline.summary import ShownTwin, nominal_score, shown_twin
 from twinmatch.showing.quantities import Signals, number, percent, signal_names
 from twinmatch.showing.series import compare, root_mean_square
-from twinmatch.showing.summary import UNEXPLAINED
 from twinmatch.showing.verdicts import admitted, last_verdict, level_stretches
 from twinmatch.signals import Sample
 from twinmatch.twin import TwinSettings
@@ -184,10 +183,8 @@ def _trust(judgement: Judgement) -> str:
     held, but = f"Its forecasts have held between {s.range}", f", but {s.beaten}" if s.beaten else ""
     if s.level is TrustLevel.TRUSTED:
         return f"{held}, and at the end of the session the twin can be trusted there{but}."
-    if s.level is TrustLevel.DOUBTFUL:
-        apart = ", but at the end of the session the twin and the plant have drifted apart"
-        return f"{held}{but or apart}."
-    return f"{held}, but at the end of the session the twin is not to be trusted."
+    doubt = "doubtful" if s.level is TrustLevel.DOUBTFUL else "not to be trusted"
+    return f"{held}, but at the end of the session the twin is {doubt}: {s.why}."
 
 
 def _health(judgement: Judgement) -> str:
@@ -201,7 +198,7 @@ def _health(judgement: Judgement) -> str:
         for level in (TrustLevel.FAULT, TrustLevel.DOUBTFUL)
     )
     if faults:
-        named = sorted({v.fault for v in judgement.verdicts} - {"", UNEXPLAINED})
+        named = sorted({v.fault for v in judgement.verdicts} - {""})
         what = f" ({', '.join(named)})" if named else ""
         todo = "Look at the plant (drive, sensor, cables) before anything else."
         return f"The plant had a fault{what}: {faults}. {todo}"

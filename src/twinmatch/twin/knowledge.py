@@ -1,0 +1,156 @@
+"""What is known at a sample, and the verdict that it makes."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+from twinmatch.comparing import DECIDED_FROM, LEVEL_WORDS, ForecastScore, TrustLevel, Verdict, beaten_words
+from twinmatch.dynamics import Parameters
+from twinmatch.health import SLOW, Fault, Health, HealthState
+from twinmatch.twin.candidates import FamilyScores
+from twinmatch.twin.mirror import Residuals
+from twinmatch.twin.trust import BandCheck
+
+_ADAPTABLE: Final = SLOW | {Fault.DISTURBANCE}
+"""Faults of a plant that still obeys its drive: its next matches adapt the twin."""
+_UNEXPLAINED: Final = "no match explains the newest window"
+
+
+class MatchResult(NamedTuple):
+    """What became of the match of a window."""
+
+    word: str = ""
+    """`ADMITTED` or `REFUSED`; empty if no match was requested."""
+    reason: str = ""
+    """What caused the verdict, in one sentence."""
+    unexplained: bool = False
+    """Whether no parameters explain the window."""
+
+
+class Trust(NamedTuple):
+    """How far to trust the leader, and why."""
+
+    level: TrustLevel
+    reason: str
+
+
+@dataclass(frozen=True)
+class Knowledge:
+    """Everything that a verdict is made from, as it is at one sample."""
+
+    sample: int
+    window: tuple[int, int]
+    """First and last sample of the window that is judged."""
+    match: MatchResult
+    scored: bool
+    """Whether the candidates were scored on this window."""
+    dismissed: tuple[str, ...]
+    """Names of the candidates removed at this sample."""
+    scores: FamilyScores
+    leader: str | None
+    confidence: float
+    """How often the leader was nearly the best, 0 to 1."""
+    forecasts: tuple[ForecastScore, ...]
+    """How well all candidates have forecast, also compared with forecasts that need no twin."""
+    standing: str
+    """A sentence on who leads."""
+    horizons: tuple[float, ...]
+    """Horizons of the forecasts, s."""
+    bands: BandCheck
+    """How the newest readings lie in the leader's bands."""
+    miss_limit: float
+    """RMS miss, in half widths of the band, from which the leader is doubtful."""
+    miss_since: int | None
+    """First sample of the current stretch outside the bands."""
+    held: tuple[float, float]
+    """Lowest and highest output of the range in which the bands have held; NaN without one."""
+    residuals: Residuals
+    health: Health | None
+    structure: str
+    """The structure that the samples justify; empty before the first comparison."""
+    decimals: int
+
+    @property
+    def fault(self) -> Fault | None:
+        """The fault of the plant, if there is one."""
+        return self.health.fault if self.health and self.health.state is HealthState.FAULT else None
+
+    @property
+    def leading(self) -> ForecastScore | None:
+        """The leader's score."""
+        return next((score for score in self.forecasts if score.name == self.leader), None)
+
+    @property
+    def structure_parameters(self) -> Parameters | None:
+        """Parameters of the twin in that structure whose forecasts have saved the most; None without one.
+
+        Those that were fitted to compare the structures are not a twin's: no forecast has tested them.
+        """
+        having = [s for s in self.forecasts if s.parameters.model.structure_name == self.structure]
+        gains = [-math.inf if math.isnan(score.gain) else score.gain for score in having]
+        return having[gains.index(max(gains))].parameters if having else None
+
+
+def trust_of(known: Knowledge) -> Trust:
+    """How far to trust the leader: the first reason against it that applies."""
+    leading, miss = known.leading, known.bands.miss
+    beaten = beaten_words(leading.beaten(known.horizons)) if leading else ""
+    level, reason = TrustLevel.DOUBTFUL, LEVEL_WORDS[TrustLevel.DOUBTFUL]
+    if known.fault is not None:
+        level = TrustLevel.DOUBTFUL if known.fault in _ADAPTABLE else TrustLevel.FAULT
+        reason = f"the plant shows {known.fault.value}"
+    elif math.isnan(miss):
+        level, reason = TrustLevel.UNKNOWN, LEVEL_WORDS[TrustLevel.UNKNOWN]
+    elif miss < known.miss_limit and known.match.unexplained:
+        reason = _UNEXPLAINED
+    elif miss < known.miss_limit and leading is not None and leading.useless:
+        reason = beaten
+    elif miss < known.miss_limit:
+        level, held = TrustLevel.TRUSTED, LEVEL_WORDS[TrustLevel.TRUSTED]
+        reason = f"{held}, but {beaten}" if beaten else held
+    return Trust(level, reason)
+
+
+def verdict_of(known: Knowledge) -> Verdict:
+    """The verdict that what is known makes."""
+    trust, scores, bands, fault = trust_of(known), known.scores, known.bands, known.fault
+    led = known.leader is not None
+    return Verdict(
+        sample=known.sample,
+        first=known.window[0],
+        last=known.window[1],
+        level=trust.level,
+        level_reason=trust.reason,
+        stands=not known.scored,
+        nominal=scores.nominal,
+        reason=known.match.reason,
+        match=known.match.word,
+        dismissed=known.dismissed,
+        decimals=known.decimals,
+        candidates=scores.candidates,
+        order=scores.order,
+        nu_gap=scores.nu_gap,
+        nu_gap_points=scores.nu_gap_points,
+        identified_gap=scores.identified_gap,
+        driven_rms_y=known.residuals.y,
+        closed_rms_u=known.residuals.u,
+        leader=known.leader,
+        leader_confidence=known.confidence if led else math.nan,
+        decided=led and known.confidence >= DECIDED_FROM,
+        certainty="; ".join(sentence for sentence in (known.standing, scores.certainty) if sentence),
+        fault="" if fault is None else fault.value,
+        fault_since=known.health.since if fault is not None and known.health else None,
+        structure=known.structure,
+        structure_parameters=known.structure_parameters,
+        miss_y=bands.miss_y,
+        miss_u=bands.miss_u,
+        inside_y=bands.inside_y,
+        inside_u=bands.inside_u,
+        miss_since=known.miss_since,
+        held_low=known.held[0],
+        held_high=known.held[1],
+        horizons=known.horizons,
+        forecasts=known.forecasts,
+    )

@@ -1,0 +1,131 @@
+"""What is known at a sample: the level and its reason that follow from it, and the verdict."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any
+
+import pytest
+
+from tests.support.rig import rig
+from twinmatch.comparing import ForecastScore, TrustLevel, Verdict
+from twinmatch.health import Fault, Health, HealthState
+from twinmatch.plants import Peltier
+from twinmatch.signals import Sample
+from twinmatch.twin import Outcome, Twin
+from twinmatch.twin.candidates import UNSCORED
+from twinmatch.twin.knowledge import Knowledge, MatchResult, trust_of, verdict_of
+from twinmatch.twin.mirror import Residuals
+from twinmatch.twin.trust import BandCheck
+
+INSIDE, OUTSIDE = BandCheck(0.6, 0.9, 0.6, 0.9), BandCheck(0.6, 0.9, 3.0, 0.1)
+NO_MATCH = MatchResult("refused", "match refused: the twin cannot explain it", unexplained=True)
+WELL, POOR, MIXED = (0.5, 0.5), (-0.5, -0.5), (0.5, -0.5)
+WORSE = "60 s ahead its forecasts are worse than saying that nothing changes"
+WORSE_EVERYWHERE = WORSE.replace("60", "10 and 60")
+
+
+def score(
+    name: str = "leader", skill: tuple[float, ...] = WELL, structure: str = "plate", gain: float = 5.0
+) -> ForecastScore:
+    parameters = rig() if structure == "plate" else Peltier.model(structure).parameters(seebeck=gain / 100)
+    return ForecastScore(name, parameters, 0, 299, gain, (gain,), 7.0, skill, skill)
+
+
+def known(**more: Any) -> Knowledge:
+    said: dict[str, Any] = {
+        **{"sample": 300, "window": (0, 299), "match": MatchResult(), "scored": False, "dismissed": ()},
+        **{"scores": UNSCORED, "leader": "leader", "confidence": 0.95, "forecasts": (score(),)},
+        **{"standing": "it leads", "horizons": (10.0, 60.0), "bands": INSIDE, "miss_limit": 2.0},
+        **{"miss_since": None, "held": (30.0, 50.0), "residuals": Residuals(0.5, 7.0), "health": None},
+        **{"structure": "", "decimals": 2},
+    }
+    return Knowledge(**said | more)
+
+
+def faulty(fault: Fault, state: HealthState = HealthState.FAULT) -> Health:
+    return Health(300, state, fault, 281, "why", math.nan, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("more", "level", "reason"),
+    [
+        ({}, TrustLevel.TRUSTED, "measurements lie within the forecast bands"),
+        ({"bands": BandCheck()}, TrustLevel.UNKNOWN, "no forecast has been compared with measurements yet"),
+        ({"bands": OUTSIDE}, TrustLevel.DOUBTFUL, "measurements lie outside the forecast bands"),
+        ({"bands": BandCheck(2.0, 0.5)}, TrustLevel.DOUBTFUL, "measurements lie outside the forecast bands"),
+        ({"match": NO_MATCH}, TrustLevel.DOUBTFUL, "no match explains the newest window"),
+        ({"forecasts": (score(skill=POOR),)}, TrustLevel.DOUBTFUL, WORSE_EVERYWHERE),
+        (
+            {"forecasts": (score(skill=MIXED),)},
+            TrustLevel.TRUSTED,
+            f"measurements lie within the forecast bands, but {WORSE}",
+        ),
+        ({"forecasts": (score(), score("other", POOR))}, TrustLevel.TRUSTED, "measurements lie within the"),
+        ({"health": faulty(Fault.DRIVE_LOST)}, TrustLevel.FAULT, "the plant shows drive-lost"),
+        ({"health": faulty(Fault.LOSSES_CHANGED)}, TrustLevel.DOUBTFUL, "the plant shows losses-changed"),
+        ({"health": faulty(Fault.DISTURBANCE)}, TrustLevel.DOUBTFUL, "the plant shows disturbance"),
+        ({"health": faulty(Fault.DRIVE_LOST, HealthState.SUSPECT)}, TrustLevel.TRUSTED, "measurements lie"),
+        # The first reason that applies is given.
+        (
+            {"health": faulty(Fault.DRIVE_LOST), "bands": OUTSIDE, "match": NO_MATCH},
+            TrustLevel.FAULT,
+            "the plant shows drive-lost",
+        ),
+        ({"match": NO_MATCH, "bands": OUTSIDE}, TrustLevel.DOUBTFUL, "measurements lie outside"),
+        ({"match": NO_MATCH, "forecasts": (score(skill=POOR),)}, TrustLevel.DOUBTFUL, "no match explains"),
+        ({"match": NO_MATCH, "bands": BandCheck()}, TrustLevel.UNKNOWN, "no forecast has been compared"),
+    ],
+)
+def test_the_level_has_one_reason(more: dict[str, Any], level: TrustLevel, reason: str) -> None:
+    trust = trust_of(known(**more))
+    assert trust.level is level
+    assert trust.reason.startswith(reason)
+    verdict = verdict_of(known(**more))
+    assert (verdict.level, verdict.level_reason) == trust
+
+
+def test_a_verdict_names_the_fault_that_there_is_and_not_a_suspicion() -> None:
+    found = [
+        (v.fault, v.fault_since)
+        for state in (HealthState.FAULT, HealthState.SUSPECT)
+        for v in [verdict_of(known(health=faulty(Fault.DRIVE_LOST, state)))]
+    ]
+    assert found == [("drive-lost", 281), ("", None)]
+
+
+def test_the_parameters_of_the_structure_are_those_of_its_best_twin() -> None:
+    sink = "sink with mass"
+    one, best = score("one", structure=sink, gain=4.0), score("best", structure=sink, gain=6.0)
+    new = dataclasses.replace(score("new", structure=sink, gain=9.0), gain=math.nan)
+    every = (score(gain=99.0), new, one, best)
+    assert verdict_of(known(structure=sink, forecasts=every)).structure_parameters == best.parameters
+    assert verdict_of(known(structure=sink, forecasts=every[:2])).structure_parameters == new.parameters
+    assert verdict_of(known(structure=sink)).structure_parameters is None
+    assert verdict_of(known(forecasts=every)).structure_parameters is None
+
+
+def test_a_leader_of_the_structure_has_its_parameters(simulated_outcomes: list[Outcome]) -> None:
+    verdicts = [v for o in simulated_outcomes for v in o.verdicts if v.structure]
+    same = [v for v in verdicts if v.leading and v.leading.parameters.model.structure_name == v.structure]
+    assert same
+    for verdict in same:
+        assert verdict.leading is not None
+        assert verdict.structure_parameters == verdict.leading.parameters, verdict.sample
+
+
+def test_a_reading_that_was_refused_widens_no_range(simulated_session: list[Sample]) -> None:
+    """The plate may have 120 °C, but cannot have jumped there and back."""
+    twin, spike = Twin(), 911
+    told: list[Verdict] = []
+    for sample in simulated_session[: spike + 120]:
+        reading = 120.0 if sample.index == spike else sample.output
+        told += twin.push(dataclasses.replace(sample, outputs=reading)).verdicts
+    assert [v.sample for v in told if v.fault == "sensor-implausible"][:1] == [spike]
+    held = [v for v in told if v.sample >= spike and not math.isnan(v.held_high)]
+    highest = max(s.output for s in simulated_session[: spike + 120])
+    assert held
+    assert {v.sample: v.held_high for v in held if v.held_high > highest} == {}
+    after = [v for v in told if v.sample > spike and not v.fault]
+    assert {v.level for v in after} == {TrustLevel.TRUSTED}, "a refused reading is not a miss of the band"
