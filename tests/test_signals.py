@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
+from functools import reduce
+from itertools import pairwise
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from twinmatch.signals import Sample, SignalError, Window, bridge, unbroken
+from twinmatch.signals import Sample, SignalError, Window, stretches, unbroken
 from twinmatch.units import UnitError, conversion, measure
 
 
@@ -52,8 +54,6 @@ def test_several_signals_go_with_the_samples() -> None:
     np.testing.assert_array_equal(window.input, [5.0, 5.0])
     with pytest.raises(SignalError, match="sample 5 has 1 outputs, sample 4 has 2; they must be equal"):
         Window.from_samples([rows[1], replace(rows[1], index=5, outputs=3.0)])
-    lost = bridge(rows[0], replace(rows[1], index=5, stamp=5, outputs=(7.5, 2.0)), 3)
-    assert lost == [Sample(4, 4, (1.0, 2.0), (5.5, 3.0), (5.0,), seen=False)]
 
 
 def test_windows_are_read_only_copies() -> None:
@@ -80,6 +80,20 @@ def test_windows_are_read_only_copies() -> None:
             lambda: Window.from_samples(disturbed((1.0,), (np.nan,), (1.0,))),
             "disturbances is nan at sample 5",
         ),
+        (
+            lambda: Window.from_samples(samples(1, 2)).joined(Window.from_samples(samples(4))),
+            "sample 4 follows sample 2",
+        ),
+        (
+            lambda: Window.from_samples(samples(1)).joined(Window.from_samples(samples(2), 0.5)),
+            r"periods of 1.0 s and 0.5 s",
+        ),
+        (
+            lambda: Window.from_samples(samples(4)).joined(
+                Window.from_samples(disturbed((1.0,), (1.0,), (1.0,)))
+            ),
+            "0 and 1 disturbances",
+        ),
         (lambda: Window(*np.zeros((3, 2)), disturbances=np.zeros(2)), r"disturbances have shape \(2,\)"),
         (lambda: Window(*np.zeros((3, 2)), disturbances=np.zeros((3, 1))), "for each of the 2 samples"),
     ],
@@ -97,6 +111,62 @@ def test_unbroken_stretches_are_whole_and_all(steps: list[int]) -> None:
     assert len(stretches) == (1 + sum(k > 1 for k in steps[1:]) if steps else 0)
     for stretch in stretches:
         Window.from_samples(stretch)
+
+
+VALUES = st.floats(-1e6, 1e6)
+
+
+@st.composite
+def recorded(draw: st.DrawFn) -> tuple[list[Sample], float, int]:
+    """Consecutive samples of any plant, some of them stand-ins; their period, s, and stamp of index 0, ns."""
+    shape = [draw(st.integers(least, 2)) for least in (1, 1, 1, 0)]
+    first, period = draw(st.integers(0, 10**6)), draw(st.sampled_from([0.005, 0.1, 1.0, 60.0]))
+    begin = draw(st.integers(0, 10**18))
+    row = st.tuples(*(st.tuples(*[VALUES] * width) for width in shape))
+    rows = draw(st.lists(st.tuples(row, st.booleans()), min_size=1, max_size=20))
+    taken = [
+        Sample(index, begin + round(index * period * 1e9), *values, seen=seen)
+        for index, (values, seen) in enumerate(rows, start=first)
+    ]
+    return taken, period, begin
+
+
+@given(recorded(), st.data())
+def test_a_stretch_that_is_taken_apart_and_joined_has_lost_nothing(
+    stretch: tuple[list[Sample], float, int], data: st.DataObject
+) -> None:
+    """Values, marks, period, indices and stamps, wherever it is cut and however the parts overlap."""
+    taken, period, begin = stretch
+    whole, parts, first = Window.from_samples(taken, period), [], taken[0].index
+    assert whole.lost == [s.index for s in taken if not s.seen]
+    while first <= whole.last:
+        last = data.draw(st.integers(first, whole.last))
+        parts.append(whole.part(data.draw(st.integers(whole.first, first)), last))
+        first = last + 1
+    joined = reduce(Window.joined, (parts[0].part(whole.first, parts[0].last), *parts[1:]))
+    for field in fields(Window):
+        np.testing.assert_array_equal(getattr(joined, field.name), getattr(whole, field.name))
+    assert joined.samples(begin) == taken
+    again = [s for part in parts for s in part.samples(begin)]
+    assert {s.index: s for s in again} == {s.index: s for s in taken}
+
+
+@given(recorded(), st.sets(st.integers(0, 19)))
+def test_stretches_between_gaps_hold_every_sample(
+    stretch: tuple[list[Sample], float, int], gaps: set[int]
+) -> None:
+    taken, period, begin = stretch
+    rest = [s for k, s in enumerate(taken) if k not in gaps]
+    found = stretches(rest, period)
+    assert [s for window in found for s in window.samples(begin)] == rest
+    assert all(after.first > before.last + 1 for before, after in pairwise(found))
+
+
+def test_a_sample_of_another_plant_follows_none() -> None:
+    before, after = samples(4, 5)
+    assert after.follows(before)
+    assert not before.follows(after)
+    assert not replace(after, disturbances=(1.0,)).follows(before)
 
 
 # Units: against the definitions of the International System, and what people write in brackets.

@@ -13,10 +13,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import chain
 from operator import attrgetter
-from typing import TypeVar
+from typing import Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,18 +25,19 @@ from twinmatch.errors import TwinmatchError
 
 __all__ = [
     "KELVIN",
+    "SIGNALS",
     "BoolArray",
     "FloatArray",
     "Sample",
     "SignalError",
     "Signals",
     "Window",
-    "bridge",
     "counted",
     "finite",
     "incomplete",
     "one_of_each",
     "only",
+    "stretches",
     "unbroken",
 ]
 
@@ -61,6 +62,9 @@ class SignalError(TwinmatchError):
     """Arrays that do not make a window: unequal lengths, not finite, invalid period; or not a single loop."""
 
 
+SIGNALS: Final = ("references", "outputs", "inputs", "disturbances")
+"""The signals of samples and windows, in their order."""
+
 Signals = tuple[float, ...]
 """Values of one kind of signal at one tick, in the plant's order."""
 
@@ -82,7 +86,7 @@ class Sample:
     disturbances: Signals = ()
     """Measured disturbances; the rig has none."""
     seen: bool = True
-    """Whether it was received; False: its values are those that `bridge` puts in the place of a lost one."""
+    """Whether it was received; False: it is a stand-in for a lost one, as `twin.gaps` makes them."""
 
     def __init__(  # noqa: PLR0917 (in the order of a row)
         self,
@@ -124,6 +128,10 @@ class Sample:
     def shape(self) -> tuple[int, int, int, int]:
         """Numbers of references, outputs, inputs and disturbances."""
         return len(self.references), len(self.outputs), len(self.inputs), len(self.disturbances)
+
+    def follows(self, before: Sample) -> bool:
+        """Whether it is the next sample of the same plant, with nothing lost in between."""
+        return self.index == before.index + 1 and self.shape == before.shape
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -208,7 +216,7 @@ class Window:
             msg = f"window: sample {after} follows sample {before}; give consecutive samples"
             raise SignalError(msg)
         columns = {}
-        for name in ("references", "outputs", "inputs", "disturbances"):
+        for name in SIGNALS:
             rows = list(map(attrgetter(name), samples))
             if len(set(map(len, rows))) > 1:
                 k = next(k for k, row in enumerate(rows) if len(row) != len(rows[0]))
@@ -270,9 +278,54 @@ class Window:
             seen=None if self.seen is None else self.seen[span],
         )
 
+    def joined(self, newer: Window) -> Window:
+        """This window, continued by the later samples of another one.
+
+        Raises:
+            SignalError: samples are missing in between, or the windows differ in their period or numbers of
+                signals.
+        """
+        if newer.first > self.last + 1:
+            msg = f"window: sample {newer.first} follows sample {self.last}; give consecutive samples"
+            raise SignalError(msg)
+        if newer.period != self.period:
+            raise SignalError(f"window: periods of {self.period} s and {newer.period} s; they must be equal")
+        if newer.last <= self.last:
+            return self
+        newer = newer.part(self.last + 1, newer.last)
+        columns = {}
+        for name in SIGNALS:
+            here, there = getattr(self, name), getattr(newer, name)
+            if here.shape[1] != there.shape[1]:
+                msg = f"window: {here.shape[1]} and {there.shape[1]} {name}; they must be equal"
+                raise SignalError(msg)
+            columns[name] = np.concatenate([here, there])
+        seen = np.concatenate([self._marks, newer._marks])
+        return Window(**columns, first=self.first, period=self.period, seen=seen)
+
+    def samples(self, begin: int) -> list[Sample]:
+        """Its samples; `begin` is the stamp of index 0, ns, from which they are a period apart."""
+        rows = zip(*(map(tuple, getattr(self, name).tolist()) for name in SIGNALS), strict=True)
+        return [
+            Sample(index, begin + round(index * self.period * 1e9), *values, seen=seen)
+            for index, (values, seen) in enumerate(
+                zip(rows, self._marks.tolist(), strict=True), start=self.first
+            )
+        ]
+
+    @property
+    def _marks(self) -> BoolArray:
+        """Which samples were received, shape (N,)."""
+        return np.ones(len(self), dtype=np.bool_) if self.seen is None else self.seen
+
     def received(self, values: FloatArray) -> FloatArray:
         """Of values at its last samples, those at samples that were received."""
         return values if self.seen is None else values[self.seen[len(self) - len(values) :]]
+
+    @property
+    def lost(self) -> list[int]:
+        """Indices of the samples that were not received."""
+        return (self.first + np.flatnonzero(~self._marks)).tolist()
 
     @property
     def share_seen(self) -> float:
@@ -308,31 +361,6 @@ def _several(name: str, number: int) -> SignalError:
     return SignalError(f"{name}: there are {number} of them; this is for a loop with one of each")
 
 
-def bridge(before: Sample, after: Sample, longest: int) -> list[Sample]:
-    """Stand-ins for the samples lost between two, oldest first.
-
-    There are none if more than `longest` are missing, or if the clock was set back meanwhile.
-
-    The loop is taken to have continued: set-points, inputs and disturbances are held, and the outputs are
-    interpolated, so that what sums up its movements stays right. Stand-ins are marked as not seen.
-    """
-    steps = after.index - before.index
-    alike = after.stamp > before.stamp and before.shape == after.shape
-    if not (alike and 1 < steps <= longest + 1):
-        return []
-    ends = list(zip(before.outputs, after.outputs, strict=True))
-    return [
-        replace(
-            before,
-            index=before.index + k,
-            stamp=before.stamp + (after.stamp - before.stamp) * k // steps,
-            outputs=tuple(y + (then - y) * k / steps for y, then in ends),
-            seen=False,
-        )
-        for k in range(1, steps)
-    ]
-
-
 def incomplete(index: int, numbers: Sequence[int]) -> str:
     """Error message for a sample with these numbers of references, outputs and inputs; empty if there is at
     least one of each."""
@@ -347,11 +375,16 @@ def counted(index: int, numbers: Sequence[int]) -> str:
 
 
 def unbroken(samples: Sequence[Sample]) -> list[Sequence[Sample]]:
-    """Stretches of samples with consecutive indices, in order."""
-    stretches = []
+    """Stretches of samples that follow one another, in order."""
+    found = []
     begin = 0
     for k in range(1, len(samples) + 1):
-        if k == len(samples) or samples[k].index != samples[k - 1].index + 1:
-            stretches.append(samples[begin:k])
+        if k == len(samples) or not samples[k].follows(samples[k - 1]):
+            found.append(samples[begin:k])
             begin = k
-    return stretches
+    return found
+
+
+def stretches(samples: Sequence[Sample], period: float) -> tuple[Window, ...]:
+    """These stretches as windows; `period` is the sample time, s."""
+    return tuple(Window.from_samples(stretch, period) for stretch in unbroken(samples))

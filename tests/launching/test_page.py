@@ -33,7 +33,7 @@ from twinmatch.showing.console import Console
 from twinmatch.showing.terminal import MOST_EVENTS, Screen
 from twinmatch.showing.verdicts import events
 from twinmatch.signals import Sample
-from twinmatch.twin import Bridge, TwinSettings, bridged
+from twinmatch.twin import GapFiller, TwinSettings, filled_stretches
 
 pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
 pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup")
@@ -246,14 +246,14 @@ def test_the_figures_of_the_end_are_those_of_all_samples_and_verdicts(
     settings, law = TwinSettings(), None
     for given in (samples, holed):
         live = Live(LivePlan(Path("rig.yaml")))
-        live.bridge = Bridge(settings.law, settings.schedule.gap)
+        live.filler = GapFiller.of(settings)
         for sample in given:
             live.take_sample(sample)
         for verdict in verdicts:
             live.verdicts.push(verdict)
-        found = conclude(live.verdicts, live.longest, law)
-        expected = summarise(bridged(given, settings), verdicts, law)
+        found = conclude(live.verdicts, lambda live=live: live.longest(1.0), law)
+        expected = summarise(filled_stretches(given, settings), verdicts, law)
         assert live.received == len(given)
         assert repr(found) == repr(expected)  # which makes nan equal to nan
         live.samples.close()
-    assert conclude(Tally(), lambda _: pytest.fail("nobody to hold it against"), law).verdicts == 0
+    assert conclude(Tally(), lambda: pytest.fail("nobody to hold it against"), law).verdicts == 0

@@ -25,7 +25,7 @@ from twinmatch.parameters.twin import read_settings, settings_from, twin_values,
 from twinmatch.plants import Peltier
 from twinmatch.sessions import SessionError, write_session
 from twinmatch.sessions.metadata import parameters_of, parameters_record
-from twinmatch.signals import Sample
+from twinmatch.signals import Sample, stretches
 from twinmatch.twin import Outcome, Twin, TwinSettings
 
 pytestmark = pytest.mark.ros
@@ -101,7 +101,8 @@ def judged(samples: list[Sample], outcomes: list[Outcome], monkeypatch: pytest.M
         settings=TwinSettings(),
         matches=tuple(o.match for o in outcomes if o.match is not None),
         verdicts=verdicts,
-        summary=summarise(samples, verdicts, TwinSettings().law),
+        summary=summarise(stretches(samples, 1.0), verdicts, TwinSettings().law),
+        stretches=stretches(samples, 1.0),
     )
     monkeypatch.setattr("twinmatch.offline.verification.judge", lambda *_, **__: found)
 

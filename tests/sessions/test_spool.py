@@ -8,8 +8,8 @@ from contextlib import closing
 from hypothesis import given
 from hypothesis import strategies as st
 
-from twinmatch.sessions.spool import SIGNALS, MessageSpool, SampleSpool
-from twinmatch.signals import Sample
+from twinmatch.sessions.spool import MessageSpool, SampleSpool
+from twinmatch.signals import SIGNALS, Sample
 
 numbers = st.floats(allow_nan=False, allow_infinity=False)
 
@@ -33,7 +33,7 @@ def test_rows_are_the_samples_with_these_indices(
     with closing(SampleSpool(shape)) as spool:  # an example may end in the middle
         for step in steps:
             signals = [data.draw(st.tuples(*[numbers] * width)) for width in shape]
-            samples.append(Sample(index, index * 1000, *signals))
+            samples.append(Sample(index, index * 1000, *signals, seen=data.draw(st.booleans())))
             spool.push(samples[-1])
             index += step
         assert len(spool) == len(samples)
@@ -42,7 +42,12 @@ def test_rows_are_the_samples_with_these_indices(
         wanted = [s for s in samples if first <= s.index < first + count][:most]
         rows = spool.rows(first, count, most)
         found = [
-            Sample(row["index"].item(), row["stamp"].item(), *(tuple(row[name].tolist()) for name in SIGNALS))
+            Sample(
+                row["index"].item(),
+                row["stamp"].item(),
+                *(tuple(row[name].tolist()) for name in SIGNALS),
+                seen=row["seen"].item(),
+            )
             for row in rows
         ]
         assert found == wanted

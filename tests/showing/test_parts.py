@@ -29,8 +29,8 @@ from twinmatch.showing.quantities import in_order, number, parameter_format
 from twinmatch.showing.series import Fan, compare, fan, rolling_rms
 from twinmatch.showing.style import CLOSED, DRIVEN, LEVELS, ORDERS, PLANT, SET_POINT, TEXT
 from twinmatch.showing.summary import document, sentence
-from twinmatch.signals import KELVIN, Sample
-from twinmatch.twin import MatchReport, Twin, TwinSettings
+from twinmatch.signals import KELVIN, Sample, stretches
+from twinmatch.twin import MatchReport, Twin, TwinSettings, filled_stretches
 
 
 @pytest.mark.parametrize("plant", PLANTS.values(), ids=str)
@@ -104,13 +104,15 @@ def test_the_right_twin_leaves_nothing_and_gaps_are_stepped_over() -> None:
     window = run(plant, reference)
     table = enumerate(zip(reference, window.output, window.input, strict=True))
     samples = [Sample(k, k * 10**9, float(r), float(y), float(u)) for k, (r, y, u) in table]
-    parts = compare(samples[:100] + samples[106:108] + samples[114:], plant, TwinSettings())
+    settings = TwinSettings()
+    held = filled_stretches(samples[:100] + samples[106:108] + samples[114:], settings)
+    parts = compare(held, plant, settings)
     assert [len(p.window) for p in parts] == [100, 186]
     for part in parts:
         np.testing.assert_allclose(part.closed_residual_y, 0, atol=1e-6)
         np.testing.assert_allclose(part.closed_residual_u, 0, atol=1e-3)
         np.testing.assert_allclose(part.driven_residual_y, 0, atol=1e-6)
-    [part] = compare(samples[:50] + samples[52:], plant, TwinSettings())
+    [part] = compare(filled_stretches(samples[:50] + samples[52:], settings), plant, settings)
     assert part.time.size == 298
     assert part.received.size == part.closed_residual_y.size == part.driven_residual_y.size == 296
     # Two inputs that were computed for interpolated readings are wrong by a part of their own change.
@@ -198,7 +200,7 @@ def test_matched_and_given_candidates_have_their_window_and_their_own_models(
 
 def test_matches_go_into_the_json_with_what_is_known_of_them(judged: Judged, samples: list[Sample]) -> None:
     matches, verdicts = judged
-    summary = summarise(samples, verdicts, TwinSettings().law)
+    summary = summarise(stretches(samples, 1.0), verdicts, TwinSettings().law)
     entry = json.loads(json.dumps(document("s", verdicts, summary, matches), allow_nan=False))
     (match,) = entry["matches"]
     assert match["status"] == "accepted"
@@ -261,7 +263,7 @@ def recorded(reference: Sequence[float], *, missing: int | None = None) -> list[
 def around(*, reference: Sequence[float], missing: int | None = None) -> Fan:
     """A forecast of ten samples made at sample 10, a session of which has these set-points."""
     told = forecast((50 + 0.1 * np.arange(11, 21)).tolist(), [60.0] * 10)
-    return fan(told, recorded(reference, missing=missing), 1.0)
+    return fan(told, stretches(recorded(reference, missing=missing), 1.0))
 
 
 def test_it_is_compared_with_the_measurements() -> None:

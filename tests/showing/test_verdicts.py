@@ -35,7 +35,7 @@ from twinmatch.showing.verdicts import (
     match_word,
     row,
 )
-from twinmatch.signals import Sample
+from twinmatch.signals import Sample, stretches
 from twinmatch.twin import MatchReport, TwinSettings
 
 UNKNOWN, TRUSTED, DOUBTFUL, FAULT = TrustLevel
@@ -372,7 +372,7 @@ def samples(count: int = 400) -> list[Sample]:
 
 def test_the_document_is_strict_json() -> None:
     verdicts = [NONE_YET, *MATCHED]
-    entry = document("s", verdicts, summarise(samples(), verdicts, GAINS))
+    entry = document("s", verdicts, summarise(stretches(samples(), 1.0), verdicts, GAINS))
     back = json.loads(json.dumps(entry, allow_nan=False))
     assert (back["verdicts"][0]["driven_rms_y"], back["verdicts"][0]["closed_rms_u"]) == (None, None)
     assert back["verdicts"][1]["candidates"][0]["parameters"]["seebeck"] == 0.06
@@ -383,7 +383,7 @@ def test_the_figure_is_drawn_of_a_session_with_gaps_too(tmp_path: Path) -> None:
     broken, path = samples()[:100] + samples()[150:], tmp_path / "verdict.pdf"
     draw_verdict(broken, MATCHED, TwinSettings(), path)
     assert path.stat().st_size > 5000
-    summary = summarise(broken, MATCHED, GAINS)
+    summary = summarise(stretches(broken, 1.0), MATCHED, GAINS)
     assert math.isfinite(summary.fit_y)
     assert "samples 150 to 399, the longest of 2 unbroken stretches" in summary.notes[0]
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -103,6 +105,26 @@ def test_overlapping_windows_of_a_schedule_are_one_record(hour: Window) -> None:
         assert last - first == 299
         measured = choice.score.fitted.measured[0]
         np.testing.assert_array_equal(measured[1], hour.input[first + 62 : last + 1])
+
+
+def test_stand_ins_are_not_fitted_wherever_windows_were_joined(hour: Window) -> None:
+    """The values in the place of lost samples may be anything: the candidates stay the same, bit for bit."""
+    lost = {150, 330, 331, 470}
+    found = []
+    for wrong in (0.0, 25.0):
+        fits = candidates_only()
+        taken = [
+            replace(s, outputs=s.output + wrong, seen=False) if s.index in lost else s
+            for s in samples_of(hour.part(0, 599))
+        ]
+        for first in (0, 200, 400):
+            fits.push(Window.from_samples(taken[max(first - 50, 0) : first + 200]), excited=True)
+        kept = fits._fitted.window
+        assert kept is not None
+        assert kept.lost == sorted(lost)
+        found.append([(c.name, c.parameters) for c in fits.candidates])
+    assert found[0]
+    assert found[0] == found[1]
 
 
 def test_a_gap_or_a_clock_set_back_starts_over(hour: Window) -> None:

@@ -29,7 +29,7 @@ from twinmatch.sampling.sources import TIME, SignalMap
 from twinmatch.sessions import Session
 from twinmatch.showing.series import root_mean_square
 from twinmatch.signals import FloatArray, Sample, Window, only, unbroken
-from twinmatch.twin import MatchReport, StructureScore, TwinSettings, choose_structure
+from twinmatch.twin import MatchReport, StructureScore, TwinSettings, choose_structure, filled_stretches
 
 _SMALL: Final = 3.0
 """Noise declared smaller than measured by more than this factor is a finding: no fit would explain it."""
@@ -237,11 +237,11 @@ def compare_structures(samples: Sequence[Sample], plant: type[Plant], settings: 
 
 def _windows(samples: Sequence[Sample], settings: TwinSettings) -> list[Window]:
     windows, left = [], _MOST
-    for stretch in unbroken(samples):
-        part = stretch[:left]
-        if len(part) >= _SHORTEST:
-            windows.append(Window.from_samples(part, settings.period))
-            left -= len(part)
+    for stretch in filled_stretches(samples, settings):
+        count = min(left, len(stretch))
+        if count >= _SHORTEST:
+            windows.append(stretch.part(stretch.first, stretch.first + count - 1))
+            left -= count
     return windows
 
 

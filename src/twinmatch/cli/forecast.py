@@ -22,7 +22,7 @@ from twinmatch.offline.outlooks import (
 from twinmatch.offline.processes import held_interrupts
 from twinmatch.showing.forecasts import comparison_words, forecast_document, forecast_words
 from twinmatch.showing.series import Fan, fan
-from twinmatch.twin import TwinSettings, bridged
+from twinmatch.twin import TwinSettings, filled_stretches
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -103,9 +103,9 @@ def _forecasts(options: argparse.Namespace) -> tuple[TwinSettings, list[_Request
     ahead = {k: ahead_of(session, sample, size, **given) for k, sample in samples.items()}
     with Progress() as progress:
         known = prospects(session, terms, samples, candidate=options.candidate, watch=progress.advance)
-    found, came = {}, bridged(session.samples, settings)
+    found, came = {}, filled_stretches(session.samples, settings)
     for k in samples:
-        made = fan(forecast_of(known[k], ahead[k], period), came, period)
+        made = fan(forecast_of(known[k], ahead[k], period), came)
         found[k] = _Requested(made, known[k], ahead[k].words)
     return settings, [found[k] for k in options.at]
 

@@ -8,14 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
 from twinmatch.comparing.graph_symbol import GraphSymbol
-from twinmatch.dynamics import Law, Parameters, Sensor, simulate_window
+from twinmatch.dynamics import SKIPPED, Law, Parameters, Sensor, simulate_window
 from twinmatch.fitting import ORDERS, BoxJenkins, estimate_ladder
 from twinmatch.signals import FloatArray, Window
 
@@ -129,13 +129,8 @@ def twin_response(
     It starts at the window's third sample: the first two give the controller's state.
     """
     response = simulate_window(parameters, window, law=law, sensor=sensor, seed=seed)
-    return Window(
-        window.references[2:],
-        response.outputs,
-        response.inputs,
-        window.first + 2,
-        window.period,
-        window.disturbances[2:],
+    return replace(
+        window.part(window.first + SKIPPED, window.last), outputs=response.outputs, inputs=response.inputs
     )
 
 

@@ -88,13 +88,14 @@ def _after_step(problem: Problem, values: FloatArray, level: float) -> FloatArra
     first = max(int(steps[-1]) + 1 - _LEAD, 0) if steps.size else 0
     kept = window.part(window.first + first, window.last)
     ahead = Window(
-        np.concatenate([kept.reference, np.full(_AFTER, level)]),
-        np.concatenate([kept.output, np.full(_AFTER, kept.output[-1])]),
-        np.concatenate([kept.input, np.zeros(_AFTER)]),
-        period=window.period,
-        disturbances=np.concatenate([kept.disturbances, np.repeat(kept.disturbances[-1:], _AFTER, axis=0)]),
+        np.full(_AFTER, level),
+        np.full(_AFTER, kept.output[-1]),
+        np.zeros(_AFTER),
+        first=kept.last + 1,
+        period=kept.period,
+        disturbances=np.repeat(kept.disturbances[-1:], _AFTER, axis=0),
     )
-    next_one = replace(problem, window=ahead)
+    next_one = replace(problem, window=kept.joined(ahead))
     response = next_one.experiment.simulate(values)
     if not abs(response.output[-1] - level) <= _REACHED * noise:
         return None

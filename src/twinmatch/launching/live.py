@@ -32,7 +32,7 @@ from twinmatch.showing.lines import Lines
 from twinmatch.showing.summary import closing_lines
 from twinmatch.showing.terminal import Screen, view_on
 from twinmatch.signals import Sample, Window
-from twinmatch.twin import Bridge
+from twinmatch.twin import GapFiller
 from twinmatch_msgs.msg import LoopSample
 
 EXIT_NOT_RECORDED = 1
@@ -63,7 +63,7 @@ class Live:
     console: Console = field(default_factory=lambda: Console(soft_wrap=True))
     samples: SampleSpool = field(default_factory=SampleSpool)
     """All samples, with stand-ins for the lost ones, kept on disk: a run may last for weeks."""
-    bridge: Bridge = field(default_factory=lambda: Bridge(None, 0))
+    filler: GapFiller = field(default_factory=lambda: GapFiller(None, 0))
     received: int = 0
     """Number of samples, without stand-ins."""
     verdicts: Tally = field(default_factory=Tally)
@@ -79,11 +79,12 @@ class Live:
             self.samples, self.received = SampleSpool(sample.shape), 0
             spool.close()
         self.received += 1
-        for one in self.bridge.push(sample):
+        for one in self.filler.take(sample):
             self.samples.push(one)
 
     def longest(self, period: float) -> tuple[Window, int]:
-        """The longest stretch without a gap that is not bridged, for a sampling period (s); their number."""
+        """The longest stretch between gaps that are too long to be filled, for a sample time (s); their
+        number."""
         return self.samples.longest(period), self.samples.stretches
 
 
@@ -108,7 +109,7 @@ def _run_live(live: Live) -> int:
             f"{live.plan.twin_config or 'the twin'} is for plant {settings.plant.name}, "
             f"but this run is of plant {live.plan.plant}; give another --twin-config"
         )
-    live.bridge = Bridge(settings.law, settings.schedule.gap)
+    live.filler = GapFiller.of(settings)
     view = view_on(live.console, "live", settings.period)
     with lease(PATIENCE if live.plan.in_step else None):
         code = _LiveRun(live, view).run()
@@ -116,7 +117,7 @@ def _run_live(live: Live) -> int:
         view.say(f"recorded: {session}")
     view.say(f"ended: {live.ending}; {live.received} samples, {live.verdicts.verdicts} verdicts")
     if len(live.samples):
-        live.summary = conclude(live.verdicts, live.longest, settings.law, period=settings.period)
+        live.summary = conclude(live.verdicts, lambda: live.longest(settings.period), settings.law)
         for line in closing_lines(live.summary, live.verdicts.last):
             view.say(line)
     return code

@@ -19,7 +19,7 @@ from twinmatch.showing.console import Console
 from twinmatch.showing.lines import Lines
 from twinmatch.showing.summary import closing_lines
 from twinmatch.showing.terminal import Screen, view_on
-from twinmatch.twin import MatchReport, TwinSettings, bridged
+from twinmatch.twin import MatchReport, TwinSettings, filled_stretches
 
 EXIT_INTERRUPTED = 130
 READERS = "twin_simulator discriminator keeper"
@@ -65,11 +65,7 @@ def play(replay: Replay) -> int:
         return EXIT_INTERRUPTED
     if code == 0:
         replay.summary = summarise(
-            bridged(session.samples, settings),
-            replay.verdicts,
-            settings.law,
-            session.notes,
-            settings.period,
+            filled_stretches(session.samples, settings), replay.verdicts, settings.law, session.notes
         )
         for line in closing_lines(replay.summary, replay.verdicts[-1] if replay.verdicts else None):
             view.say(line)

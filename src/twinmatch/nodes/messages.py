@@ -161,7 +161,7 @@ def request_message(request: MatchRequest, stamp: int) -> messages.MatchRequest:
         period=window.period,
         start=parameters_message(request.start),
         incumbent=parameters_message(request.incumbent),
-        lost=[] if window.seen is None else (window.first + np.flatnonzero(~window.seen)).tolist(),
+        lost=window.lost,
         **{name: getattr(window, field).ravel().tolist() for name, field in SAMPLED.items()},
     )
     return stamped(message, stamp)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
 
@@ -22,7 +21,7 @@ from twinmatch.parameters.twin import at_period, read_settings, recorded_values,
 from twinmatch.sessions import Session, samples_of
 from twinmatch.sessions.metadata import CANDIDATES, parameters_of
 from twinmatch.signals import Sample, Window
-from twinmatch.twin import MatchReport, Outcome, Twin, TwinSettings, bridged
+from twinmatch.twin import MatchReport, Outcome, Twin, TwinSettings, filled_stretches
 
 SAMPLE = "plant/sample"
 
@@ -112,11 +111,8 @@ class Judgement:
     matches: tuple[MatchReport, ...]
     verdicts: tuple[Verdict, ...]
     summary: SessionSummary
-
-    @cached_property
-    def bridged(self) -> Sequence[Sample]:
-        """The samples with stand-ins for lost ones."""
-        return bridged(self.samples, self.settings)
+    stretches: tuple[Window, ...]
+    """The samples with stand-ins for lost ones, in the stretches that longer gaps leave."""
 
 
 def judge(
@@ -169,8 +165,9 @@ def judge_samples(
             if watch is not None and done % EVERY == 0:
                 watch(done, len(samples))
             check_interrupt()
-        summary = summarise(bridged(samples, settings), verdicts, settings.law, notes, settings.period)
-    return Judgement(name, samples, settings, tuple(matches), tuple(verdicts), summary)
+        held = filled_stretches(samples, settings)
+        summary = summarise(held, verdicts, settings.law, notes)
+    return Judgement(name, samples, settings, tuple(matches), tuple(verdicts), summary, held)
 
 
 LEVELS = (0.2, 0.6, 0.3)

@@ -8,8 +8,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Final, NamedTuple
 
-import numpy as np
-
 from twinmatch.dynamics import Drive, Output
 from twinmatch.dynamics.pace import time_scale
 from twinmatch.errors import TwinmatchError
@@ -18,8 +16,8 @@ from twinmatch.offline.judging import EVERY, Terms, Watch
 from twinmatch.offline.processes import held_interrupts
 from twinmatch.sessions import Session
 from twinmatch.sessions.files import read_bounded
-from twinmatch.signals import FloatArray, Sample, unbroken
-from twinmatch.twin import Twin, TwinSettings, bridged
+from twinmatch.signals import FloatArray, Sample
+from twinmatch.twin import Twin, TwinSettings, filled_stretches
 from twinmatch.twin.forecaster import Forecaster
 
 LONGEST: Final = 86_400.0
@@ -201,11 +199,11 @@ def _recorded(session: Session, sample: Sample, size: int, settings: TwinSetting
     kind = "set-point" if closed else "input"
     stretch = next(
         part
-        for part in unbroken(bridged(session.samples, settings))
-        if part[0].index <= sample.index <= part[-1].index
+        for part in filled_stretches(session.samples, settings)
+        if part.first <= sample.index <= part.last
     )
-    came = [s for s in stretch if sample.index <= s.index <= sample.index + size]
-    levels = [s.reference if closed else s.input for s in came]
+    came = stretch.part(sample.index, min(sample.index + size, stretch.last))
+    levels = (came.reference if closed else came.input).tolist()
     count = len(came) - 1
     if not count:
         raise TwinmatchError(
@@ -214,9 +212,9 @@ def _recorded(session: Session, sample: Sample, size: int, settings: TwinSetting
         )
     notes: tuple[str, ...] = ()
     if count < size:
-        why = "a sample is missing" if stretch[-1].index < session.samples[-1].index else "the session ends"
+        why = "a sample is missing" if stretch.last < session.samples[-1].index else "the session ends"
         notes = (f"shortened to {count * period:g} s: {why} there",)
-    rows = np.array([s.disturbances for s in came]) if sample.disturbances else None
+    rows = came.disturbances if sample.disturbances else None
     ahead = SetPoints.recorded(levels, period).ahead(period, count)
     return Ahead(ahead, f"the recorded {kind}s", notes, rows)
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from twinmatch.comparing import REFUSED, CandidateScore, TrustLevel, Verdict
 from twinmatch.dynamics import Law, Output, Parameters
-from twinmatch.signals import Sample, Window, unbroken
+from twinmatch.signals import Window
 from twinmatch.twin import window_fit
 
 
@@ -128,36 +128,29 @@ class Tally:
 
 
 def summarise(
-    samples: Sequence[Sample],
+    stretches: Sequence[Window],
     verdicts: Sequence[Verdict],
     law: Law | None,
     notes: Sequence[str] = (),
-    period: float = 1.0,
 ) -> SessionSummary:
-    """Summarise a judged session; `period`, s, is used where the loop is not known."""
-
-    def longest(period: float) -> tuple[Window, int]:
-        stretches = unbroken(samples)
-        return Window.from_samples(max(stretches, key=len), period), len(stretches)
-
-    return conclude(Tally(verdicts), longest, law, notes, period)
+    """Summarise a judged session from its stretches, as `filled_stretches` gives them, and its verdicts."""
+    return conclude(Tally(verdicts), lambda: (max(stretches, key=len), len(stretches)), law, notes)
 
 
 def conclude(
     tally: Tally,
-    longest: Callable[[float], tuple[Window, int]],
+    longest: Callable[[], tuple[Window, int]],
     law: Law | None,
     notes: Sequence[str] = (),
-    period: float = 1.0,
 ) -> SessionSummary:
-    """Summarise a session; `longest` returns its longest unbroken stretch for a sampling period (s) and the
-    number of stretches, and is called only if there is a twin to compare it with."""
+    """Summarise a session; `longest` returns its longest unbroken stretch and the number of
+    stretches, and is called only if there is a twin to compare it with."""
     last = tally.last
     nominal, shown = nominal_score(last), shown_twin(last)
     fit = (math.nan, math.nan)
     remarks = list(notes)
     if shown is not None:
-        window, stretches = longest(law.period if law is not None else period)
+        window, stretches = longest()
         if stretches > 1:
             remarks.append(
                 f"the fit is over samples {window.first} to {window.last}, "

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +17,8 @@ from twinmatch.record import Tree, comparable, differences, tree_of, tree_of_mes
 from twinmatch.sessions import Session
 from twinmatch.sessions.files import ProgressCallback
 from twinmatch.sessions.messages import decoded
-from twinmatch.signals import Sample, bridge
-from twinmatch.twin import MatchReport
+from twinmatch.signals import Sample
+from twinmatch.twin import MatchReport, filled
 
 SCORES = "twin/model_score"
 MATCHES = "twin/match"
@@ -126,10 +125,9 @@ def holds_verdicts(session: Session) -> int:
 
 def compare(session: Session, judgement: Judgement) -> Verification:
     """Compare the recorded matches and verdicts with a judgement of the samples, bit for bit."""
-    prefix, stamps = prefix_of(session), dict[int, int]()
-    for before, sample in pairwise((session.samples[0], *session.samples)):
-        for one in (*bridge(before, sample, judgement.settings.schedule.gap), sample):
-            stamps[one.index] = one.stamp  # a verdict may be due at a lost sample
+    prefix = prefix_of(session)
+    # A verdict may be due at a lost sample.
+    stamps = {one.index: one.stamp for one in filled(session.samples, judgement.settings)}
     matches, scores = _once(_recorded(session, prefix + MATCHES)), _recorded(session, prefix + SCORES)
     computed_matches = [_computed(m, stamps[m.sample]) for m in judgement.matches]
     computed_scores = [_computed(v, stamps[v.sample]) for v in judgement.verdicts]

@@ -132,12 +132,7 @@ SAMPLES_BETWEEN = 10_000
 
 def samples_of(window: Window) -> list[Sample]:
     """The samples of a window, stamped `EPOCH` + index · period."""
-    signals = window.references, window.outputs, window.inputs, window.disturbances
-    rows = zip(*(map(tuple, columns.tolist()) for columns in signals), strict=True)
-    return [
-        Sample(index, EPOCH + round(index * window.period * 1e9), *values)
-        for index, values in enumerate(rows, start=window.first)
-    ]
+    return window.samples(EPOCH)
 
 
 def write_session(

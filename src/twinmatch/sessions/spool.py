@@ -10,16 +10,13 @@ import tempfile
 from array import array
 from bisect import bisect_right
 from collections.abc import Sequence
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from twinmatch.signals import Sample, SignalError, Window
+from twinmatch.signals import SIGNALS, Sample, SignalError, Window
 
 Rows = NDArray[np.void]
-SIGNALS: Final = ("references", "outputs", "inputs", "disturbances")
-"""Columns of the rows beside index and stamp, each with a value for each signal."""
 
 
 class SampleSpool:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final, NamedTuple
 
@@ -68,7 +68,7 @@ class Member:
         entry = measured.input
         if of_u is not None:
             entry = of_u.simulate(ahead(r), outputs=u[: len(of_u.F)]) + level.input
-        return Window(measured.reference, output, entry, first=measured.first, period=measured.period)
+        return replace(measured, outputs=output, inputs=entry)
 
 
 def family(

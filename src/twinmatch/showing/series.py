@@ -10,8 +10,8 @@ import numpy as np
 from twinmatch.dynamics import Parameters, Response, begin_window, simulate_driven
 from twinmatch.dynamics.simulation import SKIPPED
 from twinmatch.forecasting import Band, Forecast
-from twinmatch.signals import FloatArray, Sample, Window, unbroken
-from twinmatch.twin import TwinSettings, bridged, response_on
+from twinmatch.signals import FloatArray, Window
+from twinmatch.twin import TwinSettings, response_on
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,15 +54,14 @@ class Comparison:
 
 
 def compare(
-    samples: Sequence[Sample], parameters: Parameters, settings: TwinSettings
+    stretches: Sequence[Window], parameters: Parameters, settings: TwinSettings
 ) -> tuple[Comparison, ...]:
-    """Run the twins over every stretch of at least four samples without a gap that is not bridged, from its
-    measured initial values, or, where the loop is not known, from estimated ones."""
+    """Run the twins over every stretch of at least four samples, from its measured initial values, or, where
+    the loop is not known, from estimated ones."""
     found, law = [], settings.law
-    for stretch in unbroken(bridged(samples, settings)):
-        if len(stretch) < SKIPPED + 2:
+    for window in stretches:
+        if len(window) < SKIPPED + 2:
             continue
-        window = Window.from_samples(stretch, settings.period if law is None else law.period)
         if law is None:
             found.append(Comparison(window, None, response_on(parameters, window, None).output))
             continue
@@ -141,17 +140,16 @@ class Fan:
         return held if self.measured is None else self.measured.received(held)
 
 
-def fan(forecast: Forecast, samples: Sequence[Sample], period: float) -> Fan:
+def fan(forecast: Forecast, stretches: Sequence[Window]) -> Fan:
     """A forecast with the samples of its session around it.
 
     Measurements are compared with it up to the first sample that is missing, or whose set-point (or input)
-    differs from the one the forecast was made for. `period` is in s.
+    differs from the one the forecast was made for.
     """
     size, now = forecast.time.size, forecast.sample
     before = max(round(_BEFORE * size), 1)
-    near = [s for s in samples if now - before <= s.index <= now + size]
-    stretch = next(part for part in unbroken(near) if part[0].index <= now <= part[-1].index)
-    window = Window.from_samples(stretch, period)
+    whole = next(part for part in stretches if part.first <= now <= part.last)
+    window = whole.part(max(whole.first, now - before), min(whole.last, now + size))
     levels, asked = window.reference, forecast.reference
     if not forecast.closed:
         levels, asked = window.input, forecast.input.mean

@@ -8,9 +8,9 @@ pushed: no clock, no thread, no random state, so a replay of a recorded session 
 verdicts.
 """
 
-from twinmatch.twin.bridge import Bridge, bridged
 from twinmatch.twin.engine import Discriminator, Outcome, Step, Twin
 from twinmatch.twin.forecaster import Forecaster, Snapshot
+from twinmatch.twin.gaps import GapFiller, filled, filled_stretches
 from twinmatch.twin.matcher import MatchReport, MatchRequest, carry_out
 from twinmatch.twin.mirror import Mirror, MirrorState, Residuals, nrmse, residuals, response_on, window_fit
 from twinmatch.twin.schedule import Schedule, ScheduleError, ScheduleSettings, Trigger
@@ -19,10 +19,10 @@ from twinmatch.twin.structure_fits import StructureFits, watched
 from twinmatch.twin.structures import StructureChoice, StructureScore, choose_structure
 
 __all__ = [
-    "Bridge",
     "Discriminator",
     "ForecastSettings",
     "Forecaster",
+    "GapFiller",
     "MatchReport",
     "MatchRequest",
     "Mirror",
@@ -42,9 +42,10 @@ __all__ = [
     "Twin",
     "TwinError",
     "TwinSettings",
-    "bridged",
     "carry_out",
     "choose_structure",
+    "filled",
+    "filled_stretches",
     "nrmse",
     "residuals",
     "response_on",

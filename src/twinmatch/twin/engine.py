@@ -13,9 +13,9 @@ from twinmatch.errors import TwinmatchError
 from twinmatch.fitting import Status
 from twinmatch.health import SLOW, Alarm, Health, HealthState, Monitor
 from twinmatch.signals import Sample, Window
-from twinmatch.twin.bridge import Bridge
 from twinmatch.twin.candidates import UNSCORED, CandidatePool
 from twinmatch.twin.forecaster import Forecaster, Snapshot
+from twinmatch.twin.gaps import GapFiller
 from twinmatch.twin.knowledge import Knowledge, MatchResult, verdict_of
 from twinmatch.twin.matcher import MatchReport, MatchRequest, carry_out, one_thread
 from twinmatch.twin.mirror import Residuals, residuals
@@ -62,7 +62,7 @@ class Discriminator:
         """
         self._snapshots = snapshots
         self.stamps: dict[int, int] = {}
-        """Stamps of the newest samples, ns, and of the lost ones that were bridged, by index."""
+        """Stamps of the newest samples and stand-ins, ns, by index."""
         self.settings = settings or TwinSettings()
         self.monitor = Monitor(replace(self.settings.health, period=self.settings.period))
         self._schedule = _schedule(self.settings)
@@ -71,7 +71,7 @@ class Discriminator:
         self._bands = BandHistory(self.settings.limits.doubtful, self.settings.noise.output)
         self._given = list(given)
         self._waiting: deque[Sample | Trigger] = deque()
-        self._bridge = Bridge(self.settings.law, self.settings.schedule.gap)
+        self._filler = GapFiller.of(self.settings)
         self._request: MatchRequest | None = None
         self._fits: Future[None] | None = None
         self._settled: int | None = None
@@ -101,10 +101,10 @@ class Discriminator:
     def push_sample(self, sample: Sample) -> Step:
         """Take one sample; return the verdicts now due, and the match to request.
 
-        A few samples lost before it are bridged: what they would have shown counts nowhere. After more,
+        A few samples lost before it get stand-ins, which count nowhere. After more,
         everything starts over.
         """
-        for one in self._bridge.push(sample):
+        for one in self._filler.take(sample):
             self._waiting.append(one)
             self.stamps[one.index] = one.stamp
             if len(self.stamps) > MOST_STAMPS:
@@ -184,7 +184,7 @@ class Discriminator:
 
     def _watch(self, sample: Sample) -> Alarm | None:
         """Judge the plant's health; return the alarm that has just begun or ended."""
-        if self._recent and sample.index != self._recent[-1].index + 1:
+        if self._recent and not sample.follows(self._recent[-1]):
             if sample.index <= self._recent[-1].index:  # another session: the old alarms have other indices
                 self.monitor = Monitor(self.monitor.settings)
             self._recent.clear()

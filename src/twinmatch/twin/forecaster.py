@@ -158,7 +158,7 @@ class Forecaster:
 
         Twins whose equations are not external take it later, with the next ones, before they are used.
         """
-        if self._recent and sample.index != self._recent[-1].index + 1:
+        if self._recent and not sample.follows(self._recent[-1]):
             self._begin()
         self._recent.append(sample)
         self._waiting.append(sample)

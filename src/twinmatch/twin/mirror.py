@@ -29,7 +29,7 @@ from twinmatch.dynamics import (
 from twinmatch.fitting.problem import unknown_starts
 from twinmatch.forecasting import StateFilter
 from twinmatch.signals import FloatArray, Sample, Signals, Window
-from twinmatch.twin.bridge import Bridge
+from twinmatch.twin.gaps import GapFiller
 
 _ESTIMATED_OVER: Final = 300.0
 """Newest stretch over which the states of a new structure are estimated, s, at a scale of 1."""
@@ -102,7 +102,7 @@ class Mirror:
         self._period = period if self._law is None else self._law.period
         self._recent: deque[list[float]] = deque(maxlen=recent)
         self._samples: deque[Sample] = deque(maxlen=max(round(_ESTIMATED_OVER * scale / self._period), 1))
-        self._bridge = Bridge(self._law, gap)
+        self._filler = GapFiller(self._law, gap)
         self._previous: Sample | None = None
         self._started = 0
 
@@ -122,13 +122,13 @@ class Mirror:
 
     def push(self, sample: Sample) -> MirrorState:
         """Take one sample; return the state of the twins at its tick."""
-        *lost, sample = self._bridge.push(sample)
+        *lost, sample = self._filler.take(sample)
         for one in lost:
             self._push(one)
         return self._push(sample)
 
     def _push(self, sample: Sample) -> MirrorState:
-        if self._previous is None or sample.index != self._previous.index + 1:
+        if self._previous is None or not sample.follows(self._previous):
             self._restart(sample)
         row = _disturbances(sample)
         state = self._open(sample, row) if self._pid is None else self._looped(sample, self._pid, row)

@@ -128,7 +128,7 @@ class Schedule:
         A sample that does not follow the one before it (a gap, a clock set back) restarts the record: no
         window reaches across it.
         """
-        if self._samples and sample.index != self._samples[-1].index + 1:
+        if self._samples and not sample.follows(self._samples[-1]):
             self._samples.clear()
         if not self._samples:
             self._restart(sample)

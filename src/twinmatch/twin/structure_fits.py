@@ -52,8 +52,8 @@ class NewestSamples:
         kept = self.window
         if kept is None or window.first > kept.last + 1 or window.last < kept.last:
             kept = window
-        elif window.last > kept.last:
-            kept = _continued(kept, window.part(kept.last + 1, window.last))
+        else:
+            kept = kept.joined(window)
         self.window = kept.part(max(kept.first, kept.last - self._longest + 1), kept.last)
         return self.window
 
@@ -62,17 +62,6 @@ class NewestSamples:
         kept = self.window
         if kept is not None and kept.first < first:
             self.window = kept.part(first, kept.last) if first <= kept.last else None
-
-
-def _continued(window: Window, newer: Window) -> Window:
-    return Window(
-        references=np.concatenate([window.references, newer.references]),
-        outputs=np.concatenate([window.outputs, newer.outputs]),
-        inputs=np.concatenate([window.inputs, newer.inputs]),
-        first=window.first,
-        period=window.period,
-        disturbances=np.concatenate([window.disturbances, newer.disturbances]),
-    )
 
 
 class StructureFits:

@@ -124,11 +124,9 @@ def _rows(judgement: Judgement, entry: dict[str, Any]) -> list[dict[str, Any]]:
     if not judgement.verdicts:
         return []
     from twinmatch.record import finite  # noqa: PLC0415
-    from twinmatch.signals import Window, unbroken  # noqa: PLC0415
     from twinmatch.twin import window_fit  # noqa: PLC0415
 
-    law, period = judgement.settings.law, judgement.settings.period
-    longest = Window.from_samples(max(unbroken(judgement.bridged), key=len), period)
+    law, longest = judgement.settings.law, max(judgement.stretches, key=len)
     rows = []
     for candidate, known in zip(
         judgement.verdicts[-1].modelled, entry["verdicts"][-1]["candidates"], strict=False

@@ -32,8 +32,8 @@ from twinmatch.offline.judging import Judgement, Terms, Watch, judge, terms_from
 from twinmatch.offline.processes import Beside, beside, held_interrupts
 from twinmatch.sessions import Session
 from twinmatch.sessions.files import ProgressCallback, part_of
-from twinmatch.signals import FloatArray, Sample, Window, unbroken
-from twinmatch.twin import Outcome, Twin, TwinSettings, bridged, response_on
+from twinmatch.signals import FloatArray, Sample, Window
+from twinmatch.twin import Outcome, Twin, TwinSettings, filled_stretches, response_on
 from twinmatch.twin.matcher import one_thread
 
 
@@ -231,9 +231,8 @@ class Listener:
         scored, period = settings.forecasts, settings.period
         self.horizons = choices.ahead(scored.horizons, period)
         self.common, self.work = _Common(session, settings, self.horizons, choices.peers), work or Beside()
-        parts = unbroken(bridged(samples, settings))
-        self.held = tuple(Window.from_samples(part, period) for part in parts)
-        """The stretches without a gap that is not bridged."""
+        self.held = filled_stretches(samples, settings)
+        """The stretches between gaps that are too long to be filled."""
         every = _SPARSER * scored.every if choices.every is None else choices.every
         self.wanted = frozenset(regular(self.held, every))
         """Samples at which outlooks are recorded, besides those of the verdicts."""

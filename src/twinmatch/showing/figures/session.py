@@ -28,8 +28,8 @@ from twinmatch.showing.quantities import signal_names
 from twinmatch.showing.series import Comparison, compare, rolling_rms
 from twinmatch.showing.style import CLOSED, DRIVEN, LEVELS, PLANT, SET_POINT, TEXT
 from twinmatch.showing.verdicts import admitted, last_verdict, level_stretches
-from twinmatch.signals import FloatArray, Sample, Window, unbroken
-from twinmatch.twin import MatchReport, TwinSettings
+from twinmatch.signals import FloatArray, Sample, stretches
+from twinmatch.twin import MatchReport, TwinSettings, filled_stretches
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -49,13 +49,12 @@ def draw_session(samples: Sequence[Sample], verdicts: Sequence[Verdict], setting
     Where the loop is not known, there is only the driven twin, which has the plant's input.
     """
     shown = shown_twin(verdicts[-1] if verdicts else None)
-    parts = compare(samples, shown.parameters, settings) if shown else ()
+    parts = compare(filled_stretches(samples, settings), shown.parameters, settings) if shown else ()
     closed = settings.law is not None
     rows = (4 if closed else 3) if parts else 2
     figure = new_figure(10, 1.75 * rows)
     axes = stack(figure, (3, 2, 1.6, 1.6)[:rows])
-    for number, stretch in enumerate(unbroken(samples)):
-        window = Window.from_samples(stretch, settings.period)
+    for number, window in enumerate(stretches(samples, settings.period)):
         draw_outputs(axes[0], window, closed=closed, named=number == 0)
         draw_inputs(axes[1], window, 0.8, named=number == 0)
     for number, part in enumerate(parts):
@@ -202,11 +201,10 @@ def draw_verdict(
     trust = figure.add_subplot(grid[2, :], sharex=upper)
     last = last_verdict(verdicts)
     shown = shown_twin(verdicts[-1] if verdicts else None)
-    for number, stretch in enumerate(unbroken(samples)):
-        window = Window.from_samples(stretch, settings.period)
+    for number, window in enumerate(stretches(samples, settings.period)):
         draw_outputs(upper, window, closed=settings.law is not None, named=number == 0, lw=1.2)
         draw_inputs(control, window, 0.9)
-    parts = compare(samples, shown.parameters, settings) if shown else ()
+    parts = compare(filled_stretches(samples, settings), shown.parameters, settings) if shown else ()
     for number, part in enumerate(parts):
         label = f"twin of {shown.name}" if shown and number == 0 else "_"
         output = part.driven if part.closed is None else part.closed.output

@@ -30,7 +30,7 @@ from twinmatch.showing.verdicts import (
     extend_stretches,
 )
 from twinmatch.signals import FloatArray, Sample
-from twinmatch.twin import TwinSettings, bridged
+from twinmatch.twin import TwinSettings, filled_stretches
 
 CAPACITY = 36_000
 """Samples kept: an hour at 10 Hz, ten hours at 1 Hz."""
@@ -361,8 +361,9 @@ def update_sentence(state: DashboardState, settings: TwinSettings) -> None:
     summed_up = ""
     if samples and verdict is not None and (verdict.leader or verdict.nominal):
         law = settings.law and replace(settings.law, period=period)
+        own = replace(settings, period=period, law=law)
         with suppress(TwinmatchError):  # so few samples that there is no window
-            summed_up = sentence(summarise(bridged(samples, settings), [verdict], law, period=period))
+            summed_up = sentence(summarise(filled_stretches(samples, own), [verdict], law))
     with state.lock:
         if state.verdict is verdict:
             state.sentence = summed_up

@@ -147,10 +147,7 @@ def fans_of(tested: Backtest, judgement: Judgement) -> tuple[Fan, ...]:
         return float(np.ptp(values)) if values.size else 0.0
 
     hardest = sorted(tested.shown, key=moved, reverse=True)[:_SHOWN]
-    return tuple(
-        fan(forecast, judgement.bridged, judgement.settings.period)
-        for forecast in sorted(hardest, key=lambda f: f.sample)
-    )
+    return tuple(fan(one, judgement.stretches) for one in sorted(hardest, key=lambda f: f.sample))
 
 
 def write_pictures(found: dict[str, Picture], folder: Path, ending: str) -> list[Path]:

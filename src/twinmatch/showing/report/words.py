@@ -154,7 +154,7 @@ def _choice(last: Verdict, nominal: CandidateScore) -> str:
 def _residuals(judgement: Judgement, shown: ShownTwin) -> tuple[float, float, float]:
     """RMS residuals of the closed-loop twin's output and input and of the driven twin's output; NaN without
     values."""
-    parts = compare(judgement.samples, shown.parameters, judgement.settings)
+    parts = compare(judgement.stretches, shown.parameters, judgement.settings)
     y = root_mean_square([p.closed_residual_y for p in parts])
     u = root_mean_square([p.closed_residual_u for p in parts])
     return y, u, root_mean_square([p.driven_residual_y for p in parts])

@@ -1,4 +1,9 @@
-"""Stand-ins for lost samples, as the loop's law says what it did meanwhile."""
+"""Short gaps in the samples, filled with stand-ins where samples enter: a stream by `GapFiller`, a session by
+`filled_stretches`.
+
+Behind this door samples follow one another, or a longer gap has ended the stretch. Stand-ins are marked as
+not seen, and the mark says what does not count.
+"""
 
 from __future__ import annotations
 
@@ -10,43 +15,74 @@ from typing import Final
 import numpy as np
 
 from twinmatch.dynamics import Law, commands_of
-from twinmatch.signals import FloatArray, Sample, Window, bridge
+from twinmatch.signals import FloatArray, Sample, Window, stretches
 from twinmatch.twin.settings import TwinSettings
 
 _PAST: Final = 60
 """Samples from which the law's state is found: a limited PID shows its integral once it leaves the limit."""
 
 
-def bridged(samples: Iterable[Sample], settings: TwinSettings) -> list[Sample]:
-    """The samples of a session with stand-ins for the lost ones, as a twin with these settings takes them."""
-    bridge_of = Bridge(settings.law, settings.schedule.gap)
-    return [one for sample in samples for one in bridge_of.push(sample)]
+def filled(samples: Iterable[Sample], settings: TwinSettings) -> list[Sample]:
+    """The samples of a session and its stand-ins, as a twin with these settings takes them."""
+    filler = GapFiller.of(settings)
+    return [one for sample in samples for one in filler.take(sample)]
 
 
-class Bridge:
-    """Fills short gaps in the samples of one plant; see `signals.bridge`.
+def filled_stretches(samples: Iterable[Sample], settings: TwinSettings) -> tuple[Window, ...]:
+    """These as windows: one for each stretch between gaps that are too long to be filled."""
+    return stretches(filled(samples, settings), settings.period)
 
-    Where the law of the loop is known, it computes the lost inputs. A set-point may have moved at each of the
-    lost samples, at the next one received, or in a ramp: the moment is taken whose input at that next sample
-    is nearest to the recorded one.
+
+class GapFiller:
+    """Fills short gaps in a stream of samples; after a longer gap, or a clock set back, it starts over.
+
+    The loop is taken to have continued: set-points, inputs and disturbances are held, and the outputs are
+    interpolated, so that what sums up its movements stays right. Where the law of the loop is known, it
+    computes the lost inputs. A set-point may have moved at each of the lost samples, at the next one, or in a
+    ramp: the moment is taken whose input at that next sample is nearest to the recorded one.
     """
 
     def __init__(self, law: Law | None, longest: int) -> None:
         """Begin without samples; `law` is None if the loop is not known, and at most `longest` samples in a
-        row are bridged."""
+        row are replaced."""
         self._law, self._longest = law, longest
         self._past: deque[Sample] = deque(maxlen=_PAST)
 
-    def push(self, sample: Sample) -> list[Sample]:
-        """The stand-ins for the samples lost before this one, if it is so few, and this one, oldest first."""
-        before = self._past[-1] if self._past else sample
-        lost = bridge(before, sample, self._longest)
-        if not lost and sample.index != before.index + 1:
-            self._past.clear()
+    @classmethod
+    def of(cls, settings: TwinSettings) -> GapFiller:
+        """A filler for the plant, loop and longest gap of these settings."""
+        return cls(settings.law, settings.schedule.gap)
+
+    def take(self, sample: Sample) -> list[Sample]:
+        """The stand-ins for the samples lost before this one, if they are few enough, and this one, oldest
+        first."""
+        lost: list[Sample] = []
+        if self._past and not sample.follows(self._past[-1]):
+            lost = self._interpolated(self._past[-1], sample)
+            if not lost:
+                self._past.clear()
         if lost and self._law is not None and len(self._past) == _PAST:
             lost = _looped(self._law, list(self._past), lost, sample)
         self._past.extend((*lost, sample))
         return [*lost, sample]
+
+    def _interpolated(self, before: Sample, after: Sample) -> list[Sample]:
+        """Stand-ins for the samples between two, oldest first; none if too many or a clock set back."""
+        steps = after.index - before.index
+        alike = after.stamp > before.stamp and before.shape == after.shape
+        if not (alike and 1 < steps <= self._longest + 1):
+            return []
+        ends = list(zip(before.outputs, after.outputs, strict=True))
+        return [
+            replace(
+                before,
+                index=before.index + k,
+                stamp=before.stamp + (after.stamp - before.stamp) * k // steps,
+                outputs=tuple(y + (then - y) * k / steps for y, then in ends),
+                seen=False,
+            )
+            for k in range(1, steps)
+        ]
 
 
 def _looped(law: Law, past: Sequence[Sample], lost: list[Sample], after: Sample) -> list[Sample]:
