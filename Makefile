@@ -39,7 +39,7 @@ INSTALL := sh .ci/install.sh $(RUN)
 help:
 	@echo "make setup                prepare $(VENV) (PYTHON=python3.12 picks the interpreter, 3.10 to 3.13;"
 	@echo "                          ROS=kilted uses that ROS 2 instead of jazzy)"
-	@echo "make setup-test           setup, then the tools of the tests, a browser and the simulated Arduino"
+	@echo "make setup-test           setup, then the tools of the tests: a browser, the simulated Arduino, colcon"
 	@echo "make test                 setup-test, then every check and test (PYTEST_ARGS='tests/plants -x' picks some)"
 	@echo "make check                setup-test, then only ruff, mypy and import-linter"
 	@echo "make demo                 setup, then run the live graph on a virtual rig (SESSION=path plays a session instead)"
@@ -52,7 +52,7 @@ help:
 setup: $(STAMPS)/messages $(STAMPS)/compiled
 	@:
 
-setup-test: setup $(STAMPS)/test $(STAMPS)/board $(STAMPS)/browser
+setup-test: setup $(addprefix $(STAMPS)/,test board browser workspace)
 	@:
 
 test: setup-test
@@ -124,12 +124,8 @@ $(STAMPS)/peers: $(STAMPS)/test
 	@$(INSTALL) --editable '.[$(ROS_EXTRA),test,bench]'
 	@touch $@
 
-$(STAMPS)/board: .ci/board_tools.sh | $(STAMPS)/venv
-	@sh .ci/board_tools.sh
-	@touch $@
-
-$(STAMPS)/browser: .ci/browser_tools.sh | $(STAMPS)/venv
-	@sh .ci/browser_tools.sh
+$(STAMPS)/board $(STAMPS)/browser $(STAMPS)/workspace: .ci/debian_tools.sh | $(STAMPS)/venv
+	@sh .ci/debian_tools.sh $(@F)
 	@touch $@
 
 # The plants' equations and numba's machine code are cached: no first run has to wait.

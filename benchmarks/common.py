@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import functools
 import gc
 import importlib
 import importlib.metadata
 import math
 import os
 import platform
+import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -26,12 +28,15 @@ __all__ = [
     "document",
     "duration",
     "environment",
+    "forget_results",
     "main",
     "measure_side_by_side",
     "peer",
     "print_rows",
     "rows_of",
 ]
+
+_Cached = functools._lru_cache_wrapper
 
 PACKAGES = (
     "twinmatch",
@@ -107,20 +112,24 @@ def measure_side_by_side(
     *,
     patience: float = 20.0,
     least: float = 2e-3,
+    keeping: bool = False,
 ) -> dict[str, Timing]:
     """Time several programs in turns (A B C, A B C, …), so that changes of the load affect all alike.
 
-    Each case is called once unmeasured, which compiles and fills caches, unless that call alone exhausts
-    the patience: then its time counts as the only one. A case faster than `least` is called many times a
-    round. A case that raises is left out and carries the error.
+    Each case is called once unmeasured, which compiles and reads files, unless that call alone exhausts the
+    patience: then its time counts as the only one. A case faster than `least` is called many times a round.
+    Every call computes: what twinmatch has kept of earlier ones, such as ν-gaps, is forgotten before it. A
+    case that raises is left out and carries the error.
 
     Args:
         cases: program → a call without arguments.
         repeats: number of rounds.
         patience: largest total time of one case, s; after that it is left out of further rounds.
         least: least time of one measurement, s.
+        keeping: nothing is forgotten, for calls that continue a run.
     """
-    first = {name: _attempt(call, 1) for name, call in cases.items()}
+    forget = None if keeping else forget_results
+    first = {name: _attempt(call, 1, forget) for name, call in cases.items()}
     times: dict[str, list[float]] = {name: [] for name in cases}
     spent: dict[str, float] = {}
     loops: dict[str, int] = {}
@@ -131,7 +140,7 @@ def measure_side_by_side(
         if spent[name] >= patience / 2:
             times[name] += timing.seconds  # there is no time for a second call
         else:
-            again = _attempt(cases[name], 1)  # the first call may have compiled
+            again = _attempt(cases[name], 1, forget)  # the first call may have compiled
             spent[name] += sum(again.seconds)
             loops[name] = max(1, math.ceil(least / max(sum(again.seconds), 1e-9)))
             if loops[name] == 1:
@@ -139,24 +148,38 @@ def measure_side_by_side(
     for turn in range(repeats):
         for name, number in loops.items():
             if spent[name] < patience and len(times[name]) == turn:
-                took = _attempt(cases[name], number).median
+                took = _attempt(cases[name], number, forget).median
                 times[name].append(took)
                 spent[name] += took * number
     return {name: Timing(tuple(times[name]), first[name].result, first[name].error) for name in cases}
 
 
-def _attempt(call: Callable[[], object], loops: int) -> Timing:
+def _attempt(call: Callable[[], object], loops: int, forget: Callable[[], None] | None) -> Timing:
     gc.collect()
     gc.disable()
+    took = 0.0
+    rounds, together = (1, loops) if forget is None else (loops, 1)
     try:
-        begin = time.perf_counter()
-        for _ in range(loops):
-            result = call()
-        return Timing(((time.perf_counter() - begin) / loops,), result)
+        for _ in range(rounds):
+            if forget is not None:
+                forget()
+            begin = time.perf_counter()
+            for _ in range(together):
+                result = call()
+            took += time.perf_counter() - begin
+        return Timing((took / loops,), result)
     except Exception as error:
         return Timing((), error=f"{type(error).__name__}: {error}".splitlines()[0][:120])
     finally:
         gc.enable()
+
+
+def forget_results() -> None:
+    """Empty the bounded caches of twinmatch: results that it keeps while a run goes on."""
+    for name in [name for name in sys.modules if name.startswith("twinmatch.")]:
+        for value in list(vars(sys.modules[name]).values()):
+            if isinstance(value, _Cached) and value.cache_parameters()["maxsize"] is not None:
+                value.cache_clear()
 
 
 def peer(module: str) -> ModuleType | None:

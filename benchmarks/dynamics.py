@@ -115,7 +115,7 @@ def _observer(quick: bool) -> list[Row]:
         return states
 
     cases = {"twinmatch": compiled, "the same filter in NumPy": numpy}
-    timings = measure_side_by_side(cases, 3 if quick else 15)
+    timings = measure_side_by_side(cases, 3 if quick else 15, keeping=True)
     return rows_of("dynamics", "a sample of the observer", timings, targets={"twinmatch": 4e-6}, notes={})
 
 

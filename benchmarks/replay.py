@@ -101,7 +101,7 @@ def _one_sample(quick: bool) -> list[Row]:
         ready.forecaster.push(replace(sample, index=next(following)))
         return len(ready.forecaster.snapshot().outlooks)
 
-    timings = measure_side_by_side({"twinmatch": push}, 20 if quick else 300)
+    timings = measure_side_by_side({"twinmatch": push}, 20 if quick else 300, keeping=True)
     case = f"one sample live, {count} candidates forecast"
     return rows_of("replay", case, timings, targets={"twinmatch": SAMPLE_TARGET})
 

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import importlib
+import inspect
+import operator
 import os
 import shutil
 import sys
 from pathlib import Path
+from typing import Any
 
+import numba
 import pytest
 
 from tests.support.processes import Process
@@ -81,6 +86,61 @@ def run(folder: Path, home: Path | None = None) -> str:
     )
     assert process.wait() == 0, process.text
     return process.text.strip()
+
+
+INSIDES = {
+    "bytecode:FunctionIdentity._unique_ids": None,
+    "caching:CompileResultCacheImpl.locator": None,
+    "caching:CompileResultCacheImpl.rebuild": ("self", "target_context", "payload"),
+    "caching:CompileResultCacheImpl.reduce": ("self", "cres"),
+    "caching:FunctionCache._impl_class": None,
+    "caching:FunctionCache._index_key": ("self", "sig", "codegen"),
+    "caching:FunctionCache._load_overload": ("self", "sig", "target_context"),
+    "caching:FunctionCache.load_overload": ("self", "sig", "target_context"),
+    "caching:IndexDataCacheFile._load_index": ("self",),
+    "caching:NullCache": (),
+    "codegen:CPUCodeLibrary._get_module_for_linking": ("self",),
+    "compiler:CompileResult._rebuild": (
+        *("cls", "target_context", "libdata", "fndesc", "env", "signature", "objectmode", "lifted"),
+        *("typeann", "reload_init", "referenced_envs"),
+    ),
+    "dispatcher:Dispatcher.get_call_template": ("self", "args", "kws"),
+    "dispatcher:_FunctionCompiler.compile": ("self", "args", "return_type"),
+    "environment:Environment._memo": None,
+    "environment:lookup_environment": ("env_name",),
+    "funcdesc:PythonFunctionDescriptor.llvm_cpython_wrapper_name": None,
+    "registry:cpu_target.target_context.codegen": ("self",),
+    "runtime:rtsys.initialize": ("self", "ctx"),
+}
+"""What `twinmatch.compiled` uses of `numba.core` without being invited, and the parameters of functions."""
+KERNELS = ("_cache", "_compiler.compile", "get_call_template", "py_func")
+"""What it uses of each kernel."""
+
+
+def test_the_insides_of_numba_that_are_used_are_where_they_were() -> None:
+    """0.68 is the newest that works; for a newer one pyproject.toml is changed when this passes with it."""
+    kernel = numba.njit(lambda: 0.0)
+    engine = numba.core.registry.cpu_target.target_context.codegen()._engine
+    moved = [f"a kernel's {name}" for name in KERNELS if _inside(kernel, name) is None]
+    moved += [] if isinstance(engine._defined_symbols, set) else ["_engine._defined_symbols"]
+    for place, parameters in INSIDES.items():
+        module, _, name = place.partition(":")
+        found = _inside(importlib.import_module(f"numba.core.{module}"), name)
+        if found is None or (parameters is not None and tuple(_parameters(found)) != parameters):
+            moved.append(place)
+    assert not moved, f"numba {numba.__version__} moved what src/twinmatch/compiled.py uses"
+
+
+def _inside(whole: Any, path: str) -> Any:
+    try:
+        return operator.attrgetter(path)(whole)
+    except AttributeError:
+        return None
+
+
+def _parameters(found: Any) -> list[str]:
+    """Names of parameters, that of the object among them."""
+    return list(inspect.signature(getattr(found, "__func__", found)).parameters)
 
 
 def test_numba_alone_runs_old_mathematics(tmp_path: Path) -> None:

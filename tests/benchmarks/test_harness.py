@@ -76,6 +76,21 @@ def test_programs_take_turns_and_failures_stay_in_the_table(common) -> None:
     assert json.dumps(common.document(list(rows.values())), allow_nan=False)
 
 
+def test_what_is_measured_is_computed_at_every_call(common) -> None:
+    """Candidates stay in a family for many verdicts, so ν-gaps are kept: asked again, they cost a look-up."""
+    from twinmatch.comparing import GraphSymbol, nu_gap
+    from twinmatch.comparing.nu_gap import _between
+
+    symbols = [GraphSymbol.of_transfer_functions([([0.1], [1.0, -a])], 1.0) for a in (0.5, 0.9)]
+
+    case = {"twinmatch": lambda: nu_gap(*symbols)}
+    (timing,) = common.measure_side_by_side(case, repeats=2).values()
+    assert timing.result > 0
+    assert _between.cache_info()[:2] == (0, 1)
+    common.measure_side_by_side(case, repeats=2, keeping=True)
+    assert _between.cache_info().hits > 2
+
+
 def test_a_slow_program_is_not_asked_twice(common) -> None:
     calls = []
     timings = common.measure_side_by_side({"slow": lambda: calls.append(1)}, repeats=5, patience=0.0)

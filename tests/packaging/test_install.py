@@ -27,10 +27,17 @@ SCRIPTS = re.findall(
 )
 
 
-def test_colcon_installs_the_nodes(sources: Path, tmp_path: Path) -> None:
-    colcon = shutil.which("colcon")
-    if colcon is None:
-        pytest.skip("colcon is not installed: apt-get install colcon python3-colcon-ros")
+@pytest.fixture(scope="module")
+def colcon() -> str:
+    """The program, with what reads package.xml and sorts by it."""
+    packages = Path("/usr/lib/python3/dist-packages")
+    found = shutil.which("colcon")
+    if found is None or not all((packages / f"colcon_{x}").is_dir() for x in ("ros", "package_information")):
+        pytest.skip("colcon is not installed: sh .ci/debian_tools.sh workspace")
+    return found
+
+
+def test_colcon_installs_the_nodes(colcon: str, sources: Path, tmp_path: Path) -> None:
     ours = ("LD_LIBRARY_PATH", "_ROS_WHEELS_BOOTSTRAP_COMPLETE", "VIRTUAL_ENV", "PYTHONPATH")
     environment = {k: v for k, v in os.environ.items() if k not in ours}
     environment["PATH"] = os.pathsep.join(
@@ -46,10 +53,7 @@ def test_colcon_installs_the_nodes(sources: Path, tmp_path: Path) -> None:
     assert (installed / "share" / "ament_index" / "resource_index" / "packages" / "twinmatch").exists()
 
 
-def test_colcon_finds_both_packages_where_the_page_says() -> None:
-    colcon = shutil.which("colcon")
-    if colcon is None:
-        pytest.skip("colcon is not installed: apt-get install colcon python3-colcon-ros")
+def test_colcon_finds_both_packages_where_the_page_says(colcon: str) -> None:
     page = (PROJECT / "docs" / "ros.md").read_text(encoding="utf-8")
     (named,) = re.findall(r"^colcon build --base-paths (.*)$", page, re.MULTILINE)
     folders = [str(PROJECT / Path(name).relative_to("src/twinmatch")) for name in named.split()]
@@ -67,6 +71,7 @@ def test_package_xml_names_what_pyproject_needs() -> None:
     names = [name.lower() for name in re.findall(r'"([\w-]+)', block)]
     assert "numpy" in names
     keys = {"pyserial": "python3-serial", "pyyaml": "python3-yaml"}
+    told = re.sub(r'"|<[\d.]+', " ", told)
     missing = [n for n in names if keys.get(n, f"python3-{n}") not in text and f" {n} " not in told]
     assert not missing
 

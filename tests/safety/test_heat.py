@@ -46,8 +46,7 @@ def no_budget(bench: Bench) -> OutputGuard:
 
 CASES = [
     *((RIG, name, (30.0, 60.0, 90.0)[place % 3]) for place, name in enumerate(LIES)),
-    *((RIG, name, (60.0, 90.0, 30.0)[place % 3]) for place, name in enumerate(LIES)),
-    *((KIT, name, (30.0, 50.0, 65.0)[place % 3]) for place, name in enumerate(LIES)),
+    *((KIT, name, (50.0, 65.0, 30.0)[place % 3]) for place, name in enumerate(LIES)),
 ]
 
 
@@ -77,8 +76,7 @@ def test_without_either_a_lie_heats_the_plate_to_its_end() -> None:
     assert ending.highest > 65.0
 
 
-@pytest.mark.parametrize("bench", [RIG, KIT], ids=["rig", "kit"])
-@pytest.mark.parametrize("seed", [11, 12])
+@pytest.mark.parametrize(("bench", "seed"), [(RIG, 11), (KIT, 12)], ids=["rig", "kit"])
 def test_a_healthy_hour_of_a_plant_that_nobody_tuned_on_latches_nothing(bench: Bench, seed: int) -> None:
     references = profile(seed, 3600) if bench is RIG else np.clip(profile(seed, 3600), 25.0, 70.0)
     assert lie_to(bench, bench.guard(), bench.plant(seed), references, seed=seed).fault is None
