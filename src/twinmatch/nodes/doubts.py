@@ -10,9 +10,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from rclpy.node import Node
-
-from twinmatch.nodes.entrance import ALONE, UNKNOWN, second_publisher
+from twinmatch.nodes.entrance import ALONE, UNKNOWN
+from twinmatch.nodes.node import TwinmatchNode
 from twinmatch.sessions.metadata import doubt_record
 
 Tell = Callable[[str, Mapping[str, str]], None]
@@ -42,7 +41,7 @@ class _Topic:
 class Doubts:
     """Records for which samples a topic had publishers of different names."""
 
-    def __init__(self, node: Node, tell: Tell) -> None:
+    def __init__(self, node: TwinmatchNode, tell: Tell) -> None:
         """Nothing is watched yet."""
         self._node, self._tell = node, tell
         self._topics: dict[str, _Topic] = {}
@@ -52,9 +51,9 @@ class Doubts:
         """Watch a topic, through the newest subscription to it."""
         known = self._topics.get(topic)
         if known is None:
-            self._topics[topic] = _Topic(second_publisher(subscription), self._publishers(topic))
+            self._topics[topic] = _Topic(self._node.entrance.second(subscription), self._publishers(topic))
         else:
-            known.second = second_publisher(subscription)
+            known.second = self._node.entrance.second(subscription)
 
     def sample(self, index: int, now: float) -> None:
         """Take the index of the newest sample; `now` in wall s."""

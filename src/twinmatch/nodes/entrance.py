@@ -73,6 +73,7 @@ class Entrance:
         self._node, self._health = node, health
         self._told: dict[str, _Told] = {}
         self._senders: dict[str, tuple[float, str]] = {}
+        self._seconds: dict[Any, SecondPublisher] = {}
 
     def course(self, kind: Any, topic: str) -> Course | None:
         """What the messages of a topic have to follow, if anything."""
@@ -105,6 +106,17 @@ class Entrance:
                 self.refuse(topic, str(error), topic)
 
         return receive
+
+    def second(self, subscription: Any) -> SecondPublisher:
+        """Who asks whether a subscription has a second publisher; the answers are its alone."""
+        if subscription not in self._seconds:
+            self._seconds[subscription] = SecondPublisher(subscription)
+        return self._seconds[subscription]
+
+    def release(self, subscription: Any) -> None:
+        """Release what watches a subscription that ends."""
+        if subscription in self._seconds:
+            self._seconds.pop(subscription).destroy()
 
     def serving(self, name: str, answer: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
         """What a service calls in place of `answer`."""
@@ -245,21 +257,26 @@ class Course:
         return bool(found) and not found & self._owners
 
 
-def second_publisher(subscription: Any) -> Callable[[], bool]:
-    """Whether a second publisher is there or was since the last call, as the middleware knows at that moment.
+class SecondPublisher:
+    """Whether a subscription has a second publisher, or had one since the last call, as DDS knows then.
 
     The events that an executor takes come too late: behind the first message of a publisher.
     """
-    matched = rclpy_implementation.EventHandle(
-        subscription.handle, QoSSubscriptionEventType.RCL_SUBSCRIPTION_MATCHED
-    )
 
-    def second() -> bool:
-        with matched:
-            now = matched.take_event()
+    def __init__(self, subscription: Any) -> None:
+        """Watch a subscription, until `destroy`."""
+        kind = QoSSubscriptionEventType.RCL_SUBSCRIPTION_MATCHED
+        self._matched = rclpy_implementation.EventHandle(subscription.handle, kind)
+
+    def __call__(self) -> bool:
+        """Look."""
+        with self._matched:
+            now = self._matched.take_event()
         return bool(now.current_count > 1 or (now.total_count > 1 and now.total_count_change > 0))
 
-    return second
+    def destroy(self) -> None:
+        """Release the subscription, which others would see until it is collected."""
+        self._matched.destroy_when_not_in_use()
 
 
 def _message(data: bytes, kind: Any) -> Any:

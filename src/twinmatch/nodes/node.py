@@ -21,7 +21,7 @@ from rclpy.timer import Timer
 
 from twinmatch.errors import TwinmatchError
 from twinmatch.links import Background
-from twinmatch.nodes.entrance import Entrance, second_publisher
+from twinmatch.nodes.entrance import Entrance
 from twinmatch.nodes.health import Level, NodeHealth, Report, status_message
 from twinmatch.nodes.step import InStep
 from twinmatch.parameters.declared import ParameterError, Setting, Values, check
@@ -227,8 +227,13 @@ class TwinmatchNode(Node):
         take = self.entrance.before(msg_type, topic, callback, course, raw=options.get("raw", False))
         made = super().create_subscription(msg_type, topic, take, qos_profile, **(options | {"raw": True}))
         if course is not None and course.owned:
-            course.second = second_publisher(made)
+            course.second = self.entrance.second(made)
         return made
+
+    def destroy_subscription(self, subscription: Any) -> bool:
+        """Destroy a subscription, and what watches it."""
+        self.entrance.release(subscription)
+        return bool(super().destroy_subscription(subscription))
 
     def create_service(
         self, srv_type: Any, srv_name: str, callback: Callable[[Any, Any], Any], **options: Any
