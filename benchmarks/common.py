@@ -175,7 +175,7 @@ def _attempt(call: Callable[[], object], loops: int, forget: Callable[[], None] 
 
 
 def forget_results() -> None:
-    """Empty the bounded caches of twinmatch: results that it keeps while a run goes on."""
+    """Empty the bounded caches of twinmatch: results that it keeps while a run continues."""
     for name in [name for name in sys.modules if name.startswith("twinmatch.")]:
         for value in list(vars(sys.modules[name]).values()):
             if isinstance(value, _Cached) and value.cache_parameters()["maxsize"] is not None:

@@ -35,6 +35,7 @@ from twinmatch.parameters.twin import (
 )
 from twinmatch.plants import PLANTS, Peltier, TCLab, find_plant
 from twinmatch.safety import GuardLimits, OutputGuard, RunawayLimits, SafetyError
+from twinmatch.sampling.channels import parse_channel
 from twinmatch.twin import TwinSettings
 
 CONFIG = PROJECT / "config"
@@ -328,25 +329,29 @@ def test_a_plant_in_a_file_has_its_disturbances_and_ages_follow_the_period(tmp_p
     limits = limits_of(values, sources)
     assert limits["output"].max_age == pytest.approx(0.3)
     assert (limits["input"].low, limits["input"].high) == pytest.approx((0.0, 100.0), abs=1e-6)
-    assert sources["room"].to("°C", ["std_msgs/msg/Float64"], ["data"]).value([300.0]) == pytest.approx(26.85)
+    room = sources["room"]
+    followed = room.follow("room", "°C", room.channels("room"), ["std_msgs/msg/Float64"])
+    assert followed.value([300.0]) == pytest.approx(26.85)
     assert find_plant(path).disturbances.keys() == {"room"}
 
 
 def test_several_topics_give_their_mean() -> None:
     given = {"map.output": "/t2:data, /t3:data; scale=0.1; offset=-4", "map.input": "/u"}
     source = sources_of("sampler", check("sampler", understood("sampler", given), given))["output"]
-    assert [channel.text for channel in source.channels] == ["/t2:data", "/t3:data"]
-    assert source.value([200.0, 300.0]) == pytest.approx(21.0)
+    channels = source.channels("output")
+    assert [channel.text for channel in channels] == ["/t2:data", "/t3:data"]
+    followed = source.follow("output", "°C", channels, ["std_msgs/msg/Float64"] * 2)
+    assert followed.value([200.0, 300.0]) == pytest.approx(21.0)
 
 
 def test_units_that_messages_have_by_their_definition_are_known() -> None:
     given = {"map.output": "/t", "map.input": "/u"}
     source = sources_of("sampler", check("sampler", understood("sampler", given), given))["output"]
-    kinds = ["sensor_msgs/msg/Temperature"]
-    assert source.to("K", kinds, ["temperature"]).value([20.0]) == pytest.approx(293.15)
-    assert source.to("°C", kinds, ["temperature"]).value([20.0]) == 20.0
+    kinds, warm = ["sensor_msgs/msg/Temperature"], [parse_channel("/t:temperature")]
+    assert source.follow("output", "K", warm, kinds).value([20.0]) == pytest.approx(293.15)
+    assert source.follow("output", "°C", warm, kinds).value([20.0]) == 20.0
     with pytest.raises(TwinmatchError, match=r"in Pa \(according to sensor_msgs/msg/FluidPressure\)"):
-        source.to("°C", ["sensor_msgs/msg/FluidPressure"], ["fluid_pressure"])
+        source.follow("output", "°C", [parse_channel("/t:fluid_pressure")], ["sensor_msgs/msg/FluidPressure"])
 
 
 def test_types_are_read_as_they_are_written() -> None:

@@ -96,7 +96,7 @@ HOSTILE = {
     "merges": (merges(10), "has more than 20000 values"),
     "many": ("[" + "1," * 40_000 + "]", "has more than 20000 values"),
     "deep lists": ("[" * 1000 + "]" * 1000, "is nested deeper than 32 levels"),
-    "deeper lists": ("[" * 50_000, "is nested deeper than 32 levels"),
+    "deeper lists": ("[" * 50_000, "is nested deeper than 32 levels|exceeded maximum nesting depth"),
     "deep mappings": ("{a: " * 1000 + "1" + "}" * 1000, "is nested deeper than 32 levels"),
     "deep blocks": ("\n".join(" " * k + "a:" for k in range(1000)), "is nested deeper than 32 levels"),
     "itself": ("a: &a [*a]", "has no complete anchor before it"),

@@ -316,9 +316,11 @@ def _ask(browser: Any, level: str, hold: str) -> None:
 
 def test_a_fault_is_shown_and_goes(graph: Graph, browser: Any) -> None:
     samples = counted(5)
-    # It is received before the first sample, or after any of them: its stamp alone says when it was.
-    graph.fault("over_temperature: 111.0 °C is above 110.0 °C <b>", samples[2].stamp + 500_000_000)
     graph.session(samples)
+    # A fault that is received before the session's first sample would be one of the session before.
+    browser.wait_for(lambda: browser.column("output", 0, "t") == [0.0, 1.0, 2.0, 3.0, 4.0], "the samples")
+    # It is received last: its stamp alone says when it was.
+    graph.fault("over_temperature: 111.0 °C is above 110.0 °C <b>", samples[2].stamp + 500_000_000)
     browser.wait_for(lambda: "Output held at zero: over temperature" in browser.text, "the alarm")
     assert "111.0 °C is above 110.0 °C <b>" in browser.text  # as text, whatever it looks like
     browser.wait_for(lambda: browser.column("happened", 1, "t") == [2.5], "its mark in the figure")
