@@ -68,7 +68,7 @@ def test_from_the_topics_of_a_foreign_rig_to_verdicts_that_verify(
         listener.spin_until(lambda: verdicts and matches and forecasts, lambda: run.text, FIRST)
         matched = matches[-1].parameters
         found = dict(zip(matched.names, matched.values, strict=True))
-        # The rig's own numbers: 0.5 W/% and 4 J/K, of a plant file that begins at 0.8 and 6. On a busy machine
+        # The rig's own numbers: 0.5 W/% and 4 J/K, of a plant file that begins at 0.8 and 6. On busy machines
         # samples are late or lost, which moves an input by a sample of the ten or so in the rig's rise.
         assert found["gain"] == pytest.approx(0.5, rel=0.1)
         assert found["capacity"] == pytest.approx(4.0, rel=0.1)
