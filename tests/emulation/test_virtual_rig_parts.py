@@ -371,6 +371,29 @@ def test_a_plant_in_step_goes_exactly_as_far_as_it_is_let_and_waits_there() -> N
     assert heard == sorted(heard)
 
 
+def test_who_drives_with_a_wrong_time_is_told_the_plants_and_can_come_back() -> None:
+    """A forged /clock may have let it continue for years: it would not stop, and never tell the time."""
+    heard: list[int] = []
+    with Bare(RigSettings(speed=50.0, in_step=True)) as plant:
+        client = ClockClient(parse_address(plant.addresses["clock"]), heard.append)
+        client.start()
+        client.say("drive", 2 * plant.stamp)
+        driven: list[int] = []
+
+        def watch() -> None:
+            """End once it has told a time at which it was driven."""
+            driven.extend([plant.stamp] if plant._clock.driven else [])
+            if driven and any(stamp >= driven[0] for stamp in heard):
+                plant.request_stop()
+
+        thread = threading.Timer(PATIENCE, plant.request_stop)
+        thread.start()
+        plant.run(watch)
+        thread.cancel()
+        assert client.close()
+    assert heard[-1] >= driven[0]
+
+
 def test_without_a_process_that_drives_it_a_plant_in_step_keeps_real_time() -> None:
     with Bare(RigSettings(speed=INFINITE, in_step=True, duration=0.3)) as plant:
         plant.run()

@@ -34,7 +34,7 @@ class Listener:
     """A node in this process that keeps what it receives."""
 
     def __init__(self, context: Context) -> None:
-        self.node = Node("listener", context=context)
+        self.node = Node("listener", context=context, start_parameter_services=False)
         self._executor = executor_of(context)
         self._executor.add_node(self.node)
 

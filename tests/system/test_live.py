@@ -34,11 +34,11 @@ from tests.support.recorded import wait_for_recorded
 from tests.support.ros import Listener, listening
 from tests.support.waiting import PATIENCE, wait_for
 from twinmatch.emulation.faults import tell
-from twinmatch.nodes.topics import EVERYTHING
+from twinmatch.nodes.topics import EVERYTHING, RELIABLE
 from twinmatch.offline.verification import verify_session
 from twinmatch.sessions import read_session
 from twinmatch.sessions.recording import repair_session
-from twinmatch_msgs.msg import Forecast, LoopSample
+from twinmatch_msgs.msg import Forecast, LoopSample, PwmApplied
 
 LIVE = LAUNCH_SCRIPTS / "live.py"
 CHILDREN = ("rig", "twin", "recorder", "plant_clock", "virtual_rig")
@@ -226,10 +226,14 @@ def test_a_forged_clock_costs_the_run_nothing_or_the_drive_until_its_fault_is_cl
     """Nothing once the run has a clock; a forger who was there before keeps the output off until he goes."""
     with listening() as listener:
         clearing = listener.node.create_client(Trigger, "plant/clear_fault")
+        applied = listener.hear(PwmApplied, "plant/pwm_applied", RELIABLE)
 
-        def cleared() -> bool:
-            answer = clearing.call_async(Trigger.Request())
-            listener.spin_until(answer.done, "an answer")
+        def driven() -> bool:
+            """A fault is cleared once it is told: what clears at every look keeps the gate closed."""
+            if applied and applied[-1].fault:
+                answer = clearing.call_async(Trigger.Request())
+                listener.spin_until(answer.done, "an answer")
+                applied.clear()
             return run.state()["pwm"] != 0.0
 
         with forger(listener, 2e9):
@@ -237,7 +241,9 @@ def test_a_forged_clock_costs_the_run_nothing_or_the_drive_until_its_fault_is_cl
             run.process.said("/clock is published by listener and plant_clock")
             run.process.said("refused: /clock: ")
             listener.spin_until(clearing.service_is_ready, "the bridge")
-        listener.spin_until(cleared, "a driven plate")
+        listener.spin_until(
+            driven, lambda: f"a driven plate: {run.state()}, {applied[-1:]}, {run.text[-2000:]}"
+        )
         for seconds in (2e9, 0.0):
             for _ in range(3):
                 before = run.state()["time"]

@@ -39,7 +39,7 @@ _CLOCK_EVERY = 0.005
 _ATTEND_EVERY = 0.01
 """Interval at which commands are obeyed, wall s."""
 _REPEAT = 0.2
-"""Interval at which a plant that waits repeats its time, which may get lost, wall s."""
+"""Longest time without an update of the clock, which may get lost, wall s."""
 _BREATH = 0.02
 """The same where only the board's answer is awaited, which usually comes without the time."""
 _SLICE = 20
@@ -213,7 +213,8 @@ class VirtualPlantTime(ABC):
             now = time.monotonic()
             if now - listened >= self._every or self.slice >= 5 * self.settings.speed:
                 listened = now
-                if not self._clock.driven:  # otherwise it stops often, and tells the time there
+                # While driven it stops often, and tells the time there, unless who drives has a wrong time.
+                if not self._clock.driven or now - self._clock_sent >= _REPEAT:
                     self._send_clock(now)
                 self._attend(watch)
                 limit = self._listen()
