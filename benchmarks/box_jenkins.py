@@ -38,7 +38,7 @@ NO_HOPS = "twinmatch, no hops"
 """The minimum next to the start values, as used in a verdict."""
 MODEL_TARGETS = {SHORT: 0.010, LONG: 0.040}
 SIPPY_TARGET = 50.0
-MOST = {"sippy_unipi": 300, "timeseries-toolbox": 1000}
+MAX_COUNT = {"sippy_unipi": 300, "timeseries-toolbox": 1000}
 """Longest record on which a slow peer is compared with the truth."""
 GROWTH = (600, 1200, 3600, 12000, 36000)
 
@@ -160,7 +160,7 @@ def _truth(quick: bool) -> list[Row]:
     rows = []
     for kind in ("white noise", "coloured noise", "closed loop"):
         for count in (300,) if quick else (300, 1000, 10000):
-            taking = {n: p for n, p in programs.items() if count <= MOST.get(n, count)}
+            taking = {n: p for n, p in programs.items() if count <= MAX_COUNT.get(n, count)}
             seeds = range(3 if quick or count > 1000 else 5)
             for name, program in taking.items():
                 begin = time.perf_counter()

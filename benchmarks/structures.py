@@ -37,7 +37,7 @@ from twinmatch.sessions import samples_of
 from twinmatch.signals import Window
 from twinmatch.twin import Schedule, StructureFits, choose_structure, nrmse, watched
 
-MEDIAN_TARGET, LEAST_TARGET = (0.992, 0.90), (0.984, 0.82)
+MEDIAN_TARGET, MIN_TARGET = (0.992, 0.90), (0.984, 0.82)
 CHOSEN = "chosen"
 MODELS = watched(Peltier)
 
@@ -129,10 +129,10 @@ def _met(console: Console, figures: list[Figures]) -> bool:
         return True
     median, least = np.median(figures, axis=0), np.min(figures, axis=0)
     # At the three decimals in which the targets are given.
-    well = bool(np.all(np.round(median, 3) >= MEDIAN_TARGET) and np.all(np.round(least, 3) >= LEAST_TARGET))
+    well = bool(np.all(np.round(median, 3) >= MEDIAN_TARGET) and np.all(np.round(least, 3) >= MIN_TARGET))
     console.print(
         f"chosen, {len(figures)} healthy recordings: median {median[0]:.4f} and {median[1]:.4f} "
-        f"(target {MEDIAN_TARGET}), least {least[0]:.4f} and {least[1]:.4f} (target {LEAST_TARGET}): "
+        f"(target {MEDIAN_TARGET}), least {least[0]:.4f} and {least[1]:.4f} (target {MIN_TARGET}): "
         f"{'met' if well else 'not met'} to three decimals"
     )
     return well

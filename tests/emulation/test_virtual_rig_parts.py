@@ -371,7 +371,7 @@ def test_a_plant_in_step_goes_exactly_as_far_as_it_is_let_and_waits_there() -> N
     assert heard == sorted(heard)
 
 
-def test_who_drives_with_a_wrong_time_is_told_the_plants_and_can_come_back() -> None:
+def test_who_drives_with_a_wrong_time_receives_that_of_the_plant() -> None:
     """A forged /clock may have let it continue for years: it would not stop, and never tell the time."""
     heard: list[int] = []
     with Bare(RigSettings(speed=50.0, in_step=True)) as plant:

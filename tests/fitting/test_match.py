@@ -166,7 +166,7 @@ def test_what_stands_is_kept_only_as_far_as_the_window_allows(record: Recorder) 
 def test_a_fit_that_may_not_finish_did_not_converge(
     record: Recorder, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("twinmatch.fitting.estimation._MOST_EVALUATIONS", 2)
+    monkeypatch.setattr("twinmatch.fitting.estimation._MAX_EVALUATIONS", 2)
     assert match(record(TRUTH, seed=4), start=START).status is Status.DID_NOT_CONVERGE
 
 

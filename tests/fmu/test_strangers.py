@@ -183,7 +183,7 @@ def test_a_bomb_is_not_unpacked(exchange_fmu: Path, tmp_path: Path) -> None:
     fmu = _changed(exchange_fmu, tmp_path)
     with zipfile.ZipFile(fmu, "a") as opened:
         opened.writestr("resources/zeros", b"0")
-        opened.filelist[-1].file_size = 1 + archive.MOST_BYTES  # as its directory says
+        opened.filelist[-1].file_size = 1 + archive.MAX_BYTES  # as its directory says
     with pytest.raises(FmuError, match="the limit is 512 MiB"):
         adopt_fmus(write_map(tmp_path, fmu))
 

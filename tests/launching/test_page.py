@@ -30,7 +30,7 @@ from twinmatch.offline.summary import Tally, conclude, summarise
 from twinmatch.sessions import Recording, read_session
 from twinmatch.sessions.messages import SAMPLE, encode_sample
 from twinmatch.showing.console import Console
-from twinmatch.showing.terminal import MOST_EVENTS, Screen
+from twinmatch.showing.terminal import MAX_EVENTS, Screen
 from twinmatch.showing.verdicts import events
 from twinmatch.signals import Sample
 from twinmatch.twin import GapFiller, TwinSettings, filled_stretches
@@ -235,7 +235,7 @@ def test_the_view_keeps_what_it_shows(judged: tuple[list[Sample], list[Verdict]]
     screen = Screen(Console(file=io.StringIO()), "live")
     many = [replace(v, sample=v.sample + 10_000 * k) for k in range(20) for v in verdicts]
     assert growth(lambda k: screen.take_verdict(many[k]), len(many) // 2, len(many) // 2) < 20_000
-    assert list(screen._events) == events(many)[-MOST_EVENTS:]
+    assert list(screen._events) == events(many)[-MAX_EVENTS:]
 
 
 def test_the_figures_of_the_end_are_those_of_all_samples_and_verdicts(

@@ -34,12 +34,12 @@ from twinmatch.fitting import Fit, Match, Status
 from twinmatch.launching.live import Live, _LiveRun
 from twinmatch.launching.plan import LivePlan
 from twinmatch.launching.watch import Settled, Watch
-from twinmatch.nodes.entrance import ALONE, MOST_KINDS, MOST_NAMES, MOST_REASONS, Course
+from twinmatch.nodes.entrance import ALONE, MAX_KINDS, MAX_NAMES, MAX_REASONS, Course
 from twinmatch.nodes.expected import MESSAGES, check
 from twinmatch.nodes.fields import MessageError
 from twinmatch.nodes.messages import message_of, request_message, sample_message
 from twinmatch.nodes.topics import EVERYTHING, NEWEST
-from twinmatch.nodes.twin import MOST_WAITING
+from twinmatch.nodes.twin import MAX_WAITING
 from twinmatch.plants import Peltier
 from twinmatch.showing.console import Console
 from twinmatch.showing.foxglove.node import Foxglove
@@ -443,7 +443,7 @@ class Beside:
         """End the program, which has said what it refused."""
         told = {k for node in self._program.nodes for k in node.health.report().values if "refused" in k}
         assert len(told) >= len(self.topics)
-        assert all(len(node.entrance._told) <= MOST_KINDS for node in self._program.nodes)
+        assert all(len(node.entrance._told) <= MAX_KINDS for node in self._program.nodes)
         assert self._program.end() == 0, self._program.text
 
 
@@ -512,10 +512,10 @@ def test_many_kinds_of_nonsense_on_a_topic_are_counted_and_few_are_reported(
     assert not listener.health
     start("twin_simulator")
     listener.spin_until(listener.samples.get_subscription_count, "the simulator")
-    others = [Node(f"other_{k}", context=listener.node.context) for k in range(MOST_NAMES)]
+    others = [Node(f"other_{k}", context=listener.node.context) for k in range(MAX_NAMES)]
     for node in others:
         node.create_publisher(messages.LoopSample, "plant/sample", 10)
-    many = MOST_NAMES + 1
+    many = MAX_NAMES + 1
     listener.spin_until(lambda: listener.node.count_publishers("plant/sample") == many, "the publishers")
     draw = Nonsense(seed=27)
     for _ in range(60):
@@ -525,7 +525,7 @@ def test_many_kinds_of_nonsense_on_a_topic_are_counted_and_few_are_reported(
         lambda: listener.said(f"(published by one of {many} nodes; ros2 topic"), "the senders"
     )
     told = [status.message.count("refused: ") for status in listener.reports("twin_simulator: health")]
-    assert max(told) == MOST_REASONS
+    assert max(told) == MAX_REASONS
     for node in others:
         node.destroy_node()
 
@@ -570,11 +570,11 @@ def test_a_flood_of_sound_messages_is_not_queued(
     def counted() -> bool:
         assert twin.running, twin.text
         found = {name: nodes[name].health.report().values.get(key, "0") for name, key in counts.items()}
-        return int(found["discriminator"]) == 1000 and int(found["matcher"]) == 1000 - MOST_WAITING
+        return int(found["discriminator"]) == 1000 and int(found["matcher"]) == 1000 - MAX_WAITING
 
     listener.spin_until(counted, lambda: str([node.health.report() for node in twin.nodes]))
     assert nodes["discriminator"].worker.depth == 0
-    assert nodes["matcher"].worker.depth < MOST_WAITING
+    assert nodes["matcher"].worker.depth < MAX_WAITING
     let.set()
 
 
@@ -600,7 +600,7 @@ def test_a_keeper_keeps_no_more_verdicts_than_there_are_samples(
 def test_samples_beyond_what_memory_should_hold_are_left_to_be_fetched(
     start: Callable[..., Inside], listener: Listener, steps: list[Sample], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("twinmatch.nodes.samples.MOST_QUEUED", -1)
+    monkeypatch.setattr("twinmatch.nodes.samples.MAX_QUEUED", -1)
     (node,) = start("twin_simulator").nodes
     listener.spin_until(listener.samples.get_subscription_count, "the simulator")
     listener.send(steps[:30])

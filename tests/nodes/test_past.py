@@ -29,8 +29,8 @@ def sample(index: int) -> Sample:
 def kept(samples: int = 2000, messages: int = 20) -> Iterator[Store]:
     """A store that gives so many at a time."""
     with pytest.MonkeyPatch.context() as patch, closing(Store()) as store:
-        patch.setattr(keeper, "MOST_SAMPLES", samples)
-        patch.setattr(keeper, "MOST_MESSAGES", messages)
+        patch.setattr(keeper, "MAX_SAMPLES", samples)
+        patch.setattr(keeper, "MAX_MESSAGES", messages)
         yield store
 
 

@@ -27,7 +27,7 @@ from twinmatch.parameters.twin import read_settings
 from twinmatch.plants import Peltier
 from twinmatch.plants.records import parameters_from
 from twinmatch.sessions import SessionError, messages
-from twinmatch.sessions.documents import MOST_BYTES, DocumentError, parse_json, parse_yaml, read_yaml
+from twinmatch.sessions.documents import MAX_BYTES, DocumentError, parse_json, parse_yaml, read_yaml
 from twinmatch.sessions.messages import PLANT_TOPICS, SAMPLE, Qos, Topic, fields_of, schema_of
 from twinmatch.sessions.metadata import files_listed, parse_qos
 
@@ -119,7 +119,7 @@ HOSTILE = {
     "two": ("a: 1\n---\na: 2", "line 2: a second document begins"),
     "merged": ("a: {<<: 5}", "merges a value that is not a mapping"),
     "long": ("a: " + "x" * 20_000, "has a text of more than 10000 characters"),
-    "longer": ("#" * (MOST_BYTES + 1), f"has more than {MOST_BYTES} characters"),
+    "longer": ("#" * (MAX_BYTES + 1), f"has more than {MAX_BYTES} characters"),
     "torn": ("a: [1, 2", r"is not valid YAML in line \d"),
     "tab": ("a:\n\t- b", "is not valid YAML in line 2"),
     "zero byte": ("a: \0", "is not valid YAML"),
@@ -183,11 +183,11 @@ def test_no_reader_of_files_lets_it_through_or_waits_for_one_that_never_ends(
         with within(10, 100), pytest.raises(TwinmatchError, match=r"file\.yaml"):
             read(tmp_path / "file.yaml")
     os.mkfifo(tmp_path / "pipe")
-    (tmp_path / "long").write_bytes(b" " * (MOST_BYTES + 1))
+    (tmp_path / "long").write_bytes(b" " * (MAX_BYTES + 1))
     for path, message in (
         (tmp_path / "pipe", "is a pipe, a device or a socket"),
         (Path("/dev/zero"), "is a pipe, a device or a socket"),
-        (tmp_path / "long", f"has more than {MOST_BYTES} bytes"),
+        (tmp_path / "long", f"has more than {MAX_BYTES} bytes"),
         (tmp_path / ("x" * 300), "File name too long"),
         (tmp_path, "is a folder"),
         (tmp_path / "none", "No such file"),

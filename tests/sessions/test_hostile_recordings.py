@@ -22,7 +22,7 @@ from twinmatch.cli import main
 from twinmatch.importing import open_any, read_recording
 from twinmatch.importing.tables import read_table
 from twinmatch.sessions import RecordingError, SessionError
-from twinmatch.sessions.files import MOST_LINE
+from twinmatch.sessions.files import MAX_LINE
 from twinmatch.sessions.scan import MAGIC, Scan
 
 CSV = "time,reference,temperature,pwm\n0,30,25.5,-1\n1,30,26,2\n"
@@ -205,7 +205,7 @@ def test_a_table_without_line_ends_is_not_read_whole(tmp_path):
     with path.open("wb") as file:
         file.write(CSV.encode())
         file.truncate(2**28)  # zeros that take no room on the disk
-    with within(10, 20), pytest.raises(RecordingError, match=f"line 4 has more than {MOST_LINE} characters"):
+    with within(10, 20), pytest.raises(RecordingError, match=f"line 4 has more than {MAX_LINE} characters"):
         read_recording(path)
 
 

@@ -229,7 +229,7 @@ def test_a_forged_clock_costs_the_run_nothing_or_the_drive_until_its_fault_is_cl
         applied = listener.hear(PwmApplied, "plant/pwm_applied", RELIABLE)
 
         def driven() -> bool:
-            """A fault is cleared once it is told: what clears at every look keeps the gate closed."""
+            """A fault is cleared once it is reported: what clears at every look keeps the gate closed."""
             if applied and applied[-1].fault:
                 answer = clearing.call_async(Trigger.Request())
                 listener.spin_until(answer.done, "an answer")

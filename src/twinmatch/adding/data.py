@@ -151,7 +151,7 @@ def _accepted(matches: tuple[MatchReport, ...]) -> list[str]:
 
 _STRETCH: Final = 200
 """Samples over which the controller runs on its own: its integral shows wrong gains and wrong windup."""
-_LEAST: Final = 20
+_MIN_SAMPLES: Final = 20
 """Shorter stretches are left out."""
 _SHARE: Final = 0.1
 """RMS error of the input, in standard deviations of the input, from which the loop is another one."""
@@ -178,7 +178,7 @@ def _runs(samples: Sequence[Sample], period: float) -> Iterator[Window]:
     for run in unbroken(samples):
         for first in range(0, len(run), _STRETCH):
             part = run[first : first + _STRETCH]
-            if len(part) >= _LEAST:
+            if len(part) >= _MIN_SAMPLES:
                 yield Window.from_samples(part, period)
 
 
@@ -186,7 +186,7 @@ def _errors(run: Window, law: Law) -> Iterator[FloatArray]:
     """Input of the declared controller minus the recorded one, from its first two samples within limits on:
     the controller's state follows from those."""
     within = [not law.saturates(float(u)) for u in run.input]
-    begin = next((k for k in range(len(run) - _LEAST) if within[k] and within[k + 1]), None)
+    begin = next((k for k in range(len(run) - _MIN_SAMPLES) if within[k] and within[k + 1]), None)
     if begin is None:
         return
     part = run.part(run.first + begin, run.last)
@@ -196,7 +196,7 @@ def _errors(run: Window, law: Law) -> Iterator[FloatArray]:
 
 _SHORTEST: Final = 60
 """Samples of the shortest stretch that is used."""
-_MOST: Final = 7200
+_MAX_SAMPLES: Final = 7200
 """Samples that are used at most: two hours at 1 s determine a structure, and longer fits take long."""
 
 
@@ -236,7 +236,7 @@ def compare_structures(samples: Sequence[Sample], plant: type[Plant], settings: 
 
 
 def _windows(samples: Sequence[Sample], settings: TwinSettings) -> list[Window]:
-    windows, left = [], _MOST
+    windows, left = [], _MAX_SAMPLES
     for stretch in filled_stretches(samples, settings):
         count = min(left, len(stretch))
         if count >= _SHORTEST:

@@ -212,8 +212,8 @@ TOLERANCE = 1e-12
 """Relative excess over the best κ² that an interval must be able to reach to be searched."""
 
 STACK = 128
-SHORTEST = 1e-10
-MOST_HALVINGS = 20_000
+MIN_LENGTH = 1e-10
+MAX_HALVINGS = 20_000
 
 
 @compiled
@@ -295,7 +295,7 @@ def highest(
             off += 0.25 * h * abs(dm - (1.5 * (fb - fa) / h - 0.25 * (da + db)))
             # halving reduces the error of the cubics 16 times; an eighth leaves a margin
             bar = best * (1 + TOLERANCE) - 0.125 * off
-            if h < SHORTEST or halvings > MOST_HALVINGS or waiting > STACK - 3:
+            if h < MIN_LENGTH or halvings > MAX_HALVINGS or waiting > STACK - 3:
                 continue
             h *= 0.5
             if _cubic_top(fm, fb, h * dm, h * db) > bar:

@@ -32,7 +32,7 @@ TRIVIAL_PROGRAM = 15
 MODEL_PROGRAM = 176
 """Length of the program that runs a Box–Jenkins model of any order (paper, section IV)."""
 
-MOST_DECIMALS = 15
+MAX_DECIMALS = 15
 
 _EXACT = 2.0**52  # below this a scaled value still resolves halves
 
@@ -67,8 +67,8 @@ def code_length(values: ArrayLike, decimals: int) -> int:
     Raises:
         DiscriminationError: a value is not finite, or `decimals` is out of range.
     """
-    if not 0 <= decimals <= MOST_DECIMALS:
-        raise DiscriminationError(f"code length: {decimals} decimals; give 0 to {MOST_DECIMALS}")
+    if not 0 <= decimals <= MAX_DECIMALS:
+        raise DiscriminationError(f"code length: {decimals} decimals; give 0 to {MAX_DECIMALS}")
     table = np.array(values, dtype=np.float64).ravel()
     bad = np.flatnonzero(~np.isfinite(table))
     if bad.size:

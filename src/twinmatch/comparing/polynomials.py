@@ -154,7 +154,7 @@ def is_hurwitz(polynomial: Polynomial) -> bool:
 NEAR = 1e-5
 """Angle to the positive real axis, radians, below which roots are refined."""
 
-MOST_STEPS = 500
+MAX_STEPS = 500
 
 
 def roots_of_even_part(polynomial: Polynomial) -> NDArray[np.complex128]:
@@ -171,7 +171,7 @@ def _refined_roots(polynomial: Polynomial) -> NDArray[np.complex128]:
     from sympy import Poly, Symbol  # noqa: PLC0415 — slow, and few models need it
 
     _, factors = Poly(polynomial[::-1], Symbol("x")).sqf_list()
-    roots = [root for factor, power in factors for root in factor.nroots(50, maxsteps=MOST_STEPS) * power]
+    roots = [root for factor, power in factors for root in factor.nroots(50, maxsteps=MAX_STEPS) * power]
     return np.array([complex(root) for root in roots])
 
 

@@ -33,11 +33,11 @@ _SMALL = 1e-10
 _FIRST_DAMPING = 1e-3
 _NEAR, _ALIKE = 0.5, 0.5
 """Largest rise above a minimum found before, and largest error of its quadratic model, within its valley."""
-LEAST_DAMPING: Final = 1e-12
-_SETTLING, _MOST_DAMPING = 1e-9, 1e9
+MIN_DAMPING: Final = 1e-12
+_SETTLING, _MAX_DAMPING = 1e-9, 1e9
 """Damping tried next if the least finds no step, and damping at which parameters are nearly independent."""
 
-_DAMPING, _GROWTH, _EXPECTED, _EVALUATIONS, _MOST, _CONVERGED, _KNOWN, _CAME_BACK, _N = range(9)
+_DAMPING, _GROWTH, _EXPECTED, _EVALUATIONS, _MAX_EVALUATIONS, _CONVERGED, _KNOWN, _CAME_BACK, _N = range(9)
 
 
 class Descended(NamedTuple):
@@ -85,7 +85,7 @@ def new_search(
     """A new search, which first requests its start, shape (n,), inside the bounds."""
     n = start.size
     figures = np.zeros(_N)
-    figures[_DAMPING], figures[_GROWTH], figures[_MOST] = _FIRST_DAMPING, 2.0, most_evaluations
+    figures[_DAMPING], figures[_GROWTH], figures[_MAX_EVALUATIONS] = _FIRST_DAMPING, 2.0, most_evaluations
     known = found is not None and found.converged
     figures[_KNOWN] = found.cost if known and found else np.nan
     return Search(
@@ -150,21 +150,21 @@ def update_search(search: Search, cost: float, gradient: FloatArray, hessian: Fl
             fell, expected = search.best[0] - cost, figures[_EXPECTED]
             trusted = fell / expected if expected > 0.0 else 0.0
             less = max(0.1, 1.0 - (2.0 * trusted - 1.0) ** 3)
-            figures[_DAMPING] = max(figures[_DAMPING] * less, LEAST_DAMPING)
+            figures[_DAMPING] = max(figures[_DAMPING] * less, MIN_DAMPING)
             figures[_GROWTH] = 2.0
         search.best[0] = cost
         values[:], search.gradient[:], search.hessian[:, :] = search.point, gradient, hessian
         if _in_valley(search, cost):
             figures[_CAME_BACK] = figures[_CONVERGED] = 1.0
             return False
-        promised = box_step(search.hessian, search.gradient, values, lower, upper, LEAST_DAMPING)[1]
+        promised = box_step(search.hessian, search.gradient, values, lower, upper, MIN_DAMPING)[1]
         if promised <= _TOLERANCE * cost + _NOTHING:
             figures[_CONVERGED] = 1.0
             return False
     else:
         figures[_DAMPING] *= figures[_GROWTH]
         figures[_GROWTH] *= 2.0
-    if figures[_EVALUATIONS] >= figures[_MOST]:
+    if figures[_EVALUATIONS] >= figures[_MAX_EVALUATIONS]:
         return False
     step, expected = box_step(search.hessian, search.gradient, values, lower, upper, figures[_DAMPING])
     figures[_EXPECTED] = expected
@@ -211,7 +211,7 @@ def box_step(
     Returns the step, shape (n,), and the predicted decrease −(2gᵀd + dᵀHd) of the sum.
     """
     step, settled = _step_of_free(hessian, gradient, values, lower, upper, damping)
-    while not settled and damping < _MOST_DAMPING:
+    while not settled and damping < _MAX_DAMPING:
         damping = max(100.0 * damping, _SETTLING)
         step, settled = _step_of_free(hessian, gradient, values, lower, upper, damping)
     promised = 0.0

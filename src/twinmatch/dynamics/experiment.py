@@ -234,7 +234,7 @@ class Experiment:
         found: tuple[FloatArray, LawCode, FloatArray, FloatArray, int] = self._kernels.start_at(
             self._problem, values
         )
-        if found[-1] > self._kernels.MOST_STEPS:
+        if found[-1] > self._kernels.MAX_STEPS:
             self.model.steps(found[0], self.window.period)  # raises the error
         return found
 

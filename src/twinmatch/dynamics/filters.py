@@ -41,7 +41,7 @@ ADAPTS = 0.05
 """Relative change of the process noise per sample and unit of innovation² / variance − 1: some 20 samples."""
 SURPRISE = 9.0
 """Most that one innovation² / variance counts: jumps of a self-correcting sensor are not the plant's."""
-MOST_NOISE = 1e8
+MAX_NOISE = 1e8
 """Greatest factor on the process noise; below 1, the drift that was given, it never falls."""
 
 
@@ -264,7 +264,7 @@ def adapt(
         surprise = 0.0
         for o in range(innovations.size):
             surprise += min(innovations[o] * innovations[o] / variances[o], SURPRISE) / innovations.size
-        after = min(max(factor[0] * math.exp(ADAPTS * (surprise - 1.0)), 1.0), MOST_NOISE)
+        after = min(max(factor[0] * math.exp(ADAPTS * (surprise - 1.0)), 1.0), MAX_NOISE)
         for i in range(process_noise.size):
             process_noise[i] *= after / factor[0]
         factor[0] = after

@@ -27,11 +27,11 @@ from twinmatch.signals import FloatArray
 
 RATE_LIMIT = 0.06
 """Runge–Kutta step in units of the fastest time constant: its error is below 1e-7 of the step."""
-MOST_STEPS = 2000
-MOST_EVENTS = 24
+MAX_STEPS = 2000
+MAX_EVENTS = 24
 """Kinks located within one step; further ones are stepped over."""
 BISECTIONS = 48
-MOST_SWITCHES = 6
+MAX_SWITCHES = 6
 """Kinks whose combinations are all checked for the fastest rate."""
 
 Code = NDArray[np.int64]
@@ -132,10 +132,10 @@ def tick(
     there = work.there
     for _ in range(steps):
         left = period / steps
-        for event in range(MOST_EVENTS):
+        for event in range(MAX_EVENTS):
             taken = left
             _call_step(code[STEP], x, u, d, work.p, work.b, there, left)
-            if there[x.size] != 0.0 and event < MOST_EVENTS - 1:
+            if there[x.size] != 0.0 and event < MAX_EVENTS - 1:
                 taken = _reach(code, x, u, d, work, left)
                 _call_step(code[STEP], x, u, d, work.p, work.b, there, taken)
             for i in range(x.size):
@@ -158,9 +158,9 @@ def tick_with_tangents(
     there = work.there
     for _ in range(steps):
         left = period / steps
-        for event in range(MOST_EVENTS):
+        for event in range(MAX_EVENTS):
             h = left
-            there[x.size] = 1.0 if code[N_SWITCHES] and event < MOST_EVENTS - 1 else 0.0
+            there[x.size] = 1.0 if code[N_SWITCHES] and event < MAX_EVENTS - 1 else 0.0
             for _ in range(2):  # again, if the step would cross a kink
                 _call_tangents(
                     code[TANGENTS], x, u, d, work.p, work.b, there, h, columns, du, which, which.size,
@@ -305,7 +305,7 @@ def step_count(
     limit: float,
 ) -> int:  # fmt: skip
     """Runge–Kutta steps per sample, none longer than `limit` times the fastest time constant; more than
-    MOST_STEPS where the plant is too fast.
+    MAX_STEPS where the plant is too fast.
 
     The fastest rate decides: the largest over the states `corners`, shape (k, n), the inputs `drives`, shape
     (k, m), and all branches of the kinks, of a bound on the eigenvalues of df/dx.
@@ -314,11 +314,11 @@ def step_count(
     work, found = work_for(code, vector), np.empty(n * (q + 1 + n + code[N_INPUTS]))
     for k in range(corners.shape[0]):
         for given in range(drives.shape[0]):
-            for branch in range(2 ** min(switched, MOST_SWITCHES)):
+            for branch in range(2 ** min(switched, MAX_SWITCHES)):
                 for i in range(switched):
                     work.b[i] = float(branch >> i & 1)
                 call(code[SLOPES], corners[k], drives[given], d, work.p, work.b, found)
                 fx = found[n * q + n : n * q + n + n * n].reshape(n, n)
                 fastest = max(fastest, spectral_bound(fx))
     count = np.ceil(period * fastest / limit)
-    return int(max(count, 1.0)) if count <= MOST_STEPS else MOST_STEPS + 1
+    return int(max(count, 1.0)) if count <= MAX_STEPS else MAX_STEPS + 1

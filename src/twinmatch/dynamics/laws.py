@@ -27,7 +27,7 @@ greatest values, and its gains: those of PID and two levels as named below, or t
 whose rows give u and then the next state from z, y, r, 1 and u."""
 KIND, PERIOD, N_COMMANDS, LOW = range(4)
 HIGH, PROPORTIONAL, INTEGRAL, DERIVATIVE, BACK, ON_MEASUREMENT = range(4, 10)
-BELOW, ABOVE, LEAST_ON, LEAST_OFF, MOST_ON = range(5, 10)
+BELOW, ABOVE, MIN_ON, MIN_OFF, MAX_ON = range(5, 10)
 NO_LAW: Final = np.array([GIVEN, 1.0, 0.0])
 """The set-points are the commands: a plant under a given input."""
 
@@ -63,8 +63,8 @@ def law_step(
     elif law[KIND] == TWO_LEVEL:
         on, since = z[0] > 0.0, z[1] + law[PERIOD]
         wanted = (y[0] <= references[k, 0] + law[ABOVE]) if on else (y[0] < references[k, 0] - law[BELOW])
-        due = since >= (law[LEAST_ON] if on else law[LEAST_OFF])
-        switched = (due and wanted != on) or (on and since >= law[MOST_ON])
+        due = since >= (law[MIN_ON] if on else law[MIN_OFF])
+        switched = (due and wanted != on) or (on and since >= law[MAX_ON])
         after[0] = 1.0 if on != switched else 0.0
         after[1] = 0.0 if switched else since
         after[2] = y[0]
@@ -116,10 +116,10 @@ def law_tangents(
 def _cause(law: LawCode, z: FloatArray, reference: float) -> int:
     """What decides the moment at which two levels switch: BY_READING, BY_TIME, or NOTHING: the set-point."""
     on = z[0] > 0.0
-    if on and z[1] + law[PERIOD] >= law[MOST_ON]:
+    if on and z[1] + law[PERIOD] >= law[MAX_ON]:
         return BY_TIME
     if z[2] > reference + law[ABOVE] if on else z[2] < reference - law[BELOW]:
-        return BY_TIME if z[1] < law[LEAST_ON if on else LEAST_OFF] else NOTHING
+        return BY_TIME if z[1] < law[MIN_ON if on else MIN_OFF] else NOTHING
     return BY_READING
 
 
@@ -195,8 +195,8 @@ def gain_slopes(
             on = z[0] > 0.0
             before = law[HIGH] if on else law[LOW]
             cause = _cause(law, z, references[k, 0]) if u[0] != before else NOTHING
-            longest = on and z[1] + law[PERIOD] >= law[MOST_ON]
-            if cause == BY_TIME and place == (MOST_ON if longest else LEAST_ON if on else LEAST_OFF):
+            longest = on and z[1] + law[PERIOD] >= law[MAX_ON]
+            if cause == BY_TIME and place == (MAX_ON if longest else MIN_ON if on else MIN_OFF):
                 slopes[0, t], slopes[2, t] = -(u[0] - before) / law[PERIOD], -1.0
             elif cause == BY_READING and place == (ABOVE if on else BELOW):
                 moved = (z[2] - y[0]) if on else (y[0] - z[2])

@@ -11,7 +11,7 @@ from twinmatch.dynamics.declarations import PlantError
 from twinmatch.dynamics.plant import Parameters
 from twinmatch.signals import FloatArray, only
 
-MOST_STEPS = 60
+MAX_STEPS = 60
 STEADY = 1e-9
 """Newton step, in units of the states' spans and the drive's range, below which the equilibrium is found."""
 
@@ -63,7 +63,7 @@ def rest_at(parameters: Parameters, output: ArrayLike, disturbances: ArrayLike |
     low, high = np.array([state.span for state in model.declared_states], dtype=np.float64).T
     least, most = np.array([drive.limits for drive in drives.values()], dtype=np.float64).T
     scales, n, u = np.append(high - low, most - least), states.size, model.rest
-    for _ in range(MOST_STEPS):
+    for _ in range(MAX_STEPS):
         f, fx, fu, _, hx, _ = model.kernels.slopes_at(parameters.vector, states, u, row)
         off = model.kernels.outputs_at(parameters.vector, states, u, row)[0] - y
         slopes = np.block([[fx, fu], [hx, np.zeros((y.size, y.size))]]) * scales

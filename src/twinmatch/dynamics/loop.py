@@ -18,7 +18,7 @@ from twinmatch.dynamics.declarations import PlantError
 from twinmatch.dynamics.laws import LINEAR, LOW, PID, TWO_LEVEL, LawCode, commands_of
 from twinmatch.signals import FloatArray, Window, finite
 
-_MOST_AMPLIFICATION = 1e3
+_MAX_AMPLIFICATION = 1e3
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,7 +132,7 @@ def controller_state(window: Window, gains: PidGains) -> PidState:
         return _consistent_integral(gains, float(error[k]), change, float(window.input[k]))
 
     integral = consistent(1)
-    if free is not None and free > 1 and abs(kept) ** (free - 1) * _MOST_AMPLIFICATION >= 1:
+    if free is not None and free > 1 and abs(kept) ** (free - 1) * _MAX_AMPLIFICATION >= 1:
         integral = consistent(free)
         for k in range(free - 1, 0, -1):
             integral += (1 - kept) * (integral - consistent(k)) / kept
@@ -194,9 +194,9 @@ class TwoLevel:
     GAINS: ClassVar[Mapping[str, int]] = {
         "below": laws.BELOW,
         "above": laws.ABOVE,
-        "least_on": laws.LEAST_ON,
-        "least_off": laws.LEAST_OFF,
-        "most_on": laws.MOST_ON,
+        "least_on": laws.MIN_ON,
+        "least_off": laws.MIN_OFF,
+        "most_on": laws.MAX_ON,
     }
 
     def __post_init__(self) -> None:

@@ -19,11 +19,11 @@ from twinmatch.signals import FloatArray
 
 _USUAL: Final = 100.0
 """Time constant at which times are as for the rig, s."""
-_MOST_SAMPLES: Final = 4.0
-_LEAST_SAMPLES: Final = 0.2
+_MAX_SAMPLES: Final = 4.0
+_MIN_SAMPLES: Final = 0.2
 """Samples in the time that is one second of the rig: with fewer, the longest horizon would be less than 60
 samples, as many as a verdict compares with the forecasts made for them; with more, computing is slow."""
-_SHORTEST_PERIOD: Final = 0.5
+_MIN_PERIOD: Final = 0.5
 """Sample time below which times shrink with it where no time constant is known, s."""
 _SHOWN: Final = 0.1
 """Share of the largest that a mode must have in the response to a step of the input."""
@@ -37,7 +37,7 @@ def time_scale(period: float) -> float:
     In a plant that is sampled every minute, nothing can be seen ten seconds ahead, and five minutes are only
     five samples. In a motor that is sampled a hundred times a second, all has settled long before.
     """
-    return max(period * _LEAST_SAMPLES, min(period / _SHORTEST_PERIOD, 1.0))
+    return max(period * _MIN_SAMPLES, min(period / _MIN_PERIOD, 1.0))
 
 
 def plant_scale(plant: type[Plant], period: float, longer: float = 1.0) -> float:
@@ -46,7 +46,7 @@ def plant_scale(plant: type[Plant], period: float, longer: float = 1.0) -> float
     slow = time_constant(plant)
     if not slow:
         return time_scale(period) * longer
-    return max(_LEAST_SAMPLES * period, min(slow / _USUAL, _MOST_SAMPLES * period)) * longer
+    return max(_MIN_SAMPLES * period, min(slow / _USUAL, _MAX_SAMPLES * period)) * longer
 
 
 def slow_scale(plant: type[Plant], period: float) -> float:

@@ -230,10 +230,10 @@ class Model:
         count = kernels.step_count(
             vector, self.corners, self.drives, self.disturbances, float(period), kernels.RATE_LIMIT
         )
-        if not count <= self.kernels.MOST_STEPS:
+        if not count <= self.kernels.MAX_STEPS:
             raise PlantError(
                 f"{self.title}: its shortest time constant is too short for a period of {period:g} s; "
-                f"a sample would take more than {self.kernels.MOST_STEPS} steps"
+                f"a sample would take more than {self.kernels.MAX_STEPS} steps"
             )
         return int(count)
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from twinmatch.compiled import compiled
 from twinmatch.dynamics.descent import Search, update_search
 from twinmatch.dynamics.kernels import (
-    MOST_STEPS,
+    MAX_STEPS,
     N_INPUTS,
     N_OUTPUTS,
     N_UNKNOWN,
@@ -350,7 +350,7 @@ def normal_at(
     is infinite where the plant is too fast. What is known beforehand counts like so many residuals more."""
     n = values.size
     p, law, x, columns, steps = start_at(code, problem, values)
-    if steps > MOST_STEPS:
+    if steps > MAX_STEPS:
         return np.inf, np.zeros(n), np.zeros((n, n))
     normal = run_with_tangents(
         code, p, problem.which, x, columns, law, problem.tuned, problem.memory, problem.references,

@@ -53,7 +53,7 @@ class Kernels:
     """The kernels, each called with one plant's code; and the names of the plant's quantities."""
 
     RATE_LIMIT = kernels.RATE_LIMIT
-    MOST_STEPS = kernels.MOST_STEPS
+    MAX_STEPS = kernels.MAX_STEPS
 
     def __init__(
         self, machine_code: bytes, names: Mapping[str, Sequence[str]], sizes: Mapping[str, int]

@@ -32,7 +32,7 @@ from twinmatch.dynamics.definition import Expression, PlantDefinition
 
 _SHARE: Final = 1e-3
 """δ as a share of the largest value."""
-_MOST_CORNERS: Final = 4096
+_MAX_CORNERS: Final = 4096
 """Corners of the declared ranges at which that value is sought."""
 _ORDERS: Final = range(1, 9)
 _MARGIN: Final = 0.5
@@ -174,7 +174,7 @@ class Roots:
 
         varying = sorted(base.free_symbols & self._ranges.keys(), key=str)
         value = sympy.lambdify([*varying, *self._defaults], base, modules="math")
-        corners = itertools.islice(itertools.product(*(self._ranges[s] for s in varying)), _MOST_CORNERS)
+        corners = itertools.islice(itertools.product(*(self._ranges[s] for s in varying)), _MAX_CORNERS)
         found = []
         for corner in corners:
             try:

@@ -23,12 +23,12 @@ from dataclasses import dataclass
 from twinmatch.errors import TwinmatchError
 from twinmatch.links import Background
 
-_LONGEST = 32
-_MOST_HEARD = 256
+_MAX_NUMBER = 32
+_MAX_HEARD = 256
 """Longest line, bytes; who sends a longer one is dropped."""
 _PATIENCE = 30.0
 """Wall time for which a plant waits for one reader, s; then it continues without it until it speaks again."""
-_FIRST_PAUSE, _LONGEST_PAUSE = 0.1, 2.0
+_FIRST_PAUSE, _MAX_PAUSE = 0.1, 2.0
 
 
 class ClockError(TwinmatchError):
@@ -62,7 +62,7 @@ class _ClockReader:
 
     def take(self, line: bytes) -> None:
         kind, _, number = line.partition(b" ")
-        if not (number.isdigit() and len(line) < _LONGEST):
+        if not (number.isdigit() and len(line) < _MAX_NUMBER):
             return
         if kind == b"image":
             self.image = int(number)
@@ -106,7 +106,7 @@ class LineServer:
             except OSError:
                 said = b""
             *lines, rest = (self._clients[client] + said).split(b"\n")
-            if not said or max(map(len, (*lines, rest))) > _MOST_HEARD:
+            if not said or max(map(len, (*lines, rest))) > _MAX_HEARD:
                 self._drop(client)
                 continue
             self._clients[client] = rest
@@ -242,7 +242,7 @@ class ClockClient(Background):
                 self.error = str(error)
             self._connection = None
             self.ending.wait(pause)
-            pause = min(2 * pause, _LONGEST_PAUSE)
+            pause = min(2 * pause, _MAX_PAUSE)
 
     def _follow(self, connection: socket.socket) -> None:
         connection.settimeout(0.2)
@@ -255,7 +255,7 @@ class ClockClient(Background):
             if not piece:
                 raise ClockError("the virtual rig has ended")
             *lines, rest = (rest + piece).split(b"\n")
-            if len(rest) > _LONGEST or any(not line.isdigit() for line in lines[-1:]):
+            if len(rest) > _MAX_NUMBER or any(not line.isdigit() for line in lines[-1:]):
                 raise ClockError("the stream is not the clock of a virtual rig; is the address right?")
             if lines:
                 self._tell(int(lines[-1]))

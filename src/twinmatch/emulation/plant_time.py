@@ -44,11 +44,11 @@ _BREATH = 0.02
 """The same where only the board's answer is awaited, which usually comes without the time."""
 _SLICE = 20
 """Longest slice, ms of plant time."""
-_MOST_LATE = 0.2
+_MAX_LATE = 0.2
 """Most plant time caught up after a delay, s, when it runs faster than the wall clock. Longer delays of a
 busy machine are lost: catching up in one jump would look like a silent host to the board, with its deadline
 of one second. At real time nothing is lost, because a real plant does not wait either."""
-_LEAST = 0.005
+_MIN_LATE = 0.005
 """Wall time always caught up, s: the latency of waking up."""
 _RECENT = 2.0
 """Wall time over which the achieved speed is averaged, s."""
@@ -305,7 +305,7 @@ class RigPace:
         now = time.monotonic()
         self._mark(now, plant)
         due = self._wall + (plant - self._plant) / self.speed
-        late = math.inf if self._real else max(_LEAST, _MOST_LATE / self.speed)
+        late = math.inf if self._real else max(_MIN_LATE, _MAX_LATE / self.speed)
         if now - due > late:
             self._wall, self._plant = now - late, plant
         return max(0.0, due - now)

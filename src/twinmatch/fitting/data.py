@@ -14,7 +14,7 @@ from twinmatch.signals import FloatArray
 ORDERS = ("22221", "33331", "44441", "55551")
 """The ladder of orders of the paper (table II), each nb nc nd nf nk."""
 
-MOST = 50
+MAX_ORDER = 50
 """Upper limit on the coefficients of a polynomial and on the delay."""
 
 
@@ -83,8 +83,8 @@ def parse_order(order: str | Sequence[int]) -> Order:
     if parsed.nb < 1:
         msg = f"order: {order!r} leaves no coefficient for B; nb must be at least 1"
         raise FittingError(msg)
-    if min(parsed) < 0 or max(parsed) > MOST:
-        msg = f"order: {order!r} has a number outside 0 to {MOST}; give smaller ones"
+    if min(parsed) < 0 or max(parsed) > MAX_ORDER:
+        msg = f"order: {order!r} has a number outside 0 to {MAX_ORDER}; give smaller ones"
         raise FittingError(msg)
     return parsed
 

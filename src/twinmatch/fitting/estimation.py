@@ -17,7 +17,7 @@ from twinmatch.dynamics import Parameters, box_step
 from twinmatch.fitting.problem import Evaluation, Problem
 from twinmatch.signals import FloatArray
 
-_MOST_EVALUATIONS = 100
+_MAX_EVALUATIONS = 100
 _ON_BOUND = 1e-4
 """Distance from a bound, in units of the interval, below which a parameter counts as on it."""
 _ROUNDING = 1e-13
@@ -26,8 +26,8 @@ over hundreds of samples, accurate to a relative 1e-14. The condition number is 
 QUANTILE: Final = 3.841458820694124
 """95 % quantile of χ² with one degree of freedom."""
 
-_MOST_STEPS, _MOST_CUTS = 8, 3
-_MOST_REFITS, _MOST_OF_REFIT, _FIRST_SPAN = 16, 30, 0.1
+_MAX_STEPS, _MAX_CUTS = 8, 3
+_MAX_REFITS, _MAX_OF_REFIT, _FIRST_SPAN = 16, 30, 0.1
 _FAR, _CUT = 2.0, 0.4
 _CLOSE = 0.02
 """Tolerance of an end, as a share of the allowed rise of the sum of squares: 1 % of the half interval."""
@@ -68,9 +68,9 @@ def starts_for(problem: Problem, start: Parameters) -> list[FloatArray]:
 
 def solve(problem: Problem, starts: Sequence[FloatArray]) -> Estimate:
     """The best of the fits from several starts; of equals the first."""
-    best = problem.descend(starts[0], _MOST_EVALUATIONS)
+    best = problem.descend(starts[0], _MAX_EVALUATIONS)
     for start in starts[1:]:
-        found = problem.descend(start, _MOST_EVALUATIONS, best)
+        found = problem.descend(start, _MAX_EVALUATIONS, best)
         if found.cost < best.cost:
             best = found
     return Estimate(problem, best.values, best.converged)
@@ -180,7 +180,7 @@ def profile_end(problem: Problem, start: Evaluation, i: int, sign: int, rise: fl
     point = inside = start
     limit = start.cost + rise
     bound = float(problem.upper[i] if sign > 0 else problem.lower[i])
-    for _ in range(_MOST_STEPS):
+    for _ in range(_MAX_STEPS):
         values, cost, gradient, hessian = point
         box = hessian, gradient, values, problem.lower, problem.upper, i
         gain = cost - model_profile(*box, 0.0, cost)[1]
@@ -192,7 +192,7 @@ def profile_end(problem: Problem, start: Evaluation, i: int, sign: int, rise: fl
         if abs(excess) <= _CLOSE * rise and gain <= _CLOSE * rise:
             return values
         way = model_reach(*box, float(inside.values[i]), bound, cost, limit)
-        for _ in range(_MOST_CUTS):
+        for _ in range(_MAX_CUTS):
             step = model_profile(*box, way, cost)[0]
             there = problem.evaluate(np.minimum(np.maximum(values + step, problem.lower), problem.upper))
             if there.cost <= max(limit + _FAR * rise, cost):
@@ -211,7 +211,7 @@ def _bracketed(
     near, below = inside.values, inside.cost - limit
     far, beyond, ahead = bound, math.inf, 1.0
     span = math.copysign(_FIRST_SPAN * float(problem.scales[i]), bound - float(near[i]))
-    for _ in range(_MOST_REFITS):
+    for _ in range(_MAX_REFITS):
         here = float(near[i])
         if math.isfinite(beyond):
             # The rise is nearly a parabola, so a straight line approximates its root; Illinois method.
@@ -221,7 +221,7 @@ def _bracketed(
             target = min(target, bound) if bound > here else max(target, bound)
         lower, upper, start = problem.lower.copy(), problem.upper.copy(), near.copy()
         lower[i] = upper[i] = start[i] = target
-        found = problem.experiment.descend(start, lower, upper, problem.scales, _MOST_OF_REFIT)
+        found = problem.experiment.descend(start, lower, upper, problem.scales, _MAX_OF_REFIT)
         excess = found.cost - limit
         if abs(excess) <= _CLOSE * rise:
             return found.values

@@ -30,7 +30,7 @@ from twinmatch.signals import FloatArray, Window
 
 _LEVELS = 8
 """Number of set-points considered, over the range that the plant declares for them."""
-_LEAST_STEP = 0.5
+_MIN_STEP = 0.5
 """Smallest suggested step, as a share of the distance between two of them."""
 _LEAD, _AFTER = 20, 240
 """Samples of the window kept before its last step, and samples simulated after the new one."""
@@ -65,7 +65,7 @@ def suggest_step(problem: Problem, values: FloatArray, fisher: FloatArray, name:
     here, place = float(problem.window.reference[-1]), problem.names.index(name)
     output = problem.base.model.plant.output
     levels = np.linspace(*(output.set_points or output.span), _LEVELS)
-    least = _LEAST_STEP * (levels[1] - levels[0])
+    least = _MIN_STEP * (levels[1] - levels[0])
     gains: list[tuple[float, float, float]] = []
     for level in sorted(levels.tolist(), key=lambda level: abs(level - here)):
         after = _after_step(problem, values, level) if abs(level - here) >= least else None

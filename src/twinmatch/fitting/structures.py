@@ -37,7 +37,7 @@ initial state and the sensor its first readings."""
 
 _LOOK = 8
 """Evaluations after which only the best of several starts continues."""
-_MOST_EVALUATIONS = 40
+_MAX_EVALUATIONS = 40
 LASTING: Final = 30.0
 """Correlation length of the residuals, samples: so many count as one independent residual."""
 SPREAD: Final = 0.5
@@ -130,7 +130,7 @@ def fit_structure(
         firsts = [problem.values_of(plant.replace(**more)) for more in ({}, *others)]
         looks = [problem.search(first, _LOOK if thorough or informed else 1) for first in firsts]
         values = min(looks, key=lambda found: found.cost).values
-    found = problem.search(values, _MOST_EVALUATIONS if thorough else _LOOK)
+    found = problem.search(values, _MAX_EVALUATIONS if thorough else _LOOK)
     return problem.fitted(found)
 
 

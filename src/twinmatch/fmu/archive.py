@@ -21,17 +21,17 @@ import yaml
 from twinmatch.dynamics import Plant, PlantError
 from twinmatch.signals import KELVIN
 
-MOST_BYTES: Final = 512 * 1024 * 1024
+MAX_BYTES: Final = 512 * 1024 * 1024
 """Largest file, and largest total size of its content, bytes."""
-MOST_FILES: Final = 20_000
+MAX_FILES: Final = 20_000
 _BLOCK: Final = 1 << 20
 CO_SIMULATION: Final = "co-simulation"
 MODEL_EXCHANGE: Final = "model exchange"
-MOST_VARIABLES: Final = 100_000
+MAX_VARIABLES: Final = 100_000
 
 _REAL: Final = ("Real", "Float64")
 _CELSIUS: Final = ("°C", "degC")
-_MOST: Final = 60
+_MAX_LISTED: Final = 60
 """Most variables listed per kind."""
 
 
@@ -71,8 +71,8 @@ def unpack(file: Path, folder: Path, only: str = "") -> list[str]:
 
 
 def _check(infos: list[zipfile.ZipInfo]) -> None:
-    if len(infos) > MOST_FILES:
-        raise FmuError(f"has {len(infos)} files; the limit is {MOST_FILES}")
+    if len(infos) > MAX_FILES:
+        raise FmuError(f"has {len(infos)} files; the limit is {MAX_FILES}")
     for info in infos:
         name = PurePosixPath(info.filename)
         if name.is_absolute() or ".." in name.parts or "\\" in info.filename or ":" in info.filename:
@@ -80,8 +80,8 @@ def _check(infos: list[zipfile.ZipInfo]) -> None:
         if stat.S_ISLNK(info.external_attr >> 16):
             raise FmuError(f"has the link {info.filename!r}; it is not unpacked")
     total = sum(info.file_size for info in infos)
-    if total > MOST_BYTES:
-        size, most = total / 2**20, MOST_BYTES // 2**20
+    if total > MAX_BYTES:
+        size, most = total / 2**20, MAX_BYTES // 2**20
         raise FmuError(f"has {size:.0f} MiB; the limit is {most} MiB")
 
 
@@ -175,8 +175,8 @@ def read_description(folder: Path, names: Iterable[str]) -> Described:
         found = read_model_description(str(folder), validate=False)
     except Exception as error:  # FMPy raises many kinds
         raise ValueError(f"its modelDescription.xml does not follow FMI {version}: {error}") from error
-    if len(found.modelVariables) > MOST_VARIABLES:
-        raise ValueError(f"it has {len(found.modelVariables)} variables; the limit is {MOST_VARIABLES}")
+    if len(found.modelVariables) > MAX_VARIABLES:
+        raise ValueError(f"it has {len(found.modelVariables)} variables; the limit is {MAX_VARIABLES}")
     ways = ((MODEL_EXCHANGE, found.modelExchange), (CO_SIMULATION, found.coSimulation))
     supported = [(kind, way) for kind, way in ways if way is not None]
     for _, way in supported:
@@ -261,9 +261,9 @@ def overview(described: Described) -> list[str]:
         ("others that can be set before a run", _others(described)),
     ):
         lines.append(f"{title}: {'none' if not found else ''}".rstrip())
-        lines += [f"  {_line(variable)}" for variable in found[:_MOST]]
-        if len(found) > _MOST:
-            lines.append(f"  and {len(found) - _MOST} more")
+        lines += [f"  {_line(variable)}" for variable in found[:_MAX_LISTED]]
+        if len(found) > _MAX_LISTED:
+            lines.append(f"  and {len(found) - _MAX_LISTED} more")
     return [*lines, _verdict(described)]
 
 

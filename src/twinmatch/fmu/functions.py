@@ -20,7 +20,7 @@ from numba import types
 
 from twinmatch.compiled import compiled
 from twinmatch.dynamics.kernels import (
-    MOST_STEPS,
+    MAX_STEPS,
     OUTPUT_SLOPES,
     OUTPUTS,
     SLOPES,
@@ -39,8 +39,8 @@ from twinmatch.fmu.machine import (
     EXCHANGE,
     GIVEN,
     HELD,
-    LEAST,
-    MOST,
+    HIGHEST,
+    LOWEST,
     N_INPUTS,
     N_PARAMETERS,
     N_STATES,
@@ -112,7 +112,7 @@ def ends_of(at: Integers, f: FloatArray, by: int, value: float) -> tuple[float, 
     if by < at[N_PARAMETERS]:
         size = max(WIDTH * abs(value), NEAR_ZERO * size)
     high, low = value + size, value - size
-    return high if high <= f[at[MOST] + by] else value, low if low >= f[at[LEAST] + by] else value
+    return high if high <= f[at[HIGHEST] + by] else value, low if low >= f[at[LOWEST] + by] else value
 
 
 @compiled(inside=True)
@@ -247,7 +247,7 @@ def normal_at(
                 code, vector, problem.corners, problem.drives, problem.default_disturbances, problem.period,
                 problem.rate_limit,
             )  # fmt: skip
-            if steps > MOST_STEPS:
+            if steps > MAX_STEPS:
                 return nowhere
         y, u, _ = run(
             code, vector, x, problem.law, problem.memory, problem.references, problem.disturbances, still,

@@ -51,7 +51,7 @@ STATUS, WHERE, BEGUN = range(29, 32)
 PLACES, GIVEN, UNKNOWN, SHOWN = range(32, 36)
 """Where these begin among the integers: index of each state among the FMU's own, indices of the disturbances
 that it takes, indices of the parameters with tangents, and which of these the output depends on by itself."""
-FACTORS, OFFSETS, HELD, SIZES, LEAST, MOST, HEAD = range(36, 43)
+FACTORS, OFFSETS, HELD, SIZES, LOWEST, HIGHEST, HEAD = range(36, 43)
 """Where these begin among the floats, each in the order parameters, states, inputs, output. Plant value =
 factor · FMU value + offset; the values at which it is, in the plant's units; scales of parameters, and spans
 of states and drive; least and most possible values. And the end of the integers that are not lists."""
@@ -61,10 +61,10 @@ ENDED: Final = 101
 UNSETTLED: Final = 102
 _WARNING = 1
 """Highest status that is not an error."""
-MOST_ROUNDS = 100
+MAX_ROUNDS = 100
 """Most event iterations at one time."""
 BISECTIONS = 48
-MOST_EVENTS = 24
+MAX_EVENTS = 24
 """Most events located in one step; later ones are not located."""
 
 
@@ -258,11 +258,11 @@ def _integrate(at: Integers, f: FloatArray, x: FloatArray, h: float) -> None:
     after, signs = np.empty(n), np.empty(indicated)
     _pass(at, GET_STATES, x)
     left = h
-    for event in range(MOST_EVENTS):
+    for event in range(MAX_EVENTS):
         time, taken = f[RUN_TIME], left
         _indicators(at, x, time, signs)
         _stepped(at, x, time, left, after)
-        if indicated > 0 and event < MOST_EVENTS - 1 and _crossed(at, after, time + left, signs):
+        if indicated > 0 and event < MAX_EVENTS - 1 and _crossed(at, after, time + left, signs):
             low, taken = 0.0, left
             for _ in range(BISECTIONS):
                 middle = 0.5 * (low + taken)
@@ -343,7 +343,7 @@ def _complete(at: Integers, f: FloatArray, x: FloatArray) -> None:
 @compiled(inside=True)
 def _settle(at: Integers) -> None:
     """Iterate over events until the discrete states stay, and continue."""
-    for _ in range(MOST_ROUNDS):
+    for _ in range(MAX_ROUNDS):
         if at[STATUS] != 0:
             return
         flags = np.zeros(16, dtype=np.int32)
@@ -366,6 +366,6 @@ def error_of(at: Integers, f: FloatArray) -> str:
     if status == ENDED:
         return "it terminated the simulation, or returned early"
     if status == UNSETTLED:
-        return f"its discrete states do not converge in {MOST_ROUNDS} event iterations"
+        return f"its discrete states do not converge in {MAX_ROUNDS} event iterations"
     name = NAMES_3.get(where, where) if at[FMI_3] else where
     return f"its function {name} returned status {status}"

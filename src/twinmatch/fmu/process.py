@@ -32,8 +32,8 @@ from numpy.typing import NDArray
 
 from twinmatch.fmu.archive import FmuError
 
-MOST_HEADER: Final = 1 << 24
-MOST_NUMBERS: Final = 1 << 27
+MAX_HEADER: Final = 1 << 24
+MAX_NUMBERS: Final = 1 << 27
 """Largest header, and largest block of numbers after it, bytes."""
 
 _LENGTHS: Final = struct.Struct("<II")
@@ -107,7 +107,7 @@ def unpacked(read: Callable[[int], bytes]) -> ProcessMessage:
     """
     lengths = read(_LENGTHS.size)
     size, numbers = _LENGTHS.unpack(lengths)
-    if size > MOST_HEADER or numbers > MOST_NUMBERS:
+    if size > MAX_HEADER or numbers > MAX_NUMBERS:
         raise FmuMessageError(f"a message of {size} and {numbers} bytes")
     try:
         header = json.loads(read(size))

@@ -31,8 +31,8 @@ from twinmatch.dynamics.descent import Search, update_search
 from twinmatch.dynamics.runs import LeastSquares
 from twinmatch.dynamics.store import KERNELS
 from twinmatch.fmu.archive import (
+    MAX_BYTES,
     MODEL_EXCHANGE,
-    MOST_BYTES,
     Described,
     FmuError,
     described_from,
@@ -107,7 +107,7 @@ class FmuKernels:
     """The kernels of `twinmatch.dynamics`, run in an FMU's process, with derivatives by some parameters."""
 
     QUANTITIES: Final[tuple[str, ...]] = ()
-    RATE_LIMIT, MOST_STEPS = kernels.RATE_LIMIT, kernels.MOST_STEPS
+    RATE_LIMIT, MAX_STEPS = kernels.RATE_LIMIT, kernels.MAX_STEPS
 
     def __init__(self, source: FmuSource, unknown: tuple[str, ...]) -> None:
         self._source, self.UNKNOWN = source, unknown
@@ -329,8 +329,8 @@ def _digest(of: FmuMap) -> str:
     if not of.file.is_file():  # a pipe or a device would never end
         raise FmuError(f"{of.place}: {of.file} does not exist or is not a file; give the path of an FMU")
     try:
-        if of.file.stat().st_size > MOST_BYTES:
-            raise FmuError(f"{of.place}: {of.file} is larger than the limit of {MOST_BYTES >> 20} MiB")
+        if of.file.stat().st_size > MAX_BYTES:
+            raise FmuError(f"{of.place}: {of.file} is larger than the limit of {MAX_BYTES >> 20} MiB")
         return digest_of(of.file)
     except OSError as error:
         raise FmuError(f"{of.place}: {of.file} cannot be read: {error.strerror}") from error

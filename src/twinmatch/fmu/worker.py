@@ -29,8 +29,8 @@ from twinmatch.dynamics.kernels import Code
 from twinmatch.fmu import functions, machine
 from twinmatch.fmu.archive import (
     CO_SIMULATION,
+    MAX_BYTES,
     MODEL_EXCHANGE,
-    MOST_BYTES,
     Described,
     described_from,
     digest_of,
@@ -53,7 +53,7 @@ MEMORY: Final = 2 << 30
 """Memory that the FMU may use in addition to that of this process before loading, bytes."""
 _GRACE: Final = 10
 """Seconds after the time limit at which the process ends itself."""
-_LONGEST: Final = 1e8
+_MAX_SECONDS: Final = 1e8
 DESCRIPTION: Final = "modelDescription.xml"
 
 
@@ -242,7 +242,7 @@ class FmuWorker:
         kinds = tuple(map(numba.typeof, whole))
         if kinds not in kernel.overloads:
             self._say(packed({"loading": True}))
-            signal.alarm(math.ceil(min(2 * header["limit"] + START, _LONGEST)) + _GRACE)
+            signal.alarm(math.ceil(min(2 * header["limit"] + START, _MAX_SECONDS)) + _GRACE)
             kernel.compile(kinds)
             self._say(packed({"loading": False}))
         found = kernel(*whole)
@@ -272,7 +272,7 @@ def main() -> None:
         while True:
             message = unpacked(lambda size: _read(questions, size))
             # If the parent has ended, nobody else ends an FMU that hangs and lets no other thread run.
-            signal.alarm(math.ceil(min(message.header["limit"], _LONGEST)) + _GRACE)
+            signal.alarm(math.ceil(min(message.header["limit"], _MAX_SECONDS)) + _GRACE)
             worker.answer(message)
             signal.alarm(0)
     _leave(folder)
@@ -290,7 +290,7 @@ def _limit() -> None:
     taken = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0]) * resource.getpagesize()
     for what, most in (
         (resource.RLIMIT_AS, taken + MEMORY),
-        (resource.RLIMIT_FSIZE, MOST_BYTES),
+        (resource.RLIMIT_FSIZE, MAX_BYTES),
         (resource.RLIMIT_CORE, 0),
     ):
         resource.setrlimit(what, (most, most))

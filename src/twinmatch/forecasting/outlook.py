@@ -145,7 +145,7 @@ def foresight_of(
 
 @functools.cache
 def _least(plant: type[Plant]) -> FloatArray:
-    least = [0.0] * len(plant.outputs) + [(_LEAST * drive.noise) ** 2 for drive in plant.drives.values()]
+    least = [0.0] * len(plant.outputs) + [(_MIN_NOISE * drive.noise) ** 2 for drive in plant.drives.values()]
     return np.array(least)[:, None]
 
 
@@ -205,7 +205,7 @@ def _spans(model: Model) -> FloatArray:
     return np.asarray(high - low, dtype=np.float64)
 
 
-_LEAST: Final = 0.3
+_MIN_NOISE: Final = 0.3
 """Least standard deviation of a future input, in units of its noise: the controller may leave a limit."""
 _MARGIN: Final = 3.0
 """Margin around the visited levels that still counts as visited, in the output's noise."""

@@ -116,7 +116,7 @@ def _last(forecast: Forecast, there: NDArray[np.bool_]) -> float | None:
     return float(forecast.time[int(away[-1]) + 1 if away.size else 0])
 
 
-MOST_SAMPLES: Final = 3600
+MAX_SAMPLES: Final = 3600
 """Longest forecast, samples: it limits the computing time of an answer."""
 NEAR: Final = 10.0
 """Default tolerance for reaching a level, in the output's noise: 1 °C on the rig."""
@@ -198,8 +198,8 @@ def _samples(horizon: float | None, outlook: Outlook) -> int:
     if not (math.isfinite(horizon) and horizon > 0):
         raise ForecastError(f"forecast: the horizon is {horizon:g} s; give a positive time")
     size = max(round(horizon / period), 1)
-    if size > MOST_SAMPLES:
-        msg = f"forecast: the horizon is {horizon:g} s; give at most {MOST_SAMPLES * period:g} s"
+    if size > MAX_SAMPLES:
+        msg = f"forecast: the horizon is {horizon:g} s; give at most {MAX_SAMPLES * period:g} s"
         raise ForecastError(msg)
     return size
 

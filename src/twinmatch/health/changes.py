@@ -58,7 +58,7 @@ _ROOM_TIME: Final = 1800.0
 _RARE: Final = 2.5
 """Prior cost of a change that grows evenly over minutes, nats: fans fail at once and fail far more often, and
 the sink's response to that looks much the same."""
-_LEAST: Final = {
+_MIN_SIZE: Final = {
     Kind.LOSSES: 0.4,
     Kind.ROOM: 0.3,
     Kind.DRIVE: 0.08,
@@ -127,11 +127,11 @@ def hypotheses(tracker: Tracker, noise: float, period: float) -> Sequence[Hypoth
         declared = tracker.parameters.model.declared[name]
         logged = bool(tracker.logged[tracker.free.index(name)])
         if declared.role == Kind.LOSSES.value and logged:
-            least = _LEAST[Kind.LOSSES]
+            least = _MIN_SIZE[Kind.LOSSES]
             found += [Hypothesis(Kind.LOSSES, tracker.at[name], s, w, least, name) for s, w in _LOSSES]
         if declared.role == Kind.ROOM.value:
             scale = 0.05 if logged else declared.scale
-            least = _LEAST[Kind.ROOM] * scale
+            least = _MIN_SIZE[Kind.ROOM] * scale
             found.append(Hypothesis(Kind.ROOM, tracker.at[name], 0.0, _ROOM * scale, least, name))
     found += [replace(h, slowly=_ROOM_TIME, price=_RARE) for h in found if h.kind is Kind.ROOM]
     for kind, index, unit, spread in (
@@ -139,18 +139,18 @@ def hypotheses(tracker: Tracker, noise: float, period: float) -> Sequence[Hypoth
         (Kind.SENSOR, tracker.offset, noise, _OFFSET),
         (Kind.OTHER, tracker.push, noise / period, _PUSH),
     ):
-        sudden = Hypothesis(kind, index, 0.0, spread * unit, _LEAST[kind] * unit)
+        sudden = Hypothesis(kind, index, 0.0, spread * unit, _MIN_SIZE[kind] * unit)
         found += [sudden] if kind is Kind.OTHER else [sudden, replace(sudden, slowly=_SLOW_TIME, price=_RARE)]
     scale = slow_scale(tracker.parameters.model.plant, period)
     unit = noise / (scale if scale > 1.0 else time_scale(period))
-    passing = Hypothesis(Kind.PASSING, tracker.fading, 0.0, 0.0, _LEAST[Kind.PASSING] * unit)
+    passing = Hypothesis(Kind.PASSING, tracker.fading, 0.0, 0.0, _MIN_SIZE[Kind.PASSING] * unit)
     found += [replace(passing, spread=spread * unit, lasting=time) for spread, time in _PASSING]
     return [replace(h, lasting=h.lasting * scale, slowly=h.slowly * scale) for h in found]
 
 
 _EVERY: Final = 2
 """Spacing of the moments at which a change may have begun, blocks."""
-_LEAST_AGE: Final = 3
+_MIN_AGE: Final = 3
 """Least age of a change that is reported, blocks."""
 _CAME_BACK: Final = 0.5
 """Share of the smallest change worth reporting below which a number has come back."""
@@ -282,7 +282,7 @@ class ChangeDetector:
         hits, weights = self._traces.hits, self._traces.weights
         worth = 0.5 * hits**2 / (weights + 1.0 / spreads) - 0.5 * np.log1p(weights * spreads)
         age = count - self._started
-        fits = (self._started >= 0) & (age >= _LEAST_AGE) & (age <= longest)
+        fits = (self._started >= 0) & (age >= _MIN_AGE) & (age <= longest)
         worth = np.where(fits, worth, 0.0)
         if worth.max() < _WORTH and self._best is None:
             self._asking = 0
@@ -295,7 +295,7 @@ class ChangeDetector:
         ages = {best - _EVERY, best, best + _EVERY}
         if self._best is not None:
             ages.add(round((self._tracked.blocks[-1].first - self._best[0].first) / self._tracked.size) + 1)
-        kept = sorted(a for a in ages if _LEAST_AGE <= a <= longest)
+        kept = sorted(a for a in ages if _MIN_AGE <= a <= longest)
         return self._compare(kept) if kept else None
 
     def _compare(self, ages: Sequence[int]) -> DetectedChange | None:

@@ -39,7 +39,7 @@ _FIRST_ERROR: Final = 3.0
 """Assumed error at rest before anything is learned, in standard deviations of a reading's noise …"""
 _FIRST_SHARE: Final = 0.3
 """… and share of the movement by which equations with typical parameters are usually wrong."""
-_LEAST_SHARE: Final = 0.15
+_MIN_SHARE: Final = 0.15
 """That share is never trusted to be smaller: other movements may show other errors."""
 
 _MOVING_SHARE: Final = 0.2
@@ -70,7 +70,7 @@ class ErrorModel:
     def error(self, moved: float, turned_down: float) -> float:
         """Usual error (1 σ) of a stretch over which the plant moves so far, and so far because the drive was
         turned down."""
-        share = max(math.sqrt(self.share), _LEAST_SHARE)
+        share = max(math.sqrt(self.share), _MIN_SHARE)
         return math.hypot(math.sqrt(self.rest), min(share, _MOVING_SHARE) * moved, share * turned_down)
 
     def learned(self, error: float, moved: float) -> ErrorModel:
@@ -172,16 +172,16 @@ class SimulatedSpan:
 
 _SPANS: Final = (10.0, 16.0, 25.0, 40.0, 64.0, 100.0)
 """Lengths of the stretches over which the drive's effect is estimated, s."""
-_LEAST_NOISES: Final = 8.0
+_MIN_NOISES: Final = 8.0
 """Least expected effect whose share is computed, in standard deviations of a reading's noise …"""
-_LEAST_ERRORS: Final = 6.0
+_MIN_ERRORS: Final = 6.0
 """… and in the usual error of the equations over such a stretch."""
 _LONG: Final = 2
 """From this of the stretches on, the missing part of a smaller effect counts, too; over a shorter one it is
 only a step or two of the reading …"""
 _MISSING: Final = 0.6
 """… if it is this share of the least effect: where both begin, a share of 0.4 is left."""
-_MOST: Final = 1.6
+_MAX_MISSING: Final = 1.6
 """It may exceed the expected effect by this factor, as typical parameters may be so far off; a larger error
 has another cause than a dead drive."""
 _ROOM_CHANGE: Final = 0.6
@@ -348,11 +348,11 @@ class LaggedEffect(DriveEffect):
             return
         share = 1.0 + error / effect
         likely = errors.error(stretch.moved, changed if changed * effect < 0.0 else 0.0)
-        least = max(_LEAST_NOISES * self._noise, _LEAST_ERRORS * likely)
+        least = max(_MIN_NOISES * self._noise, _MIN_ERRORS * likely)
         missing = abs(error) if share < 1.0 else 0.0
         counts = abs(effect) >= least
         if len(stretch) >= self._spans[_LONG]:
-            counts = counts or _MISSING * least <= missing <= _MOST * abs(effect)
+            counts = counts or _MISSING * least <= missing <= _MAX_MISSING * abs(effect)
         if share >= self.share or not counts:
             return
         if missing > _MISSING * abs(effect) and missing < stretch.colder(_ROOM_CHANGE):

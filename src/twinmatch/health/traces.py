@@ -15,9 +15,9 @@ from twinmatch.health.balance import Movement
 
 _SPANS: Final = (6.0, 8.0, 10.0, 12.0, 16.0, 20.0)
 """Lengths of the stretches over which the drive's effect is estimated, s."""
-_LEAST_EFFECT: Final = 15.0
+_MIN_EFFECT: Final = 15.0
 """Least movement expected from the drive: the size of a healthy camera's jumps …"""
-_LEAST_RATE: Final = 4.5
+_MIN_RATE: Final = 4.5
 """… plus this for every second: twice the error of a twin over minutes …"""
 _ROUGHNESS: Final = 2.0
 """… or, with a less accurate twin, so many times the roughness of the balance."""
@@ -30,9 +30,9 @@ FOLLOWS: Final = (0.6, 2.5)
 
 _CHANCE: Final = 1e-9
 """Probability below which repeated readings are not chance; a year has 3e7 seconds."""
-_LEAST_NOISE: Final = 0.1
+_MIN_NOISE: Final = 0.1
 """Mean change from reading to reading below which a healthy sensor may repeat itself indefinitely."""
-_LEAST_MOVES: Final = 30
+_MIN_MOVES: Final = 30
 """Changes of the reading needed to know how often it repeats."""
 _COARSELY: Final = 8.0
 """Movement of the plant above which even a sensor with coarse steps should not repeat its reading."""
@@ -41,9 +41,9 @@ _STEPS: Final = 3.0
 _MOVED: Final = 30.0
 """Movement of the plant above which a sensor that repeats its reading is frozen."""
 
-_LONGEST_LAG: Final = 7.0
+_MAX_LAG: Final = 7.0
 """Longest lag tried, s; the best one must be shorter, or it could as well be a dead drive."""
-_LEAST_LAG: Final = 2.0
+_MIN_LAG: Final = 2.0
 """Least lag that is reported, s."""
 _LAG_SUM: Final = 4.0
 """Movements are compared in sums over this time, to suppress noise, s."""
@@ -86,7 +86,7 @@ class Effect(DriveEffect):
 
     def push(self, movement: Movement, roughness: float) -> None:
         """Take the movement of one period, and the roughness (per second) of the balance it comes from."""
-        least = max(_LEAST_RATE * self._noise, _ROUGHNESS * roughness) * self._period
+        least = max(_MIN_RATE * self._noise, _ROUGHNESS * roughness) * self._period
         left = movement.unexplained
         like = abs(self._last) > _LIKE * self._noise and left * self._last > 0
         isolated = abs(left) > _STEP * self._noise and not like
@@ -100,7 +100,7 @@ class Effect(DriveEffect):
                 break
             then = self._sums[known - length]
             expected = newest[0] - then[0]
-            if abs(expected) < _LEAST_EFFECT * self._noise + least * length:
+            if abs(expected) < _MIN_EFFECT * self._noise + least * length:
                 continue
             share = 1.0 + (newest[1] - then[1]) / expected
             if not share >= self.share:
@@ -167,7 +167,7 @@ class Repeats:
         if self._inward:
             return self.expected * self._inward > _MOVED * self._noise
         chance = max(self._often, self._lately, 0.02) ** self.count
-        noisy = self._moves >= _LEAST_MOVES and self._change >= _LEAST_NOISE * self._noise
+        noisy = self._moves >= _MIN_MOVES and self._change >= _MIN_NOISE * self._noise
         # A reading whose noise is smaller than its last digit repeats whenever the plant is at rest.
         noisy = noisy and not self._coarse and self._jitter >= _STEPS * self._step
         return abs(self.expected) > _MOVED * self._noise or (noisy and chance < _CHANCE)
@@ -178,7 +178,7 @@ class Lag:
 
     def __init__(self, period: float) -> None:
         self._period = period
-        self._size = round((_SPANS[-1] + _LONGEST_LAG + _LAG_SUM) / period) + 2
+        self._size = round((_SPANS[-1] + _MAX_LAG + _LAG_SUM) / period) + 2
         self._sum = max(1, round(_LAG_SUM / period))
         self.restart()
 
@@ -195,7 +195,7 @@ class Lag:
     def seconds(self, length: int) -> float | None:
         """The lag that explains the newest `length` readings, s; None unless it does so far better than no
         lag and than a drive without effect."""
-        most = round(_LONGEST_LAG / self._period)
+        most = round(_MAX_LAG / self._period)
         size = max(length, self._sum)
         if len(self._past) < most + size + self._sum:
             return None
@@ -206,6 +206,6 @@ class Lag:
         late = [float(np.sum((seen - drive[most - n : drive.size - n]) ** 2)) for n in range(most + 1)]
         best = int(np.argmin(late))
         dead = float(np.sum(seen**2))
-        if not _LEAST_LAG / self._period <= best < most or late[best] > _FAR_BETTER * min(late[0], dead):
+        if not _MIN_LAG / self._period <= best < most or late[best] > _FAR_BETTER * min(late[0], dead):
             return None
         return best * self._period

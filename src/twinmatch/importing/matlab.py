@@ -31,10 +31,10 @@ _HEAD: Final = 1024
 """Bytes of a variable that are searched for its flags, dimensions and name."""
 _SLACK: Final = 64 * 1024
 """Bytes that a variable may have besides its values: tags, name, padding."""
-_MOST_VARIABLES: Final = 10_000
-_MOST_SHOWN: Final = 20
+_MAX_VARIABLES: Final = 10_000
+_MAX_SHOWN: Final = 20
 """Most names of variables in one message."""
-_MOST_VALUES: Final = 40_000_000
+_MAX_VALUES: Final = 40_000_000
 """Most numbers that are read, 320 MB: ten million samples of four signals, a day at 100 Hz."""
 
 _MATRIX, _COMPRESSED = 14, 15
@@ -80,9 +80,9 @@ def read_matrices(path: Path, name: str = "", width: int = 0) -> dict[str, Float
             present = list(_variables(file, order))
             wanted = [_named(path, present, name, width)] if name else _longest(path, present)
             values = sum(math.prod(variable.shape) for variable in wanted)
-            if values > _MOST_VALUES:
-                many = f"{', '.join(v.name for v in wanted[:_MOST_SHOWN])} with {values} values"
-                raise RecordingError(f"{path}: has {many}; split it into parts of at most {_MOST_VALUES}")
+            if values > _MAX_VALUES:
+                many = f"{', '.join(v.name for v in wanted[:_MAX_SHOWN])} with {values} values"
+                raise RecordingError(f"{path}: has {many}; split it into parts of at most {_MAX_VALUES}")
             return {v.name: _decoded(header + _unpacked(file, v, order), v) for v in wanted}
         except _DamagedError as error:
             raise RecordingError(f"{path}: is truncated or damaged; copy it again ({error})") from error
@@ -91,8 +91,8 @@ def read_matrices(path: Path, name: str = "", width: int = 0) -> dict[str, Float
 def _named(path: Path, present: list[_Variable], name: str, width: int) -> _Variable:
     wanted = next((variable for variable in present if variable.name == name), None)
     if wanted is None:
-        more = ", …" if len(present) > _MOST_SHOWN else ""
-        names = ", ".join(variable.name[:40] for variable in present[:_MOST_SHOWN]) or "nothing"
+        more = ", …" if len(present) > _MAX_SHOWN else ""
+        names = ", ".join(variable.name[:40] for variable in present[:_MAX_SHOWN]) or "nothing"
         raise RecordingError(f"{path}: has no matrix {name}; it has {names}{more}")
     if not wanted.real:
         raise RecordingError(f"{path}: {name} is not a matrix of real numbers; log it as an array")
@@ -112,7 +112,7 @@ def _longest(path: Path, present: list[_Variable]) -> list[_Variable]:
 
 def _variables(file: BinaryIO, order: str) -> Iterator[_Variable]:
     at = _HEADER
-    for _ in range(_MOST_VARIABLES):
+    for _ in range(_MAX_VARIABLES):
         file.seek(at)
         tag = file.read(8)
         if not tag:
@@ -130,7 +130,7 @@ def _variables(file: BinaryIO, order: str) -> Iterator[_Variable]:
         except (struct.error, zlib.error, IndexError) as error:
             raise _DamagedError(f"the variable at byte {at} has no readable beginning: {error}") from error
         at += 8 + size
-    raise _DamagedError(f"there are more than {_MOST_VARIABLES} variables")
+    raise _DamagedError(f"there are more than {_MAX_VARIABLES} variables")
 
 
 def _head(head: bytes, order: str) -> tuple[str, tuple[int, ...], bool]:

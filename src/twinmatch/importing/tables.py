@@ -30,7 +30,7 @@ from twinmatch.sessions.files import ProgressCallback, RecordingError, lines_of,
 from twinmatch.signals import FloatArray
 from twinmatch.units import measure
 
-MOST_BYTES: Final = 500_000_000
+MAX_BYTES: Final = 500_000_000
 """Largest file; anything larger is not a recording of a loop, or should be split before the import."""
 _HEAD: Final = 53
 """Lines that tell how a table is written."""
@@ -149,8 +149,8 @@ def read_table(
     try:
         with open_regular(path) as file:
             first = file.read(4)
-            if os.fstat(file.fileno()).st_size > MOST_BYTES:
-                msg = f"{path}: has more than {MOST_BYTES / 1e6:.0f} MB; split it into parts first"
+            if os.fstat(file.fileno()).st_size > MAX_BYTES:
+                msg = f"{path}: has more than {MAX_BYTES / 1e6:.0f} MB; split it into parts first"
                 raise RecordingError(msg)
         if suffix in (".csv", ".txt", ".tsv"):
             return _read_csv(path, first, progress)

@@ -41,7 +41,7 @@ IMPORTED: Final = (
     "twinmatch.cli.virtual_rig",
 )
 """What most programs of a graph import; others import the rest themselves."""
-_LONGEST: Final = 1 << 17
+_MAX_LINE: Final = 1 << 17
 """Longest request, bytes."""
 _POLL: Final = 0.01
 """Interval between two looks at a child that is waited for, s."""
@@ -137,7 +137,7 @@ class ForkServer:
             _LIBC.prctl(_PR_SET_CHILD_SUBREAPER, 1)  # so that the new process becomes a child of this one
             try:
                 socket.send_fds(self._socket, [json.dumps(asked).encode()], [output])
-                answer = self._socket.recv(_LONGEST)
+                answer = self._socket.recv(_MAX_LINE)
             finally:
                 _LIBC.prctl(_PR_SET_CHILD_SUBREAPER, 0)
         if not answer:
@@ -168,7 +168,7 @@ def serve(connection: socket.socket) -> list[str]:
         In a new process, the words of its program; in the server none, at the end.
     """
     while True:
-        request, outputs, *_ = socket.recv_fds(connection, _LONGEST, 1)
+        request, outputs, *_ = socket.recv_fds(connection, _MAX_LINE, 1)
         if not request:
             return []
         between = os.fork()

@@ -123,11 +123,11 @@ def _run_live(live: Live) -> int:
     return code
 
 
-MOST = 64
+MAX_NODES = 64
 """Most parts of nodes whose errors are followed at a time; one graph does not have more."""
-MOST_LINES = 10
+MAX_LINES = 10
 """Most lines about a part of a node within `SPAN`; the page and /diagnostics show the others."""
-LONGEST = 400
+MAX_TEXT = 400
 """Longest error shown, characters."""
 _DIGITS = re.compile(r"[\d.,]+")
 
@@ -152,7 +152,7 @@ class Errors:
                 if self._standing.pop(status.name, None) is not None:
                     self._show(status.name, "recovered", "green")
                 continue
-            if status.name not in self._standing and len(self._standing) >= MOST:
+            if status.name not in self._standing and len(self._standing) >= MAX_NODES:
                 continue
             found = {_DIGITS.sub("", text): text for text in re.split("; (?=refused: )", status.message)}
             known = frozenset[str]().union(*self._standing.values())
@@ -165,14 +165,14 @@ class Errors:
         now = time.monotonic()
         for old in [key for key, at in self._shown.items() if now - at[-1] > SPAN]:
             del self._shown[old]
-        if name not in self._shown and len(self._shown) >= 2 * MOST:
+        if name not in self._shown and len(self._shown) >= 2 * MAX_NODES:
             return
-        shown = self._shown.setdefault(name, deque(maxlen=MOST_LINES))
-        if len(shown) == MOST_LINES and now - shown[0] < SPAN:
+        shown = self._shown.setdefault(name, deque(maxlen=MAX_LINES))
+        if len(shown) == MAX_LINES and now - shown[0] < SPAN:
             return
         shown.append(now)
-        text = text if len(text) <= LONGEST else f"{text[:LONGEST]}…"
-        self._say(one_line(f"{name[:LONGEST]}: {text}"), style)
+        text = text if len(text) <= MAX_TEXT else f"{text[:MAX_TEXT]}…"
+        self._say(one_line(f"{name[:MAX_TEXT]}: {text}"), style)
 
 
 _SOURCES: Final = {"rig": "profile", "virtual_rig": "virtual rig"}

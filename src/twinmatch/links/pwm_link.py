@@ -144,7 +144,7 @@ def open_port(port: str, timeout: float) -> serial.Serial:
 
 _SHORT = 0.005
 """Wait for a reply of a board in step, s."""
-_FIRST_PAUSE, _LONGEST_PAUSE = 0.1, 2.0
+_FIRST_PAUSE, _MAX_PAUSE = 0.1, 2.0
 """Pauses between attempts to reopen a lost port, s; each is twice the one before."""
 
 
@@ -258,7 +258,7 @@ class PwmLink:
                 if time.monotonic() - start + pause > patience:
                     raise
             time.sleep(pause)
-            pause = min(2 * pause, _LONGEST_PAUSE)
+            pause = min(2 * pause, _MAX_PAUSE)
 
     def command(self, pwm: float) -> Applied:
         """Set the output to `pwm`, −255 to 255, rounded to a whole number; positive heats.

@@ -31,13 +31,13 @@ Take = Callable[[Any], None]
 
 REMEMBER: Final = 60.0
 """Time for which a refusal stays on /diagnostics after the last of its kind, wall s."""
-MOST_KINDS: Final = 20
+MAX_KINDS: Final = 20
 """Most kinds of refusals on /diagnostics; all are counted."""
-MOST_REASONS: Final = 3
+MAX_REASONS: Final = 3
 """Most kinds of them for one topic or service."""
-MOST_NAMES: Final = 3
+MAX_NAMES: Final = 3
 """Most publishers of a topic that are named as possible senders."""
-LONGEST: Final = 200
+MAX_TEXT: Final = 200
 """Longest reason told, characters."""
 LOOK: Final = 0.5
 """Shortest interval between two looks at who publishes a topic, wall s."""
@@ -146,12 +146,12 @@ class Entrance:
         """Count a message that is not used, and tell it once while messages of its kind come: of a topic with
         its sender, as soon as DDS knows a new node's name."""
         self._health.count(f"refused: {name}")
-        why = why if len(why) <= LONGEST else f"{why[:LONGEST]}…"
+        why = why if len(why) <= MAX_TEXT else f"{why[:MAX_TEXT]}…"
         kind = f"{name}: {_FIGURES.sub('', why)}"
         now = time.monotonic()
         if kind not in self._told:
             like = sum(told.name == name for told in self._told.values())
-            if like >= MOST_REASONS or len(self._told) >= MOST_KINDS:
+            if like >= MAX_REASONS or len(self._told) >= MAX_KINDS:
                 return
             self._told[kind] = _Told(now, f"refused: {name}: {why}", name, topic)
             self._tell(kind)
@@ -181,7 +181,7 @@ class Entrance:
         if time.monotonic() - at > LOOK:
             found = {info.node_name for info in self._node.get_publishers_info_by_topic(topic)}
             names = " or ".join(sorted(found)) or "a node that is gone"
-            if len(found) > MOST_NAMES:
+            if len(found) > MAX_NAMES:
                 names = f"one of {len(found)} nodes; ros2 topic info -v {topic} lists them"
             names = "" if UNKNOWN in found else names
             self._senders[topic] = time.monotonic(), names

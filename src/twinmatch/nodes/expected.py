@@ -309,7 +309,7 @@ def _check_values(answer: Any) -> None:
             raise MessageError(f"a parameter has type {value.type}; expected 0 to 9")
 
 
-SHORTEST: Final = 1_000_000
+MIN_PERIOD: Final = 1_000_000
 """Shortest time between two samples, ns."""
 LEAP: Final = 100
 """Indices that may be missing without time between the samples."""
@@ -320,7 +320,7 @@ def _sample_departs(before: Any, message: Any, _: float) -> str:
     if message.index <= before.index:
         return f"sample {message.index} came after sample {before.index}"
     elapsed = nanoseconds(message.header.stamp) - nanoseconds(before.header.stamp)
-    if message.index - before.index > LEAP + max(0, elapsed) // SHORTEST:
+    if message.index - before.index > LEAP + max(0, elapsed) // MIN_PERIOD:
         return f"sample {message.index} came {elapsed / 1e9:g} s after sample {before.index}"
     for name in SAMPLED:
         there, here = len(getattr(before, name)), len(getattr(message, name))

@@ -23,11 +23,11 @@ class MessageError(TwinmatchError):
     """A message is not what its description says."""
 
 
-MOST_TEXT: Final = 20_000
+MAX_TEXT: Final = 20_000
 """Longest text, characters."""
-MOST_VALUES: Final = 200_000
+MAX_VALUES: Final = 200_000
 """Longest list."""
-MOST_STRUCTURES: Final = 32
+MAX_STRUCTURES: Final = 32
 """Most structures of other processes whose names this process keeps."""
 GREATEST_INDEX: Final = 2**53
 """Indices below are exact as float64."""
@@ -84,13 +84,13 @@ def _check_index(index: Any, name: str, plant: Expected) -> None:  # noqa: ARG00
 
 
 def _check_text(text: Any, name: str, plant: Expected) -> None:  # noqa: ARG001
-    if len(text) > MOST_TEXT:
-        raise MessageError(f"{name} has {len(text)} characters; {MOST_TEXT} is the most")
+    if len(text) > MAX_TEXT:
+        raise MessageError(f"{name} has {len(text)} characters; {MAX_TEXT} is the most")
 
 
 def _check_list(values: Any, name: str, plant: Expected) -> None:  # noqa: ARG001
-    if len(values) > MOST_VALUES:
-        raise MessageError(f"{name} has {len(values)} values; {MOST_VALUES} is the most")
+    if len(values) > MAX_VALUES:
+        raise MessageError(f"{name} has {len(values)} values; {MAX_VALUES} is the most")
 
 
 def _check_texts(texts: Any, name: str, plant: Expected) -> None:
@@ -129,9 +129,9 @@ def _check_parameters(parameters: Any, name: str, plant: Expected) -> None:
         raise MessageError(f"{name}: {plant.name} has no structure {parameters.structure!r}")
     if is_marked(parameters.structure):
         _structures.add((parameters.plant, parameters.structure))
-        if len(_structures) > MOST_STRUCTURES:
+        if len(_structures) > MAX_STRUCTURES:
             _structures.discard((parameters.plant, parameters.structure))
-            raise MessageError(f"{name}: more than {MOST_STRUCTURES} structures are FMUs")
+            raise MessageError(f"{name}: more than {MAX_STRUCTURES} structures are FMUs")
 
 
 _PARTS: Final[dict[str, Test]] = {

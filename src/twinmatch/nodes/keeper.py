@@ -24,9 +24,9 @@ from twinmatch.signals import Sample
 from twinmatch_msgs.msg import Forecast, LoopSample, Match, ModelScore, TwinState
 from twinmatch_msgs.srv import Past
 
-MOST_SAMPLES = 2000
+MAX_SAMPLES = 2000
 """Most samples in one answer: some milliseconds of work."""
-MOST_MESSAGES = 20
+MAX_MESSAGES = 20
 """Most matches, and most verdicts, in one answer."""
 
 AHEAD = 100
@@ -70,11 +70,11 @@ class Store:
         for (kind, kept), name, known in zip(
             self.messages.items(), ("match", "score"), (request.matches, request.scores), strict=True
         ):
-            said = [deserialize_message(data, kind) for data in kept.since(known, MOST_MESSAGES)]
+            said = [deserialize_message(data, kind) for data in kept.since(known, MAX_MESSAGES)]
             if known + len(said) < len(kept):
                 end = min(end, said[-1].sample)
             setattr(answer, name, said)
-        rows = self.samples.rows(request.first, max(0, end - request.first), MOST_SAMPLES)
+        rows = self.samples.rows(request.first, max(0, end - request.first), MAX_SAMPLES)
         for name in ("index", "stamp", *SAMPLED):
             setattr(answer, name, rows[SAMPLED.get(name, name)].ravel().tolist())
         answer.matches_heard, answer.scores_heard = map(len, self.messages.values())

@@ -141,7 +141,7 @@ ANSWER = 2.0
 """Time after which an unanswered request is dropped, wall s; the keeper needs milliseconds."""
 PATIENCE = 6.0
 """Time without progress after which a node gives up on what is missing, wall s."""
-MOST_WAITING = 4000
+MAX_WAITING = 4000
 """Fetched samples waiting for the worker or the disk above which no more are requested."""
 
 
@@ -194,7 +194,7 @@ class CatchingUp:
             if now - self._requested_at > ANSWER:
                 self._drop()  # the answer to a process that was suspended may be lost
         elif self._client.service_is_ready() and self._ready(now - self._opened):
-            if self._waiting() > MOST_WAITING:
+            if self._waiting() > MAX_WAITING:
                 self._since = now  # the worker is busy with what was fetched
                 return
             self._requested_at = now

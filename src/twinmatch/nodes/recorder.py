@@ -31,7 +31,7 @@ from twinmatch.sessions.metadata import CANDIDATES, CONTINUES, parameters_record
 
 RHYTHM = 10
 """Messages after which a topic is expected to keep its rate."""
-SHORTEST = 3.0
+MIN_LENGTH = 3.0
 """Shortest silence, s."""
 SILENCE = 10
 """Silence in mean intervals between messages."""
@@ -67,7 +67,7 @@ class Arrivals:
         """Whether a topic with a known rate has gone silent."""
         if self.count < RHYTHM or self.rate == 0:
             return False
-        return now - self.last > max(SHORTEST, SILENCE / self.rate)
+        return now - self.last > max(MIN_LENGTH, SILENCE / self.rate)
 
     def text(self) -> str:
         """Rate and count as text."""
@@ -78,7 +78,7 @@ class Arrivals:
 PATIENCE = 3.0
 """Wall seconds after which a node that has not answered is asked again."""
 
-MOST_NAMES = 1000
+MAX_NAMES = 1000
 """Most parameters of a node that are asked for."""
 
 Tell = Callable[[str, Mapping[str, str]], None]
@@ -133,7 +133,7 @@ class NodeSettings:
         listing, getting = clients
 
         def get(future: Any) -> None:
-            names = list(future.result().result.names)[:MOST_NAMES] if future.result() is not None else []
+            names = list(future.result().result.names)[:MAX_NAMES] if future.result() is not None else []
             answer = getting.call_async(GetParameters.Request(names=names))
             answer.add_done_callback(lambda done: self._take(name, names, done))
 
@@ -173,7 +173,7 @@ LEAVE = 3.0
 """Time to finish the session at the end, s; part of the runner's `TEARDOWN`."""
 AHEAD = 100
 """Messages queued for the disk above which a virtual plant in step waits."""
-MOST_WAITING = 64_000_000
+MAX_WAITING = 64_000_000
 """Bytes queued for the disk above which messages are dropped."""
 
 Job = Callable[[], None]
@@ -323,7 +323,7 @@ class RecorderNode(TwinmatchNode):
             self._keep(name, data, now)
 
     def _keep(self, name: str, data: bytes, now: int) -> None:
-        if self._taken - self._written > MOST_WAITING:
+        if self._taken - self._written > MAX_WAITING:
             self._dropped += 1
             text = f"{self._dropped} messages were dropped: the disk is too slow"
             self.health.flag("dropped", Level.ERROR, text)

@@ -22,11 +22,11 @@ from twinmatch.twin import TwinSettings
 from twinmatch_msgs.msg import LoopSample
 from twinmatch_msgs.srv import Past
 
-MOST_QUEUED = 100_000
+MAX_QUEUED = 100_000
 """Most samples in memory; those that arrive meanwhile are fetched from the keeper later."""
 SETTLE = 1.0
 """Time in which readers discover a new node, wall s; they may miss what it publishes earlier."""
-LONGEST_SETTLE = 3.0
+MAX_SETTLE = 3.0
 """Longest wait for readers that are known but not connected, wall s."""
 AHEAD = 5
 """Queued items above which a virtual plant in step waits."""
@@ -189,7 +189,7 @@ class SampleNode(TwinNode):
 
     def _settled(self, age: float) -> bool:
         """Whether the readers of this node are connected; results for fetched samples follow at once."""
-        self._connected = self._connected or age > LONGEST_SETTLE or (age > SETTLE and self._all_connected())
+        self._connected = self._connected or age > MAX_SETTLE or (age > SETTLE and self._all_connected())
         return self._connected
 
     def _all_connected(self) -> bool:
@@ -198,7 +198,7 @@ class SampleNode(TwinNode):
         )
 
     def _on_sample(self, sample: Sample) -> None:
-        if self.worker.depth + self._stream.waiting > MOST_QUEUED:
+        if self.worker.depth + self._stream.waiting > MAX_QUEUED:
             self.health.count("samples left to be fetched")
             return
         self._stream.push(sample)

@@ -22,7 +22,7 @@ _PORT = "Serial port of the kit, such as /dev/ttyACM0; empty: the first on the U
 _DEADLINE = "Zero after this time without a command from this node, by the wall clock."
 
 
-LONGEST = 0.3
+MAX_SILENCE = 0.3
 """Longest time between two commands to a kit, wall s: well within the deadline of the process at its port."""
 
 
@@ -58,7 +58,7 @@ class KitDriver(DriverThread[KitLink]):
         wanted = (decision.input, self.other) if decision.armed else (0.0, 0.0)
         # By the wall clock too: a slow or stopped plant clock must not look like the end of this process.
         due = decision.time - self._sent_at >= self._pace.repeat or not self.connected
-        if due or wanted != self._sent or time.monotonic() - self._said_at >= LONGEST:
+        if due or wanted != self._sent or time.monotonic() - self._said_at >= MAX_SILENCE:
             heats = wanted != (0.0, 0.0)
             self._driving = self._driving or heats  # it may heat though its answer is lost
             reading = self.link.drive(*wanted)

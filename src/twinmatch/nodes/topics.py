@@ -171,7 +171,7 @@ class Following:
 
 
 _OURS: Final = ("/plant/", "/twin/", "/thermal/")
-_MOST_LISTED: Final = 40
+_MAX_LISTED: Final = 40
 """Most topics that an error lists."""
 
 Receive = Callable[[str, Any], None]
@@ -239,8 +239,8 @@ class ForeignTopics:
             for name, kinds in sorted(self._node.get_topic_names_and_types())
             if not name.startswith(_OURS) and name not in ELSEWHERE and self._node.count_publishers(name)
         ]
-        more = f" and {len(found) - _MOST_LISTED} more" if len(found) > _MOST_LISTED else ""
-        return ", ".join(found[:_MOST_LISTED]) + more or "none, in this domain and from this machine"
+        more = f" and {len(found) - _MAX_LISTED} more" if len(found) > _MAX_LISTED else ""
+        return ", ".join(found[:_MAX_LISTED]) + more or "none, in this domain and from this machine"
 
     def _subscribe(self, topic: str, name: str, publishers: Sequence[Any]) -> None:
         kind = self._kind(topic, name, {publisher.topic_type for publisher in publishers})

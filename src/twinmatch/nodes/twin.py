@@ -64,7 +64,7 @@ class TwinSimulatorNode(SampleNode):
         self.health.set("leader", item.name)
 
 
-MOST_WAITING = 20
+MAX_WAITING = 20
 """Most requests that wait; a discriminator has one, and repeats it."""
 
 
@@ -104,7 +104,7 @@ class MatcherNode(TwinNode):
         with self._lock:
             if name in self._in_progress:
                 return
-            if len(self._in_progress) >= MOST_WAITING:
+            if len(self._in_progress) >= MAX_WAITING:
                 self.health.count("left to be repeated")
                 return
             self._in_progress.add(name)

@@ -24,7 +24,7 @@ LONGEST: Final = 86_400.0
 """Longest horizon, s; for samples more than 5 s or less than 0.5 s apart in proportion to the sample time. A
 longer one is a typing error: bands are learned up to a 288th of that."""
 RECORDED: Final = "recorded"
-MOST_BYTES = 1 << 20
+MAX_BYTES = 1 << 20
 """Largest file of set-points, bytes: a day of them, one per second."""
 
 
@@ -145,7 +145,7 @@ def planned_rows(path: Path) -> list[str]:
         TwinmatchError: it cannot be read, or is not text.
     """
     try:
-        return read_bounded(path, MOST_BYTES).decode("utf-8-sig").splitlines()
+        return read_bounded(path, MAX_BYTES).decode("utf-8-sig").splitlines()
     except FileNotFoundError:
         msg = f"{path}: does not exist; give a .csv with seconds ahead and set-point, or {RECORDED!r}"
         raise TwinmatchError(msg) from None

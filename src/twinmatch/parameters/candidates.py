@@ -25,7 +25,7 @@ from twinmatch.plants.records import parameters_from
 from twinmatch.sessions.documents import parse_yaml, read_text, shown
 
 _WORDS = ("name", "plant", "structure")
-MOST_NAME = 200
+MAX_NAME = 200
 """Longest name, characters."""
 
 
@@ -96,8 +96,8 @@ def _candidate(entry: Any, place: str, find: Callable[[str], type[Plant]]) -> Ca
 
 
 def _word(key: str, value: Any) -> str:
-    if isinstance(value, dict | list) or not str(value).isprintable() or len(str(value)) > MOST_NAME:
-        raise CandidateFileError(f"{key} is {shown(value)}; give at most {MOST_NAME} printable characters")
+    if isinstance(value, dict | list) or not str(value).isprintable() or len(str(value)) > MAX_NAME:
+        raise CandidateFileError(f"{key} is {shown(value)}; give at most {MAX_NAME} printable characters")
     return str(value)
 
 

@@ -45,7 +45,7 @@ from twinmatch.twin import ForecastSettings, ScheduleSettings, TrustLimits, Twin
 UNKNOWN: Final = "unknown"
 """Value of `loop` for a twin that is driven by the recorded input."""
 
-_MOST = 1e4
+_MAX_GAIN = 1e4
 """Largest gain; a larger one means a wrong unit."""
 
 
@@ -97,7 +97,7 @@ def pid_gains(values: Mapping[str, Any]) -> PidGains:
 
 def _span(default: float) -> tuple[float, float]:
     """The range of a gain, without the wrong sign, which would drive the plant away from its set-point."""
-    return (0.0, _MOST) if default >= 0 else (-_MOST, 0.0)
+    return (0.0, _MAX_GAIN) if default >= 0 else (-_MAX_GAIN, 0.0)
 
 
 _RENAMED: Final[Mapping[str, tuple[str, ...]]] = {

@@ -22,7 +22,7 @@ _TIMES: Final = ("Header", "Time", "Duration")
 _STEP: Final = re.compile(r"\.?(?P<name>[A-Za-z]\w*)|\[(?P<index>\d+)\]")
 _DEEP: Final = 4
 """Depth of nested messages to which fields are listed."""
-_MOST_LISTED: Final = 30
+_MAX_LISTED: Final = 30
 """Most fields that an error lists."""
 
 
@@ -124,7 +124,7 @@ def check_path(kind: str, path: str, fields_of: FieldsOf) -> str:
         raise SamplingError(f"{kind}: {done} is text; choose a number: {_listed(kind, fields_of)}")
     if field.kind not in NUMBERS:
         whole = [f"{done}.{below}" for below in fields_below(field.kind, fields_of)]
-        instead = ", ".join(whole[:_MOST_LISTED]) if whole else _listed(kind, fields_of)
+        instead = ", ".join(whole[:_MAX_LISTED]) if whole else _listed(kind, fields_of)
         raise SamplingError(f"{kind}: {done} is a message; choose a number in it: {instead}")
     return path
 
@@ -174,8 +174,8 @@ def _only(kind: str, fields_of: FieldsOf) -> str:
 
 def _listed(kind: str, fields_of: FieldsOf) -> str:
     found = [] if kind in NUMBERS | TEXTS else list(fields_below(kind, fields_of))
-    more = f" and {len(found) - _MOST_LISTED} more" if len(found) > _MOST_LISTED else ""
-    return ", ".join(found[:_MOST_LISTED]) + more if found else "none"
+    more = f" and {len(found) - _MAX_LISTED} more" if len(found) > _MAX_LISTED else ""
+    return ", ".join(found[:_MAX_LISTED]) + more if found else "none"
 
 
 _UNITS: Final = {

@@ -321,7 +321,7 @@ def _check(signals: Mapping[str, Limits], period: float, paced_by: str, settle: 
         raise SamplingError(f"period is {period:g} s; it must be positive")
 
 
-_MOST: Final = 100_000
+_MAX_KEPT: Final = 100_000
 """Most values kept for a mean; of more values in a period, only the newest are averaged."""
 
 
@@ -332,7 +332,7 @@ class SignalBuffer:
         """Start without values."""
         self.refused = 0
         """Values that were not finite."""
-        self._values: deque[tuple[int, float]] = deque(maxlen=_MOST)
+        self._values: deque[tuple[int, float]] = deque(maxlen=_MAX_KEPT)
 
     def push(self, value: float, at: int) -> None:
         """Take a value with its time `at` (ns); a value that is not finite is only counted."""

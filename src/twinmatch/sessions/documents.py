@@ -19,14 +19,14 @@ from typing import Any
 from twinmatch.errors import TwinmatchError
 from twinmatch.sessions.files import read_bounded
 
-MOST_BYTES = 1 << 20
+MAX_BYTES = 1 << 20
 """Longest document: a thousand candidates, or the metadata of a session of a thousand files."""
-MOST_VALUES = 20_000
+MAX_VALUES = 20_000
 """Most lists, mappings and scalars, with aliases expanded."""
-MOST_DEPTH = 32
-MOST_TEXT = 10_000
+MAX_DEPTH = 32
+MAX_TEXT = 10_000
 """Longest text among the values, characters."""
-MOST_DIGITS = 400
+MAX_DIGITS = 400
 """Longest text of a number; the smallest float in decimals has 325 places before its digits."""
 WHOLE = 2**63
 """Limit of whole numbers, as in messages and parameters of ROS."""
@@ -49,13 +49,13 @@ def read_yaml(path: Path) -> Any:
 
 
 def read_text(path: Path) -> str:
-    """Read a UTF-8 text file of at most `MOST_BYTES`.
+    """Read a UTF-8 text file of at most `MAX_BYTES`.
 
     Raises:
         DocumentError: the file cannot be read, is too long, or is not UTF-8 text.
     """
     try:
-        return read_bounded(path, MOST_BYTES).decode("utf-8-sig")
+        return read_bounded(path, MAX_BYTES).decode("utf-8-sig")
     except OSError as error:
         raise DocumentError(f"{path}: cannot be read: {error.strerror or error}") from error
     except UnicodeDecodeError as error:
@@ -70,8 +70,8 @@ def parse_yaml(text: str, place: str) -> Any:
     """
     import yaml  # noqa: PLC0415 - reading a session's samples needs no YAML
 
-    if len(text) > MOST_BYTES:
-        raise DocumentError(f"{place}: has more than {MOST_BYTES} characters")
+    if len(text) > MAX_BYTES:
+        raise DocumentError(f"{place}: has more than {MAX_BYTES} characters")
     loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
     try:
         return _Builder(yaml, place).built(yaml.parse(text, Loader=loader))
@@ -132,8 +132,8 @@ class _Builder:
             value = self._scalar(event)
         else:
             self._depth += 1
-            if self._depth > MOST_DEPTH:
-                raise self._error(event, f"is nested deeper than {MOST_DEPTH} levels")
+            if self._depth > MAX_DEPTH:
+                raise self._error(event, f"is nested deeper than {MAX_DEPTH} levels")
             if event.tag not in (None, f"{_PREFIX}seq", f"{_PREFIX}map"):
                 raise self._error(event, f"has a {event.tag[:60]}, which is not supported")
             a_list = isinstance(event, self._yaml.SequenceStartEvent)
@@ -156,7 +156,7 @@ class _Builder:
             if not isinstance(event, self._yaml.ScalarEvent):
                 raise self._error(event, "has a key that is not text")
             self._count(event, 1)
-            name, value = event.value[:MOST_TEXT], self._value(next(events), events)
+            name, value = event.value[:MAX_TEXT], self._value(next(events), events)
             if name == "<<" and event.implicit[0]:
                 merged |= self._merged(event, value)
             elif name in values:
@@ -181,8 +181,8 @@ class _Builder:
 
     def _scalar(self, event: Any) -> Any:
         text: str = event.value
-        if len(text) > MOST_TEXT:
-            raise self._error(event, f"has a text of more than {MOST_TEXT} characters")
+        if len(text) > MAX_TEXT:
+            raise self._error(event, f"has a text of more than {MAX_TEXT} characters")
         tag = event.tag
         if tag in (None, "!"):
             tag = self._resolver.resolve(self._yaml.ScalarNode, text, event.implicit)
@@ -193,7 +193,7 @@ class _Builder:
         kind = tag.removeprefix(_PREFIX)
         if kind == "str":
             return text
-        if len(text) > MOST_DIGITS:
+        if len(text) > MAX_DIGITS:
             raise self._error(event, f"{text[:20]}… is too long for a number; write it with an exponent")
         try:
             value = getattr(self._constructor, f"construct_yaml_{kind}")(self._yaml.ScalarNode(tag, text))
@@ -214,15 +214,15 @@ class _Builder:
 
     def _count(self, event: Any, values: int) -> None:
         self._values += values
-        if self._values > MOST_VALUES:
-            raise self._error(event, f"the document has more than {MOST_VALUES} values")
+        if self._values > MAX_VALUES:
+            raise self._error(event, f"the document has more than {MAX_VALUES} values")
 
     def _error(self, event: Any, problem: str) -> DocumentError:
         return DocumentError(f"{self._place}: line {event.start_mark.line + 1}: {problem}")
 
 
 def _whole(digits: str, place: str) -> int:
-    value = int(digits) if len(digits) < MOST_DIGITS else WHOLE
+    value = int(digits) if len(digits) < MAX_DIGITS else WHOLE
     if abs(value) >= WHOLE:
         raise DocumentError(f"{place}: {shown(digits)} is too large for a whole number")
     return value

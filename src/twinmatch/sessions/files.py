@@ -26,7 +26,7 @@ from twinmatch.errors import TwinmatchError
 ProgressCallback = Callable[[int, int], None]
 """Called with the amount done and the total."""
 
-MOST_LINE = 1 << 20
+MAX_LINE = 1 << 20
 """Longest line of a table, characters: tables of samples are far below, files without line ends above."""
 LINES_BETWEEN = 10_000
 """Lines between two reports of progress."""
@@ -110,16 +110,16 @@ def lines_of(
         progress: called every `LINES_BETWEEN` lines with the bytes read so far and the total.
 
     Raises:
-        OSError: it is not a regular file, cannot be read, or has a line of more than `MOST_LINE` characters.
+        OSError: it is not a regular file, cannot be read, or has a line of more than `MAX_LINE` characters.
         UnicodeDecodeError: it is not text in that encoding.
     """
     with open_regular(path) as file, TextIOWrapper(file, encoding=encoding) as text:
         size = os.fstat(file.fileno()).st_size
         number = 0
-        while line := text.readline(MOST_LINE):
+        while line := text.readline(MAX_LINE):
             number += 1
-            if len(line) == MOST_LINE and not line.endswith("\n"):
-                raise OSError(errno.EFBIG, f"line {number} has more than {MOST_LINE} characters")
+            if len(line) == MAX_LINE and not line.endswith("\n"):
+                raise OSError(errno.EFBIG, f"line {number} has more than {MAX_LINE} characters")
             if progress is not None and number % LINES_BETWEEN == 0:
                 progress(min(file.tell(), size), size)
             yield line.rstrip("\n")

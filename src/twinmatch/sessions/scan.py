@@ -31,7 +31,7 @@ MAGIC = b"\x89MCAP0\r\n"
 _RECORD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
 _PRIVATE = 0x80
-_MOST_UNPACKED = 1 << 28
+_MAX_UNPACKED = 1 << 28
 """Longest chunk, unpacked bytes: recorders write chunks of a few megabytes, or one longer message."""
 
 _Record = TypeVar("_Record", Schema, Channel, Chunk, Metadata, Statistics)
@@ -210,8 +210,8 @@ def _parsed(kind: type[_Record], body: bytes) -> _Record:
 def _unpacked(chunk: Chunk) -> bytes:
     """The records in a chunk, checked against its stated size and CRC."""
     size = chunk.uncompressed_size
-    if size > _MOST_UNPACKED:
-        raise _FaultError(f"a chunk of {size} bytes is longer than the limit of {_MOST_UNPACKED}")
+    if size > _MAX_UNPACKED:
+        raise _FaultError(f"a chunk of {size} bytes is longer than the limit of {_MAX_UNPACKED}")
     data = chunk.data
     if chunk.compression:
         try:
@@ -232,7 +232,7 @@ def _decompressed(compression: str, data: bytes, most: int) -> bytes:
     if compression == "zstd":
         import zstandard  # noqa: PLC0415 - rarely needed
 
-        with zstandard.ZstdDecompressor(max_window_size=_MOST_UNPACKED).stream_reader(data) as reader:
+        with zstandard.ZstdDecompressor(max_window_size=_MAX_UNPACKED).stream_reader(data) as reader:
             return bytes(reader.read(most))
     if compression == "lz4":
         from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]  # noqa: PLC0415

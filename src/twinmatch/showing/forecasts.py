@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 
-_MOST_LEVELS: Final = 4
+_MAX_LEVELS: Final = 4
 """With more set-points in a row, only the last is described."""
 
 
@@ -55,7 +55,7 @@ def forecast_words(forecast: Forecast, settings: TwinSettings) -> list[str]:
     if not forecast.closed:
         return [_end(forecast, plant), widths]
     parts = _parts(forecast)
-    if len(parts) > _MOST_LEVELS:
+    if len(parts) > _MAX_LEVELS:
         parts = parts[-1:]
     arrivals = [_arrival(part, plant, only=len(parts) == 1) for part in parts]
     return [_end(forecast, plant), *arrivals, _largest(forecast, plant), widths]
@@ -70,7 +70,7 @@ def levels_words(forecast: Forecast) -> str:
     """The set-points or inputs in order; of more than four, the first and the last."""
     values = asked(forecast)
     levels = [values[0], *values[1:][np.diff(values) != 0]]
-    if len(levels) > _MOST_LEVELS:
+    if len(levels) > _MAX_LEVELS:
         return f"{levels[0]:g} … {levels[-1]:g}"
     return " → ".join(f"{level:g}" for level in levels)
 

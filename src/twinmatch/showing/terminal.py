@@ -36,14 +36,14 @@ from twinmatch.showing.verdicts import (
 )
 from twinmatch.twin import MatchReport
 
-LEAST_WAIT = 0.25
+MIN_WAIT = 0.25
 """Shortest time between two drawings, s."""
 QUARTERS = 4
 """A run is drawn at least after each of these parts, so that even a short run shows progress."""
 SHARE = 0.01
 """Most time that drawing may take, as a share of the whole."""
-MOST_EVENTS = 8
-MOST_MATCHES = 100
+MAX_EVENTS = 8
+MAX_MATCHES = 100
 """Newest matches that are kept, besides those of the current candidates."""
 BAR = 30
 """Width of the progress bar, characters."""
@@ -70,7 +70,7 @@ class Screen:
         self._done = self._part = 0
         self._matches: list[MatchReport] = []
         self._verdict: Verdict | None = None
-        self._events: deque[Event] = deque(maxlen=MOST_EVENTS)
+        self._events: deque[Event] = deque(maxlen=MAX_EVENTS)
         self._next = 0.0
         self._over = False
         self._live = Live(
@@ -99,9 +99,9 @@ class Screen:
     def take_match(self, report: MatchReport) -> None:
         """Keep the match for the marks in the family table; its result comes with the verdict."""
         self._matches.append(report)
-        if len(self._matches) > 2 * MOST_MATCHES:
+        if len(self._matches) > 2 * MAX_MATCHES:
             standing = {(c.first, c.last) for c in self._verdict.candidates} if self._verdict else set()
-            old, new = self._matches[:-MOST_MATCHES], self._matches[-MOST_MATCHES:]
+            old, new = self._matches[:-MAX_MATCHES], self._matches[-MAX_MATCHES:]
             self._matches = [report for report in old if report.match.samples in standing] + new
 
     def take_verdict(self, verdict: Verdict) -> None:
@@ -118,12 +118,12 @@ class Screen:
         if self._live.is_started:
             self._live.refresh()
         ended = time.monotonic()
-        self._next = ended + max(LEAST_WAIT, (ended - began) / SHARE)
+        self._next = ended + max(MIN_WAIT, (ended - began) / SHARE)
 
     def __rich_console__(self, console: AnyConsole, options: ConsoleOptions) -> RenderResult:
         verdict = self._verdict
         lines = console.render_lines(Group(*self._fixed(verdict, options.max_width)), options, pad=False)
-        room = MOST_EVENTS if self._over else console.size.height - len(lines) - 2
+        room = MAX_EVENTS if self._over else console.size.height - len(lines) - 2
         lines += self._newest(console, options, room)
         for line in lines:
             yield from line

@@ -24,7 +24,7 @@ from twinmatch.twin.settings import TwinSettings
 from twinmatch.twin.structure_fits import watched
 from twinmatch.twin.trust import BandCheck, BandHistory
 
-MOST_STAMPS = 10_000
+MAX_STAMPS = 10_000
 """Number of samples for which stamps are kept for verdicts still due."""
 
 
@@ -107,7 +107,7 @@ class Discriminator:
         for one in self._filler.take(sample):
             self._waiting.append(one)
             self.stamps[one.index] = one.stamp
-            if len(self.stamps) > MOST_STAMPS:
+            if len(self.stamps) > MAX_STAMPS:
                 del self.stamps[next(iter(self.stamps))]
             trigger = self._schedule.push(one)
             if trigger is not None:

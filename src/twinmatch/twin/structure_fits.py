@@ -25,7 +25,7 @@ from twinmatch.twin.structures import StructureChoice, choose_structure
 
 CHOICE_S: Final = (900.0, 1200.0, 1200.0)
 """Time before the first choice, between two choices, and length of the newest stretch that is compared, s."""
-LONGEST_S: Final = 2400.0
+MAX_SPAN_S: Final = 2400.0
 """Length of the newest stretch to which candidates are fitted, s."""
 EVERY_S: Final = 600.0
 """Age after which a candidate's fit is repeated even without excitation, s."""
@@ -103,7 +103,7 @@ class StructureFits:
         pace = scale / period
         self._least, self._choose_every, longest = (round(time * pace) for time in choice)
         self._compared = NewestSamples(longest)
-        self._fitted = NewestSamples(max(round(LONGEST_S * pace), 1))
+        self._fitted = NewestSamples(max(round(MAX_SPAN_S * pace), 1))
         self._fit_every = round(EVERY_S * pace)
         self._chosen_at: int | None = None
         self._fits: dict[str, tuple[Candidate, StructureFit]] = {}

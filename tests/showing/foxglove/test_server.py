@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from twinmatch.showing.foxglove.node import BACKLOG, GraphServer, StreamTime
-from twinmatch.showing.foxglove.relay import MOST_TOLD, hidden_address
+from twinmatch.showing.foxglove.relay import MAX_TOLD, hidden_address
 from twinmatch.showing.serving import Hosts, ServingError
 
 pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup")
@@ -167,7 +167,7 @@ def test_odd_requests_end_nothing_and_print_nothing_but_refusals(
     viewer.wait(lambda: viewer.info, "the server's greeting")
     told = capfd.readouterr()
     assert told.err == ""
-    assert 0 < len(told.out.splitlines()) <= MOST_TOLD
+    assert 0 < len(told.out.splitlines()) <= MAX_TOLD
     assert all(
         line.startswith("foxglove: refused: ") and line.isprintable() for line in told.out.splitlines()
     )

@@ -142,7 +142,7 @@ def _hash(files: Iterable[Path], root: Path) -> str:
     return digest.hexdigest()
 
 
-MOST_BYTES = 1 << 28
+MAX_BYTES = 1 << 28
 """Longest result: it has every verdict of a session, some kilobytes each."""
 
 
@@ -170,7 +170,7 @@ class Store:
     def find(self, session: Path, key: str) -> dict[str, Any] | None:
         """The stored result of this session if it has this key, i.e. if nothing it depends on has changed."""
         try:
-            text = read_bounded(self.file_of(session), MOST_BYTES).decode("utf-8")
+            text = read_bounded(self.file_of(session), MAX_BYTES).decode("utf-8")
             kept = parse_json(text, "a stored result")
         except (OSError, UnicodeDecodeError, DocumentError):
             return None  # none yet, or another program's file

@@ -109,7 +109,7 @@ def _nested(
     return found
 
 
-LEAST = 60
+MIN_SAMPLES = 60
 HIGHEST = 10
 PER_ORDER = 15
 """Samples needed per order, so that a short past is not fitted with a high order."""
@@ -163,7 +163,7 @@ class Arx(Peer):
 
     def forecast(self, past: Window, ahead: FloatArray, disturbances: FloatArray | None = None) -> Forecast:
         """Forecast one sample for each set-point, or input, ahead; see `Peer`."""
-        self._require(past, LEAST)
+        self._require(past, MIN_SAMPLES)
         noise = np.array([self._plant.output.noise, self._plant.drive.noise])
         level = np.array([past.output.mean(), past.input.mean()])
         output, entry = (past.output - level[0]) / noise[0], (past.input - level[1]) / noise[1]

@@ -15,7 +15,7 @@ from twinmatch.offline.backtest.arx import Arx
 from twinmatch.offline.backtest.peer import BacktestError, Peer
 from twinmatch.signals import FloatArray, Window
 
-_LEAST = 20
+_MIN_SAMPLES = 20
 """Least number of differences for quantiles; longer lags, with fewer differences, are extrapolated."""
 _LAGS = 25
 """Number of lags at which quantiles are computed; in between they are interpolated."""
@@ -38,13 +38,13 @@ class Persistence(Peer):
         disturbances: FloatArray | None = None,  # noqa: ARG002 (a part of the interface that it cannot use)
     ) -> Forecast:
         """Forecast one sample for each set-point, or input, ahead; see `Peer`."""
-        self._require(past, _LEAST + 1)
+        self._require(past, _MIN_SAMPLES + 1)
         signals = [past.output] if self._driven else [past.output, past.input]
         return self._told(past, ahead, *self._bands(np.array(signals), ahead.size))
 
     def _bands(self, signals: FloatArray, count: int) -> list[Band]:
         """The bands of these signals, shape (signals, N), at the next `count` samples."""
-        longest = min(count, signals.shape[1] - _LEAST)
+        longest = min(count, signals.shape[1] - _MIN_SAMPLES)
         lags = np.unique(np.geomspace(1, longest, _LAGS).round().astype(np.int64))
         tails = ((1.0 - self._confidence) / 2.0, (1.0 + self._confidence) / 2.0)
         moved = (signals[:, lag:] - signals[:, :-lag] for lag in lags)

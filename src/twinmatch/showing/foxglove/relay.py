@@ -17,9 +17,9 @@ PATIENCE: Final = 10.0
 """Time for a request to arrive, s."""
 LEAVE: Final = 0.5
 """Time for connections to end at the end, s."""
-MOST: Final = 200
+MAX_STREAMS: Final = 200
 """Most connections at once."""
-MOST_TOLD: Final = 8
+MAX_TOLD: Final = 8
 """Most reasons of refusals that are printed."""
 
 
@@ -60,7 +60,7 @@ class Relay:
             await asyncio.gather(*late, return_exceptions=True)
 
     def _accept(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        if len(self._open) >= MOST:
+        if len(self._open) >= MAX_STREAMS:
             writer.close()
             return
         task = self._loop.create_task(self._take(reader, writer))
@@ -101,7 +101,7 @@ class Relay:
             name = name.strip().lower()
             found[name] = f"{found[name]}, {value.strip()}" if name in found else value.strip()
         why = self._hosts.refusal(found.get("host"), found.get("origin"), beside=True)
-        if why and why not in self._told and len(self._told) < MOST_TOLD:
+        if why and why not in self._told and len(self._told) < MAX_TOLD:
             self._told.add(why)
             print(f"foxglove: refused: {why}", flush=True)
         return why

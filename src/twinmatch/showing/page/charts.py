@@ -22,7 +22,7 @@ POINTS = 2400
 """Most points of a line, whatever time it spans."""
 BAND = 2.0
 """Half width of the residual band, in RMS of the newest samples."""
-LONGEST = 300.0
+MAX_STRETCH = 300.0
 """Most time drawn ahead of the newest sample, s."""
 SHARE = 4.0
 """The time drawn ahead is at most the span of the charts divided by this."""
@@ -85,7 +85,7 @@ class ChartFeed:
 
 def seconds_ahead(span: float) -> float:
     """How much time ahead to draw on charts that show `span` seconds of the past, s."""
-    return min(LONGEST, span / SHARE)
+    return min(MAX_STRETCH, span / SHARE)
 
 
 class ForecastBands:

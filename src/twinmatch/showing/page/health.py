@@ -13,7 +13,7 @@ PATIENCE = 4.0
 """Seconds without a report after which a node counts as silent; they report every second."""
 FORGET = 60.0
 """Seconds after which a silent node is forgotten."""
-MOST = 64
+MAX_NODES = 64
 """Most names kept; one graph does not have more nodes."""
 
 _DIGITS = re.compile(r"[\d.,]+")
@@ -62,7 +62,7 @@ class NodeReports:
 
         An error in which only figures change is the same error.
         """
-        if name not in self.reports and len(self.reports) >= MOST:
+        if name not in self.reports and len(self.reports) >= MAX_NODES:
             return None
         self.reports[name] = NodeReport(level, message, now)
         if {"rate", "paused", "position"} <= values.keys():

@@ -121,7 +121,7 @@ def _interval(candidate: CandidateScore, other: int) -> str:
     return span_text(candidate.nu_gap_low[other], candidate.nu_gap_high[other])
 
 
-LEAST_SPAN = 4.0
+MIN_SPAN = 4.0
 """Smallest span of the colours, K: less would show the camera's noise as a picture."""
 
 
@@ -143,7 +143,7 @@ class ThermalImage:
         self.root.visible = True
         rows, columns = image.shape
         low, high = float(np.nanmin(image)), float(np.nanmax(image))
-        wider = max(0.0, LEAST_SPAN - (high - low)) / 2
+        wider = max(0.0, MIN_SPAN - (high - low)) / 2
         self._colours.low, self._colours.high = round(low - wider, 1), round(high + wider, 1)
         self._source.data = {"image": [image[::-1]], "x": [0], "y": [0], "dw": [columns], "dh": [rows]}
 
