@@ -139,13 +139,10 @@ HOT = ('gain = Parameter(unit="W/%", default=0.5', 'gain = Parameter(unit="W/%",
         ([SHELL, SHELL_START, ("rates={", "rates={self.shell: (self.block - self.shell) / self.tau, ")], None,
          "state shell does not act on the output, so no recording can show it"),
         ([("structures", 'parts = ("sun",)\n    structures')], None, "part 'sun': no structure has it"),
-        ([("structures = {", 'parts = ("sun",)\n    structures = {"sunny": Structure(free=(), '
+        ([("structures = {", 'parts = ("sun",)\n    structures = {"sunny": Structure(free=("gain",), '
            'parts=frozenset({"sun"})), ')], None, "structures 'sunny' and 'block' have the same equations"),
         ([("structures", 'extra = Parameter(default=1.0, bounds=(0.0, 2.0))\n    structures')], None,
          "parameter extra: no structure depends on it"),
-        ([("structures", 'extra = Parameter(default=1.0, bounds=(0.0, 2.0))\n    structures'),
-          ('free=("gain", ', 'free=("gain", "extra", ')], None, "extra is free, but does not occur in "
-              "the equations"),
         ([('loss = Parameter(unit="W/K", default=1.0, bounds=(0.1, 10.0), positive=True)',
            'loss = Parameter(unit="W/K", default=1.0, bounds=(-10.0, 10.0))'),
           ('free=("gain", ', 'free=("loss", ')], None, "cannot be simulated at"),

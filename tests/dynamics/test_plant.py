@@ -30,6 +30,7 @@ from twinmatch.dynamics import (
 )
 from twinmatch.dynamics.equations import derive
 from twinmatch.dynamics.kernels import spectral_bound
+from twinmatch.dynamics.plant import corners_of
 from twinmatch.plants import Peltier, find_plant
 
 MASSIVE = Peltier.model("sink with mass")
@@ -112,6 +113,27 @@ def test_faulty_equations_are_refused_in_words(change: dict[str, str], message: 
         derive(plant_of(**change), frozenset(), frozenset({"a"}))
 
 
+def test_corners_are_all_of_few_states_and_of_many_a_few_that_hold_every_triple() -> None:
+    few, many = corners_of([(0.0, 1.0), (2.0, 5.0)]), corners_of([(0.0, 1.0)] * 40)
+    assert {tuple(row) for row in few.tolist()} == {(0.0, 2.0), (0.0, 5.0), (1.0, 2.0), (1.0, 5.0)}
+    assert len(many) < 200
+    assert np.isin(many, (0.0, 1.0)).all()
+    for first in range(38):
+        assert len(np.unique(many[:, first : first + 3], axis=0)) == 8, "equations of a chain"
+
+
+def test_a_free_parameter_is_in_the_equations() -> None:
+    class Spare(_Parts, Plant):
+        b = Parameter(unit="1/s", default=1.0, bounds=(0.1, 10.0))
+        structures = {"all": Structure(free=("a", "b"))}  # noqa: RUF012
+
+        def equations(self, parts: frozenset[str]) -> Equations:  # noqa: ARG002
+            return Equations({self.x: self.u - self.a * self.x}, self.x, {self.x: self.y})
+
+    with pytest.raises(PlantError, match="structure 'all': b is free, but does not occur in the equations"):
+        Spare.model().parameters()
+
+
 def test_faulty_declarations_are_refused_in_words() -> None:
     with pytest.raises(PlantError, match=r"is \(2.0, 1.0\); give two finite numbers, the smaller first"):
         Parameter(default=1.0, bounds=(2.0, 1.0))
@@ -126,6 +148,10 @@ def test_faulty_declarations_are_refused_in_words() -> None:
         (
             {"u": _Parts.u, "y": _Parts.y, "structures": {"s": Structure((), parts=frozenset({"lid"}))}},
             "structure 's': no part 'lid'; the plant has none",
+        ),
+        (
+            {"u": _Parts.u, "y": _Parts.y, "structures": {"s": Structure(free=())}},
+            "structure 's': `free` is empty; name the parameters that a match may change",
         ),
     ):
         with pytest.raises(PlantError, match=message):

@@ -19,7 +19,7 @@ from tests.support.processes import run_twinmatch
 from twinmatch.dynamics import Plant
 from twinmatch.errors import TwinmatchError
 from twinmatch.importing.column_map import columns_of, proposed, read_map
-from twinmatch.importing.mapped import Mapped, map_samples, with_plant_names
+from twinmatch.importing.mapped import Mapped, map_samples, with_plant_names, without_marks
 from twinmatch.importing.tables import read_table
 from twinmatch.importing.times import read_times
 from twinmatch.offline.judging import terms_from_files
@@ -105,7 +105,7 @@ def test_means_switches_and_disturbances_are_taken_as_the_map_says(
         CSV.replace("\n0,", "\n1611326938000000000,").replace("\n1,", "\n1611326939000000000,").replace(
             "\n2,", "\n1611326940000000000,").replace("\n3,", "\n1611326941000000000,"),
         CSV.replace("\n0,", "\n2021-01-22 14:48:58,").replace("\n1,", "\n2021-01-22 14:48:59,").replace(
-            "\n2,", "\n2021-01-22T14:49:00Z,").replace("\n3,", "\n2021-01-22T15:49:01.0000000+01:00,"),
+            "\n2,", "\n2021-01-22T14:49:00Z,").replace("\n3,", "\n2021-01-22T14:49:01.0000000+00:00,"),
         CSV.replace("t,", "t (min),").replace("\n1,", "\n0.0166666666667,").replace(
             "\n2,", "\n0.0333333333333,").replace("\n3,", "\n0.05,"),
         CSV.replace("\n1,", "\n0.5,,,,\n1,"),
@@ -184,6 +184,24 @@ def test_maps_that_do_not_fit_are_explained(
         (CSV.replace("t,T1,T2,on,room\n", ""), "the first line must name the columns"),
         ("Logger 7\n" + CSV, "line 2: has 5 cells, but line 1 has 1 column names"),
         ("a,b\n", "has 1 lines"),
+        (
+            CSV.replace("\n0,", "\n45321.50000,")
+            .replace("\n1,", "\n45321.50001,")
+            .replace("\n2,", "\n45321.50002,")
+            .replace("\n3,", "\n45321.50003,"),
+            "'t' goes from 45321.5 to 45321.5 in small steps: .*Write time='t; unit=d' or",
+        ),
+        (
+            CSV.replace("\n0,", "\n2021-01-22 14:48:58,")
+            .replace("\n1,", "\n2021-01-22 14:48:59,")
+            .replace("\n2,", "\n2021-01-22 14:49:00,")
+            .replace("\n3,", "\n2021-01-22T15:49:01+01:00,"),
+            "line 5: 't' has a time zone, but none in line 2; write all rows alike",
+        ),
+        (
+            CSV.replace("\n1,", "\n1000,").replace("\n2,", "\n2000,").replace("\n3,", "\n3000,"),
+            "its rows are 1000 s apart, but .* settles within 100 s: .*'time=COLUMN; unit=ms'",
+        ),
     ],
 )
 def test_tables_that_cannot_be_used_are_explained(
@@ -191,6 +209,36 @@ def test_tables_that_cannot_be_used_are_explained(
 ) -> None:
     with pytest.raises(RecordingError, match=message):
         mapped(tmp_path, heated, text)
+
+
+@pytest.mark.parametrize("title", ["t_ms", "t (ms)", "elapsed ms", "time_ms"])
+def test_the_unit_in_a_times_title_counts(tmp_path: Path, heated: type[Plant], title: str) -> None:
+    text = CSV.replace("t,T1", f"{title},T1").replace("\n1,", "\n1000,").replace("\n2,", "\n2000,")
+    text = text.replace("\n3,", "\n3000,")
+    assert proposed(columns_of(read_table(written(tmp_path, text))))["time"].places == (title,)
+    assert mapped(tmp_path, heated, text, [f"time={title}", *MAP[1:]]).period == 1.0
+
+
+def test_days_of_a_spreadsheet_are_dates_if_the_map_says_so(tmp_path: Path, heated: type[Plant]) -> None:
+    days = [45321.5 + k / 86400 for k in range(4)]
+    text = CSV
+    for k, day in enumerate(days):
+        text = text.replace(f"\n{k},", f"\n{day:.9f},")
+    found = mapped(tmp_path, heated, text, ["time=t; unit=d", *MAP[1:]])
+    assert found.period == pytest.approx(1.0, abs=1e-3)
+    # 45321 is 2024-01-30 in every spreadsheet.
+    assert found.samples[0].stamp == round(1_706_616_000e9)
+
+
+def test_a_mark_for_no_value_is_not_a_reading(tmp_path: Path, heated: type[Plant]) -> None:
+    found = mapped(tmp_path, heated, CSV.replace("2,22,24,True,19.6", "2,22,24,True,-999"))
+    assert [s.disturbances for s in found.samples] == [(19.5,), (19.5,), (19.55,), (19.6,)]
+    assert any("1 rows lack a value" in note for note in found.notes)
+
+
+def test_a_number_that_is_a_mark_elsewhere_may_be_a_reading() -> None:
+    values = np.array([-1005.0, -999.0, -990.0, np.nan])
+    np.testing.assert_array_equal(without_marks(values), values)
 
 
 def test_without_set_points_the_loop_is_taken_as_not_known(tmp_path: Path) -> None:
@@ -244,14 +292,14 @@ def test_a_map_in_a_file_says_the_same(tmp_path: Path) -> None:
     path = tmp_path / "map.yaml"
     path.write_text(
         "plant: block\nperiod: 3\ncolumns:\n  time: {column: time, unit: ns}\n  output: [t2, t3]\n"
-        "  input: heater_on\n  room: {column: t1, scale: 0.1, offset: -40}\n"
+        "  input: heater_on; unit=1\n  room: {column: t1, scale: 0.1, offset: -40}\n"
     )
     found = read_map(path)
     assert (found.plant, found.period) == ("block", 3.0)
     assert found.sources == {
         "time": SignalSource(("time",), "ns"),
         "output": SignalSource(("t2", "t3")),
-        "input": SignalSource(("heater_on",)),
+        "input": SignalSource(("heater_on",), "1"),
         "room": SignalSource(("t1",), scale=0.1, offset=-40.0),
     }
     said = [f"{signal}={source.text}" for signal, source in found.sources.items() if signal != "output"]

@@ -83,7 +83,8 @@ class Other(Plant):
     y = Output(noise=1.0, span=(0.0, 1.0))
     u = Drive(limits=(0.0, 1.0), noise=1.0)
     x = State(span=(0.0, 1.0))
-    structures = {'a': Structure(free=())}
+    a = Parameter(default=1.0, bounds=(0.0, 1.0))
+    structures = {'a': Structure(free=('a',))}
 
 
 """

@@ -178,10 +178,6 @@ def misdeclared(model: Model) -> Iterator[Finding]:
     """Contradictory declarations of one structure."""
     place = f"structure {model.structure_name!r}"
     for name in model.structure.free:
-        if name not in model.declared:
-            what = f"{place}: {name} is free, but does not occur in the equations with the structure's parts"
-            yield Finding(what, f"remove {name} from `free`, or add the part that uses it to `parts`")
-            continue
         (low, high), value = model.declared[name].bounds, model.defaults[name]
         if not low <= value <= high:
             what = f"{place}: the default of {name}, {value:g}, is outside its bounds {low:g} to {high:g}"

@@ -172,6 +172,9 @@ def require_structure(plant: type[PlantDefinition], name: str, structure: Struct
         here = f"{place}, {what}"
         _require_names_of(plant, here, "parameter", _table(plant, here, values), parameters)
         _require_values(plant, here, values, parameters)
+    if not (structure.free or external):
+        msg = f"plant {plant.name}, {place}: `free` is empty; name the parameters that a match may change"
+        raise PlantError(msg)
 
 
 def _require_names(plant: type[PlantDefinition], base: type[PlantDefinition]) -> None:

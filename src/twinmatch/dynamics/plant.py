@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
 from typing import Any
 
@@ -90,6 +90,30 @@ class Plant(PlantDefinition):
             _MODELS.pop((cls, name), None)
 
 
+_ALL_CORNERS = 8
+"""States up to which all corners of their range are looked at; their number doubles with each."""
+_SOME_CORNERS = 64
+
+
+def corners_of(spans: Sequence[tuple[float, float]]) -> FloatArray:
+    """Corners of a range, shape (m, n): all 2ⁿ for few states.
+
+    For many: both extremes, those where one state is at the other end, and `_SOME_CORNERS` drawn with a fixed
+    seed. In equations whose rates depend on a few states each, as in chains and grids, that shows every local
+    combination.
+    """
+    n = len(spans)
+    if n <= _ALL_CORNERS:
+        return np.array(list(itertools.product(*spans)), dtype=np.float64)
+    drawn = np.random.default_rng(n).integers(0, 2, (_SOME_CORNERS, n))
+    one = np.eye(n, dtype=np.int64)
+    upper = np.vstack(
+        [np.zeros((1, n), dtype=np.int64), np.ones((1, n), dtype=np.int64), one, 1 - one, drawn]
+    )
+    low, high = np.array(spans, dtype=np.float64).T
+    return np.asarray(np.where(upper == 1, high, low))
+
+
 _MODELS: dict[tuple[type[Plant], str], Model] = {}
 
 
@@ -116,9 +140,15 @@ class Model:
         if self.structure.external is not None:
             return self.structure.external.kernels_by(())
         parts = self.structure.parts
-        every = self.plant.structures.values()
-        free = (s.free for s in every if s.parts == parts and s.external is None)
-        return kernels_of(self.plant, parts, frozenset().union(*free))
+        alike = [s for s in self.plant.structures.values() if s.parts == parts and s.external is None]
+        kernels = kernels_of(self.plant, parts, frozenset[str]().union(*(s.free for s in alike)))
+        if unused := [name for name in self.structure.free if name not in kernels.PARAMETERS]:
+            place = f"plant {self.plant.name}, structure {self.structure_name!r}"
+            raise PlantError(
+                f"{place}: {unused[0]} is free, but does not occur in the equations with the structure's "
+                "parts; remove it from `free`, or add the part that uses it to `parts`"
+            )
+        return kernels
 
     def kernels_by(self, names: Iterable[str]) -> Any:
         """Functions with tangents for these parameters."""
@@ -239,9 +269,8 @@ class Model:
 
     @cached_property
     def corners(self) -> FloatArray:
-        """Corners and centre of the range of the states, shape (m, n)."""
-        spans = [state.span for state in self.declared_states]
-        corners = np.array(list(itertools.product(*spans)), dtype=np.float64)
+        """Corners and centre of the range of the states, shape (m, n): see `corners_of`."""
+        corners = corners_of([state.span for state in self.declared_states])
         return np.vstack([corners, corners.mean(axis=0)])
 
     @cached_property

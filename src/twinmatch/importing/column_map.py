@@ -53,7 +53,7 @@ _INPUT: Final = re.compile(
     re.IGNORECASE,
 )
 _AROUND: Final = re.compile(r"amb|room|outside|outdoor|environment|t_?inf|surround", re.IGNORECASE)
-_TIME: Final = re.compile(r"^t$|time|stamp|date|^sec|elapsed", re.IGNORECASE)
+_TIME: Final = re.compile(r"^t$|^t[ _.-](ns|us|ms|s|min|h)$|time|stamp|date|^sec|elapsed", re.IGNORECASE)
 _FEW: Final = 12
 """A column with at most so many different values looks commanded rather than measured."""
 _REPEATED: Final = 0.9
@@ -113,7 +113,8 @@ def described(title: str, unit: str, values: FloatArray, *, ordered: bool) -> Co
     steps = np.diff(found)
     grows = found.size > 2 and bool((steps > 0).all())
     # A logger may write a row twice; more repeats are those of another quantity, such as a counter.
-    few = found.size > 2 and bool((steps >= 0).all()) and float(np.mean(steps == 0)) < _TWICE
+    twice = int(np.sum(steps == 0))
+    few = found.size > 2 and bool((steps >= 0).all()) and twice <= max(1, _TWICE * steps.size)
     repeats = few and _TIME.search(split_title(title)[0]) is not None
     if different == 1:
         kind = "constant"

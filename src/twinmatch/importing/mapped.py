@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from twinmatch.dynamics import Plant
+from twinmatch.dynamics.pace import time_constant
 from twinmatch.errors import TwinmatchError
 from twinmatch.importing.resampling import Gaps, Kind, Resampled, repeated, resample
 from twinmatch.importing.tables import Table, split_title
@@ -23,6 +24,9 @@ from twinmatch.units import Conversion, conversion, measure
 
 _ODD = 0.01
 """Up to this share of readings beyond the sensor's span, the sensor is suspected rather than the unit."""
+
+_MARKS = (-999.0, -9999.0, -99999.0, -999.9, -999.99)
+"""Numbers that loggers write where there is no value."""
 
 
 class Mapped(NamedTuple):
@@ -132,11 +136,23 @@ def map_samples(
         place=str(table.path),
         row=lambda i: f"{table.row} {table.lines[int(kept[i])]}",
     )
+    if given.period is None:
+        _require_pace(table, plant, done.period)
     notes.insert(0, done.sentence[0].upper() + done.sentence[1:] + ".")
     start = EPOCH if times.origin is None else round((times.origin + float(done.time[0])) * 1e9)
     samples = _samples(plant, done, start)
     has_reference = LoopNames.of(plant).references[0] in done.columns
     return Mapped(samples, done.period, sources, has_reference, notes)
+
+
+def _require_pace(table: Table, plant: type[Plant], period: float) -> None:
+    slow = time_constant(plant)
+    if 0.0 < slow < period:
+        raise RecordingError(
+            f"{table.path}: its rows are {period:g} s apart, but {plant.title} settles within {slow:.3g} s: "
+            "nothing of that could be seen. If the times are in another unit, write 'time=COLUMN; unit=ms' "
+            f"or the like; if they are right, give --period {period:g}"
+        )
 
 
 def _names(plant: type[Plant]) -> dict[str, tuple[str, ...]]:
@@ -247,7 +263,20 @@ def _values(table: Table, source: SignalSource, signal: str, known: PlantSignal)
             changes.append(source.change(signal, title, known.unit, stated))
         except SamplingError as error:
             raise RecordingError(f"{table.path}: {error}") from None
-    return source.value([table.values(title) for title in source.places], changes)
+    return source.value([without_marks(table.values(title)) for title in source.places], changes)
+
+
+def without_marks(values: FloatArray) -> FloatArray:
+    """A column with nan where a logger wrote -999 or the like for "no value", shape (N,).
+
+    It is a mark where no other reading comes near it.
+    """
+    known = values[np.isfinite(values)]
+    marks = np.isin(known, _MARKS)
+    readings = known[~marks]
+    if not marks.any() or not readings.size or readings.min() < 0.5 * float(known[marks].max()):
+        return values
+    return np.where(np.isin(values, _MARKS), np.nan, values)
 
 
 def check_range(

@@ -10,6 +10,9 @@ orders. The rows decide: in the wrong order a day above 12 is not a month, and t
 one of a month. So of the orders that give a date in every row, the one with the shorter longest step is
 taken. Within one day both give the same times; then the day comes first, or the month before a clock with am
 and pm. With dots the day comes first everywhere.
+
+Spreadsheets count days since 1899-12-30. Nothing tells such numbers from seconds for certain, so a column
+that looks like them is not guessed: its unit must be given.
 """
 
 from __future__ import annotations
@@ -36,8 +39,24 @@ _FORM: Final = re.compile(
 )
 
 
+_ZONE: Final = re.compile(r":\d{2}.*[+-](?!00:?00)\d{2}:?\d{2}$")
+"""A time zone other than UTC."""
 _COUNTS = ((1e17, 1e9), (1e14, 1e6), (1e11, 1e3), (1e8, 1.0))
 """Size from which a number is a count since 1970, and its units per second."""
+
+
+_ENDING: Final = re.compile(
+    r".[ _.-](ns|us|ms|s|secs?|seconds?|min|mins|minutes?|h|hrs?|hours?|d|days?)$", re.I
+)
+_UNITS: Final = {"sec": "s", "min": "min", "hr": "h", "hou": "h", "day": "d", "d": "d", "h": "h"}
+"""Units of time by the first letters of their names; others are written as they are."""
+_SERIAL: Final = (36526.0, 73051.0)
+"""Days since 1899-12-30 from the year 2000 on, to 2100."""
+_DENSE: Final = 0.05
+"""Longest usual step of a logger in days: 72 minutes."""
+_DAY: Final = 86400.0
+_EXCEL: Final = 25569.0
+"""Days from 1899-12-30 to 1970."""
 
 
 class Times(NamedTuple):
@@ -57,7 +76,7 @@ def read_times(table: Table, title: str, unit: str = "", scale: float = 1.0) -> 
     Args:
         table: the table.
         title: that of the column.
-        unit: unit of the numbers; empty: that in the title, or judged by their size.
+        unit: unit of the numbers; empty: that in the title (`time (ms)`, `time_ms`), or judged by their size.
         scale: factor applied to the numbers first.
 
     Raises:
@@ -68,7 +87,9 @@ def read_times(table: Table, title: str, unit: str = "", scale: float = 1.0) -> 
         order = order_of(texts.values()) if is_local(next(iter(texts.values()))) else ""
         return _since(_dates(table, title, texts, order))._replace(order=order)
     values = table.values(title) * scale
-    unit = unit or table.unit(title)
+    unit = unit or table.unit(title) or unit_in(title)
+    if not unit:
+        _require_no_days(table, title, values)
     size = float(np.max(np.abs(values[np.isfinite(values)]), initial=0.0))
     if unit:
         try:
@@ -78,9 +99,33 @@ def read_times(table: Table, title: str, unit: str = "", scale: float = 1.0) -> 
             raise RecordingError(msg) from None
     else:
         per_second = next((count for least, count in _COUNTS if size >= least), 1.0)
+    if (
+        per_second == 1.0 / _DAY
+        and values.size
+        and _SERIAL[0] <= float(np.nanmin(values))
+        and size < _SERIAL[1]
+    ):
+        return _since((values - _EXCEL) * _DAY)
     if size / per_second >= 1e8:
         return _since(values / per_second)
     return Times(values / per_second, None)
+
+
+def unit_in(title: str) -> str:
+    """The unit of time with which a title ends, as in `t_ms` or `elapsed hours`; empty without one."""
+    ending = _ENDING.search(title.strip())
+    word = ending[1].lower() if ending else ""
+    return _UNITS.get(word[:3], word)
+
+
+def _require_no_days(table: Table, title: str, values: FloatArray) -> None:
+    known = values[np.isfinite(values)]
+    steps = np.abs(np.diff(known))
+    if steps.size and known.min() >= _SERIAL[0] and known.max() < _SERIAL[1] and np.median(steps) < _DENSE:
+        raise RecordingError(
+            f"{table.path}: {title!r} goes from {known.min():g} to {known.max():g} in small steps: days of a "
+            f"spreadsheet, or seconds? Write time='{title}; unit=d' or time='{title}; unit=s'"
+        )
 
 
 def row_times(rows: int, period: float) -> Times:
@@ -97,6 +142,7 @@ def _since(seconds: FloatArray) -> Times:
 def _dates(table: Table, title: str, texts: Mapping[int, str], order: str) -> FloatArray:
     numbers = table.columns[title]
     seconds = np.full(numbers.size, np.nan)
+    zoned: dict[bool, int] = {}  # the first row with a time zone, and without one
     for k in sorted({*texts, *np.flatnonzero(np.isfinite(numbers)).tolist()}):
         text = texts.get(k, f"{numbers[k]:g}")
         stamp = in_order(text, order) if order else _date(text)
@@ -106,6 +152,13 @@ def _dates(table: Table, title: str, texts: Mapping[int, str], order: str) -> Fl
                 f"{'22/01/2021 14:48:58' if order else '2021-01-22 14:48:58.7'}"
             )
         seconds[k] = stamp
+        if text.strip():
+            zoned.setdefault(_ZONE.search(text.strip()) is not None, k)
+    if len(zoned) == 2:
+        raise RecordingError(
+            f"{table.place(zoned[True])}: {title!r} has a time zone, but none in {table.row} "
+            f"{table.lines[zoned[False]]}; write all rows alike"
+        )
     return seconds
 
 

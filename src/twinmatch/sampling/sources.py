@@ -221,6 +221,8 @@ def source_of(place: str, given: Any) -> SignalSource:
     Raises:
         RecordingError: the column is missing, or a setting is unknown.
     """
+    if isinstance(given, str) and ";" in given:
+        return parse_source(place, given)
     if isinstance(given, str | list):
         given = {"column": given}
     if not isinstance(given, dict):
