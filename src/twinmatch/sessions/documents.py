@@ -3,8 +3,7 @@
 A few hundred bytes of YAML can expand to gigabytes (aliases of aliases), nest deeper than Python's recursion
 limit, contain numbers that fit neither a float nor a message, or construct objects. A document is therefore
 limited in bytes, depth, number of values after expansion of aliases, and size of numbers, and may contain
-only lists, mappings and plain scalars. This module builds the values from the events of the parser (libyaml
-if available) and counts each value before creating it.
+only lists, mappings and plain scalars: PyYAML's safe loader, restricted.
 """
 
 from __future__ import annotations
@@ -12,9 +11,10 @@ from __future__ import annotations
 import json
 import math
 import reprlib
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, Final
+
+import yaml
 
 from twinmatch.errors import TwinmatchError
 from twinmatch.sessions.files import read_bounded
@@ -31,8 +31,10 @@ MAX_DIGITS = 400
 WHOLE = 2**63
 """Limit of whole numbers, as in messages and parameters of ROS."""
 
-_PREFIX = "tag:yaml.org,2002:"
-_KINDS = {f"{_PREFIX}{kind}" for kind in ("null", "bool", "int", "float", "str")}
+_PREFIX: Final = "tag:yaml.org,2002:"
+_SCALARS: Final = tuple(f"{_PREFIX}{kind}" for kind in ("null", "bool", "int", "float", "str"))
+_MERGE: Final = f"{_PREFIX}merge"
+_Safe: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
 class DocumentError(TwinmatchError):
@@ -68,18 +70,20 @@ def parse_yaml(text: str, place: str) -> Any:
     Raises:
         DocumentError: the text is not YAML, or exceeds a limit.
     """
-    import yaml  # noqa: PLC0415 - reading a session's samples needs no YAML
-
     if len(text) > MAX_BYTES:
         raise DocumentError(f"{place}: has more than {MAX_BYTES} characters")
-    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
     try:
-        return _Builder(yaml, place).built(yaml.parse(text, Loader=loader))
+        return _PlainLoader(text).get_single_data()
+    except _RefusedError as error:
+        raise DocumentError(f"{place}: {error}") from None
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         where = "" if mark is None else f" in line {mark.line + 1}"
-        problem = getattr(error, "problem", None) or str(error).splitlines()[0]
+        parts = getattr(error, "context", None), getattr(error, "problem", None)
+        problem = ", ".join(filter(None, parts)) or str(error).splitlines()[0]
         raise DocumentError(f"{place}: is not valid YAML{where}: {problem}") from None
+    except RecursionError:  # PyYAML without libyaml
+        raise DocumentError(f"{place}: is nested too deeply") from None
 
 
 def parse_json(text: str, place: str) -> Any:
@@ -101,124 +105,100 @@ def shown(value: object) -> str:
     return reprlib.repr(value)
 
 
-class _Builder:
-    """Builds values from the events of a parser, counting them."""
+class _RefusedError(yaml.YAMLError):
+    """A text is YAML, but not what we read."""
 
-    def __init__(self, yaml: Any, place: str) -> None:
-        self._yaml = yaml
-        self._place = place
-        self._resolver = yaml.resolver.Resolver()
-        self._constructor = yaml.constructor.SafeConstructor()
-        self._depth = 0
+    def __init__(self, node: yaml.Node, problem: str) -> None:
+        super().__init__(f"line {node.start_mark.line + 1}: {problem}")
+
+
+class _PlainLoader(_Safe):  # type: ignore[misc]  # whichever of the two is installed
+    """Reads one document; dates and the like stay text."""
+
+    yaml_implicit_resolvers: ClassVar = {
+        first: [pair for pair in pairs if pair[0] in {*_SCALARS, _MERGE}]
+        for first, pairs in yaml.SafeLoader.yaml_implicit_resolvers.items()
+    }
+
+    def __init__(self, text: str) -> None:
+        super().__init__(text)
+        self._nodes = 0
         self._values = 0
-        self._anchored: dict[str, tuple[Any, int]] = {}
 
-    def built(self, events: Iterator[Any]) -> Any:
-        """The only document of a stream; None for an empty stream."""
-        documents: list[Any] = []
-        for event in events:
-            if isinstance(event, self._yaml.DocumentStartEvent):
-                if documents:
-                    raise self._error(event, "a second document begins; give only one")
-                documents.append(self._value(next(events), events))
-        return documents[0] if documents else None
+    def descend_resolver(self, parent: yaml.Node | None, index: Any) -> None:
+        """Count what is composed: aliases are not expanded yet, but a list may already be too long."""
+        super().descend_resolver(parent, index)
+        self._nodes += 1
+        if parent is not None and self._nodes > MAX_VALUES:
+            raise _RefusedError(parent, f"the document has more than {MAX_VALUES} values")
 
-    def _value(self, event: Any, events: Iterator[Any]) -> Any:
-        if isinstance(event, self._yaml.AliasEvent):
-            return self._alias(event)
-        before = self._values
-        self._count(event, 1)
-        if isinstance(event, self._yaml.ScalarEvent):
-            value = self._scalar(event)
-        else:
-            self._depth += 1
-            if self._depth > MAX_DEPTH:
-                raise self._error(event, f"is nested deeper than {MAX_DEPTH} levels")
-            if event.tag not in (None, f"{_PREFIX}seq", f"{_PREFIX}map"):
-                raise self._error(event, f"has a {event.tag[:60]}, which is not supported")
-            a_list = isinstance(event, self._yaml.SequenceStartEvent)
-            value = self._list(events) if a_list else self._mapping(events)
-            self._depth -= 1
-        if event.anchor is not None:
-            self._anchored[event.anchor] = value, self._values - before
-        return value
+    def get_single_data(self) -> Any:
+        """The value of the only document; None for an empty stream."""
+        node = self.get_single_node()
+        return None if node is None else self._value(node, 1)
 
-    def _list(self, events: Iterator[Any]) -> list[Any]:
-        items = []
-        while not isinstance(event := next(events), self._yaml.SequenceEndEvent):
-            items.append(self._value(event, events))
-        return items
+    def _value(self, node: yaml.Node, depth: int) -> Any:
+        """The value of a node; that of an alias is made again, and counts again."""
+        self._count(node)
+        if isinstance(node, yaml.ScalarNode):
+            return self._scalar(node)
+        if depth > MAX_DEPTH:
+            raise _RefusedError(node, f"is nested deeper than {MAX_DEPTH} levels")
+        if node.tag == f"{_PREFIX}seq" and isinstance(node, yaml.SequenceNode):
+            return [self._value(item, depth + 1) for item in node.value]
+        if node.tag == f"{_PREFIX}map" and isinstance(node, yaml.MappingNode):
+            return self._mapping(node, depth)
+        raise _RefusedError(node, f"has a {node.tag[:60]}, which is not supported")
 
-    def _mapping(self, events: Iterator[Any]) -> dict[str, Any]:
+    def _mapping(self, node: yaml.MappingNode, depth: int) -> dict[str, Any]:
         values: dict[str, Any] = {}
         merged: dict[str, Any] = {}
-        while not isinstance(event := next(events), self._yaml.MappingEndEvent):
-            if not isinstance(event, self._yaml.ScalarEvent):
-                raise self._error(event, "has a key that is not text")
-            self._count(event, 1)
-            name, value = event.value[:MAX_TEXT], self._value(next(events), events)
-            if name == "<<" and event.implicit[0]:
-                merged |= self._merged(event, value)
+        for key, given in node.value:
+            if not isinstance(key, yaml.ScalarNode):
+                raise _RefusedError(key, "has a key that is not text")
+            self._count(key)
+            name, value = key.value[:MAX_TEXT], self._value(given, depth + 1)
+            if key.tag == _MERGE:
+                sources = value if isinstance(value, list) else [value]
+                if not all(isinstance(source, dict) for source in sources):
+                    raise _RefusedError(key, "merges a value that is not a mapping")
+                for source in reversed(sources):  # the first has priority
+                    merged |= source
             elif name in values:
-                raise self._error(event, f"gives {shown(name)} twice")
+                raise _RefusedError(key, f"gives {shown(name)} twice")
             else:
                 values[name] = value
-        return {**merged, **values}
+        return merged | values
 
-    def _merged(self, event: Any, value: Any) -> dict[str, Any]:
-        """The entries merged by `<<: *name`; of several mappings the first has priority."""
-        given = value if isinstance(value, list) else [value]
-        if not all(isinstance(one, dict) for one in given):
-            raise self._error(event, "merges a value that is not a mapping")
-        return {name: one[name] for one in reversed(given) for name in one}
-
-    def _alias(self, event: Any) -> Any:
-        if event.anchor not in self._anchored:
-            raise self._error(event, f"*{event.anchor[:40]} has no complete anchor before it")
-        value, size = self._anchored[event.anchor]
-        self._count(event, size)
-        return value
-
-    def _scalar(self, event: Any) -> Any:
-        text: str = event.value
+    def _scalar(self, node: yaml.ScalarNode) -> Any:
+        text = node.value
         if len(text) > MAX_TEXT:
-            raise self._error(event, f"has a text of more than {MAX_TEXT} characters")
-        tag = event.tag
-        if tag in (None, "!"):
-            tag = self._resolver.resolve(self._yaml.ScalarNode, text, event.implicit)
-            if tag not in _KINDS:  # dates stay text
-                tag = f"{_PREFIX}str"
-        if tag not in _KINDS:
-            raise self._error(event, f"has a {tag[:60]}, which is not supported")
-        kind = tag.removeprefix(_PREFIX)
-        if kind == "str":
+            raise _RefusedError(node, f"has a text of more than {MAX_TEXT} characters")
+        if node.tag in {_MERGE, f"{_PREFIX}str"}:
             return text
+        if node.tag not in _SCALARS:
+            raise _RefusedError(node, f"has a {node.tag[:60]}, which is not supported")
         if len(text) > MAX_DIGITS:
-            raise self._error(event, f"{text[:20]}… is too long for a number; write it with an exponent")
+            raise _RefusedError(node, f"{text[:20]}… is too long for a number; write it with an exponent")
         try:
-            value = getattr(self._constructor, f"construct_yaml_{kind}")(self._yaml.ScalarNode(tag, text))
+            value = self.construct_object(node)
         except (ValueError, LookupError, OverflowError):
-            raise self._error(event, f"{shown(text)} is not a valid {kind}") from None
-        return self._checked(event, value, text)
-
-    def _checked(self, event: Any, value: Any, text: str) -> Any:
+            kind = node.tag.removeprefix(_PREFIX)
+            raise _RefusedError(node, f"{shown(text)} is not a valid {kind}") from None
         if isinstance(value, float) and math.isnan(value):
-            raise self._error(event, f"{text} is not a number")
+            raise _RefusedError(node, f"{text} is not a number")
         if isinstance(value, float) and math.isinf(value) and "inf" not in text.lower():
-            raise self._error(event, f"{shown(text)} is too large for a number")
+            raise _RefusedError(node, f"{shown(text)} is too large for a number")
         if type(value) is int and abs(value) >= WHOLE:
-            raise self._error(
-                event, f"{shown(text)} is too large for a whole number; write it with an exponent"
+            raise _RefusedError(
+                node, f"{shown(text)} is too large for a whole number; write it with an exponent"
             )
         return value
 
-    def _count(self, event: Any, values: int) -> None:
-        self._values += values
+    def _count(self, node: yaml.Node) -> None:
+        self._values += 1
         if self._values > MAX_VALUES:
-            raise self._error(event, f"the document has more than {MAX_VALUES} values")
-
-    def _error(self, event: Any, problem: str) -> DocumentError:
-        return DocumentError(f"{self._place}: line {event.start_mark.line + 1}: {problem}")
+            raise _RefusedError(node, f"the document has more than {MAX_VALUES} values")
 
 
 def _whole(digits: str, place: str) -> int:

@@ -9,6 +9,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import yaml
+
 from twinmatch.sessions.documents import DocumentError, parse_json, parse_yaml, read_yaml
 from twinmatch.sessions.files import SessionError
 from twinmatch.sessions.messages import Qos, Topic
@@ -156,8 +158,6 @@ def _read(folder: Path) -> Any:
 
 
 def _dump(value: object) -> str:
-    import yaml  # noqa: PLC0415 - reading a session's samples needs no YAML
-
     return str(yaml.safe_dump(value, sort_keys=False))
 
 
