@@ -82,5 +82,5 @@ def _print(tested: Backtest) -> None:
     for table in backtest_tables(tested):
         console.print(table)
         console.print()
-    for line in (*backtest_words(tested), *tested.notes, *(f"{a.name}: {a.reason}" for a in tested.absent)):
+    for line in (*backtest_words(tested), *tested.notes):
         print(line)

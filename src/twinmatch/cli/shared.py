@@ -33,7 +33,7 @@ def speed(text: str) -> float:
     return math.inf if text == "max" else float(text)
 
 
-PEERS: Final = ("persistence", "arx", "statsmodels")
+PEERS: Final = ("persistence", "arx")
 _FILE: Final = {"type": Path, "metavar": "FILE"}
 _OUT: Final = {"type": Path, "metavar": "OUT"}
 _FLAG: Final = {"action": "store_true"}

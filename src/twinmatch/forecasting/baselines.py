@@ -1,12 +1,15 @@
-"""Baselines: what can be forecast without a twin. A twin that does not beat them is of no use.
+"""Referees: what can be forecast without a twin. A twin that does not beat them is of no use.
 
-One says that nothing changes (persistence). The other is an ARX model of second order,
+One says that nothing changes (persistence). The other is a vector ARX model, which knows no physics:
 
-    y[k+1] = y[k] + c₀ + c₁ y[k] + c₂ (y[k] − y[k−1]) + c₃ u[k] + c₄ u[k−1] + Σ c d[k]
+    y[k+1] = y[k] + c + Σ (A y[k−i] + B u[k−i] + D d[k−i]) + e[k+1]         i = 0 … p − 1
 
-(of several outputs, each with those of all signals), fitted by least squares to all samples so far, older
-ones weighted less, and simulated ahead with the running controller, or under the given inputs. `twinmatch
-backtest` compares with larger models.
+of all outputs, inputs and measured disturbances, fitted by least squares to all samples so far, older ones
+weighted less, and simulated ahead with the running controller, or under the given inputs. The order p is that
+of least AICc (Hurvich and Tsai 1989; of several outputs Bedrick and Tsai 1994) up to `HIGHEST`.
+
+All orders are fitted at once: columns are ordered by lag, so that every lower order is a leading block of one
+triangular factor. That factor is updated, so that the model is fitted live at every forecast.
 """
 
 # ruff: noqa: PLR0917 (kernels take arrays in a row)
@@ -16,49 +19,52 @@ from __future__ import annotations
 from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twinmatch.compiled import compiled
 from twinmatch.dynamics import Law
 from twinmatch.dynamics.laws import LawCode, law_step
 from twinmatch.dynamics.simulation import law_code
-from twinmatch.signals import FloatArray, Sample, Signals
+from twinmatch.signals import FloatArray, Sample
 
 Visited = tuple[tuple[float, float], ...]
 """Lowest and highest value of each output."""
 
+HIGHEST: Final = 10
+"""Highest order of the ARX model."""
 _ROWS: Final = 3
-"""Samples needed per coefficient."""
-_RANK: Final = 1e-12
-"""Relative size of a singular value of the normal equations that counts as zero: inputs that never moved."""
-_NONE: Final = Sample(-9, 0, 0.0, 0.0, 0.0)
-"""Stands before the first sample."""
+"""Samples needed per coefficient of an output."""
+_RANK: Final = 1e-9
+"""Relative size of a singular value that counts as zero: inputs that never moved."""
+_TINY: Final = float(np.finfo(np.float64).tiny)
 
 
 @compiled
 def _simulated(
-    coefficients: FloatArray, start: FloatArray, rows: FloatArray, law: LawCode, memory: FloatArray,
-    ahead: FloatArray, spans: FloatArray,
+    coefficients: FloatArray, level: FloatArray, past: FloatArray, rows: FloatArray, law: LawCode,
+    memory: FloatArray, ahead: FloatArray, spans: FloatArray,
 ) -> FloatArray:  # fmt: skip
-    """Outputs and inputs, shape (o + m, N); `start` holds those of now and, below, those before."""
-    o, m = len(coefficients), start.shape[1] - len(coefficients)
+    """Outputs and inputs, shape (o + m, N); `past` holds outputs, inputs and disturbances, newest first."""
+    o, p, size = len(coefficients), len(past), past.shape[1]
+    m = size - o - rows.shape[1]
     found = np.empty((o + m, len(ahead)))
-    y, u = start[0, :o].copy(), start[0, o:].copy()
-    y_before, u_before = start[1, :o].copy(), start[1, o:].copy()
+    y, u = past[0, :o].copy(), past[0, o : o + m].copy()
     z, after = memory.copy(), memory.copy()
-    known = np.ones(coefficients.shape[1])
+    lags = past - level
     for k in range(len(ahead)):
-        known[1 : 1 + o], known[1 + o : 1 + 2 * o] = y, y - y_before
-        known[1 + 2 * o : 1 + 2 * o + m], known[1 + 2 * o + m : 1 + 2 * (o + m)] = u, u_before
-        known[1 + 2 * (o + m) :] = rows[k]
-        y_before[:], u_before[:] = y, u
+        lags[0, o + m :] = rows[k] - level[o + m :]
         for i in range(o):
             rate = coefficients[i, 0]
-            for j in range(1, known.size):
-                rate += coefficients[i, j] * known[j]
+            for lag in range(p):
+                for j in range(size):
+                    rate += coefficients[i, 1 + lag * size + j] * lags[lag, j]
             y[i] = min(max(y[i] + rate, spans[i, 0]), spans[i, 1])
         law_step(law, z, ahead, k, y, u, after)
         z[:] = after
         found[:o, k], found[o:, k] = y, u
+        for lag in range(p - 1, 0, -1):
+            lags[lag] = lags[lag - 1]
+        lags[0, :o], lags[0, o : o + m] = y - level[:o], u - level[o : o + m]
     return found
 
 
@@ -66,13 +72,25 @@ class ArxForecast(NamedTuple):
     """The ARX model at one sample, ready to forecast; immutable."""
 
     coefficients: FloatArray
-    """Of each output, shape (o, 1 + 2·(o + m) + d); empty before there are enough samples."""
-    start: FloatArray
-    """Outputs and inputs of now and of the sample before, shape (2, o + m)."""
+    """Of each output, shape (o, 1 + p·(o + m + d)), lag by lag; empty before there are enough samples."""
+    level: FloatArray
+    """Values of all signals that the coefficients are relative to, shape (o + m + d,)."""
+    past: FloatArray
+    """Outputs, inputs and disturbances of the newest p samples, newest first, shape (p, o + m + d)."""
     spans: FloatArray
     """Limits of each forecast output, shape (o, 2): one width beyond what was visited."""
     law: Law | None
     controller: FloatArray
+
+    @property
+    def order(self) -> int:
+        """The order p; 0 before there are enough samples."""
+        return len(self.past) if self.coefficients.size else 0
+
+    def referees(self, ahead: FloatArray, rows: FloatArray | None) -> FloatArray:
+        """Forecasts of all `BASELINES`, in their order, shape (baselines, o + m, N); see `forecast`."""
+        found = self.forecast(ahead, rows)
+        return np.stack([np.broadcast_to(self.past[0, : len(found), None], found.shape), found])
 
     def forecast(self, ahead: FloatArray, rows: FloatArray | None) -> FloatArray:
         """Outputs and inputs, shape (o + m, N), under these set-points, or inputs if the loop is not known.
@@ -81,11 +99,13 @@ class ArxForecast(NamedTuple):
 
         `rows` are the disturbances from the newest sample on, shape (N + 1, d), if there are any.
         """
+        disturbances = np.zeros((len(ahead), 0)) if rows is None else rows
         if not self.coefficients.size:
-            return np.repeat(self.start[0][:, None], len(ahead), axis=1)
+            signals = self.past.shape[1] - disturbances.shape[1]
+            return np.repeat(self.past[0, :signals, None], len(ahead), axis=1)
         found: FloatArray = _simulated(
-            self.coefficients, self.start, np.zeros((len(ahead), 0)) if rows is None else rows,
-            *law_code(self.law, self.controller), ahead.reshape(len(ahead), -1), self.spans,
+            self.coefficients, self.level, self.past, disturbances, *law_code(self.law, self.controller),
+            ahead.reshape(len(ahead), -1), self.spans,
         )  # fmt: skip
         return found
 
@@ -96,50 +116,92 @@ class Arx:
     def __init__(self, law: Law | None, kept: float) -> None:
         """Begin without samples; `kept` is the factor on past weights per sample."""
         self._law, self._kept = law, kept
-        self._normal, self._count = np.zeros((0, 0)), 0
-        self._rows: list[tuple[Signals, ...]] = []  # not yet in the normal equations
-        self._before = self._now = _NONE
+        self._factor, self._count, self._weight = np.zeros((0, 0)), 0, 0.0
+        self._level = np.zeros(0)
+        self._newest: list[Sample] = []
+        """Consecutive samples: the `HIGHEST` before those that are not yet in the factor, and these."""
+        self._learned = 0
+        """How many of them are."""
         self.visited: Visited = ()
         """Lowest and highest value of each output so far."""
 
     def push(self, sample: Sample) -> None:
         """Take one sample; from one that was lost, or does not follow the last one, nothing is learned."""
-        before, now = self._before, self._now
-        follows = before.index + 2 == now.index + 1 == sample.index
-        if follows and before.seen and now.seen and sample.seen:
-            self._rows.append(
-                (now.outputs, before.outputs, now.inputs, before.inputs, now.disturbances, sample.outputs)
-            )
+        if self._newest and sample.index != self._newest[-1].index + 1:
+            self._learn()
+            self._newest, self._learned = [], 0
+        self._newest.append(sample)
         seen = self.visited or [(y, y) for y in sample.outputs]
         self.visited = tuple(
             (min(low, y), max(high, y)) for (low, high), y in zip(seen, sample.outputs, strict=True)
         )
-        self._before, self._now = now if now.index + 1 == sample.index else sample, sample
 
     def departure(self, controller: FloatArray) -> ArxForecast:
         """The model at the newest sample, with the controller's state after it."""
         self._learn()
-        size, normal = len(self._normal), self._normal
-        coefficients = np.zeros(0)
-        if self._count >= max(_ROWS * size, 1):
-            scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
-            right, normal = normal[:, size:] / scale[:, None], normal[:, :size] / np.outer(scale, scale)
-            found = np.linalg.lstsq(normal, right, rcond=_RANK)[0] / scale[:, None]
-            coefficients = np.ascontiguousarray(found.T)
-        start = np.array([(*sample.outputs, *sample.inputs) for sample in (self._now, self._before)])
+        coefficients = self._fitted()
+        past = _rows_of(self._newest)[::-1]
+        # After a gap the model waits until it has as many samples as its order.
+        order = coefficients.shape[1] // past.shape[1]
+        if order > len(past):
+            coefficients, order = np.zeros((0, 0)), 0
         spans = np.array([(low - (high - low), high + (high - low)) for low, high in self.visited])
-        return ArxForecast(coefficients, start, spans, self._law, controller)
+        now = np.ascontiguousarray(past[: max(order, 1)])
+        return ArxForecast(coefficients, self._level, now, spans, self._law, controller)
 
     def _learn(self) -> None:
-        if not self._rows:
+        """Put the new samples into the factor of [1, lags, step of the outputs], weighted by age."""
+        new, seen = _rows_of(self._newest), np.array([sample.seen for sample in self._newest])
+        first = max(self._learned, HIGHEST)
+        self._newest, self._learned = self._newest[-HIGHEST:], min(len(self._newest), HIGHEST)
+        if first >= len(new):
             return
-        now, before, inputs, inputs_before, disturbances, after = map(np.array, zip(*self._rows, strict=True))
-        ones, steps = np.ones((len(now), 1)), after - now
-        rows = np.hstack([ones, now, now - before, inputs, inputs_before, disturbances, steps])
-        size = rows.shape[1] - steps.shape[1]
-        ages = np.arange(len(rows))[::-1]
-        learned = (rows[:, :size] * (self._kept**ages)[:, None]).T @ rows
-        if self._count:
-            learned += self._kept ** len(rows) * self._normal
-        self._normal, self._count = learned, self._count + len(rows)
-        self._rows.clear()
+        o, size = len(self.visited), new.shape[1]
+        if not self._level.size:
+            self._level = new[int(np.argmax(seen))]
+        # Of sample k all of k − HIGHEST … k have to be seen.
+        lost = np.concatenate([[0], np.cumsum(~seen)])
+        kept = np.arange(first, len(new))
+        kept = kept[lost[kept + 1] == lost[kept - HIGHEST]]
+        if not kept.size:
+            return
+        relative = new - self._level
+        lags = [relative[kept - lag] for lag in range(1, HIGHEST + 1)]
+        rows = np.hstack([np.ones((kept.size, 1)), *lags, new[kept, :o] - new[kept - 1, :o]])
+        forgotten = self._kept ** np.arange(kept.size - 1, -1, -1)
+        if not self._count:
+            self._factor = np.zeros((1 + HIGHEST * size + o,) * 2)
+        held = self._kept ** (kept.size / 2) * self._factor
+        weighted = np.sqrt(forgotten)[:, None] * rows
+        self._factor = np.asarray(np.linalg.qr(np.vstack([held, weighted]), mode="r"))
+        self._weight = self._kept**kept.size * self._weight + float(forgotten.sum())
+        self._count += kept.size
+
+    def _fitted(self) -> FloatArray:
+        """Coefficients of the order of least AICc, shape (o, 1 + p·(o + m + d)); empty with too few samples."""
+        o = len(self.visited)
+        sizes = 1 + self._level.size * np.arange(1, HIGHEST + 1)
+        sizes = sizes[sizes * _ROWS <= self._weight + 1e-9]
+        if not sizes.size:
+            return np.zeros((0, 0))
+        left = self._factor[:, -o:]
+        squares = np.cumsum((left[:, :, None] * left[:, None, :])[::-1], axis=0)[::-1]
+        size = int(sizes[np.argmin(_aicc(squares[sizes] / self._weight, sizes, self._weight))])
+        columns = self._factor[:size, :size]
+        scale = np.maximum(np.linalg.norm(columns, axis=0), _TINY)
+        found = np.linalg.lstsq(columns / scale, left[:size], rcond=_RANK)[0] / scale[:, None]
+        return np.ascontiguousarray(found.T)
+
+
+def _aicc(covariances: FloatArray, sizes: NDArray[np.int64], samples: float) -> FloatArray:
+    """AICc of models with these covariances of the residuals, shape (n, o, o), and numbers of coefficients of
+    each output, shape (n,)."""
+    o = covariances.shape[1]
+    spread = np.maximum(np.linalg.det(covariances), _TINY)
+    estimated = o * sizes + o * (o + 1) / 2
+    return np.asarray(samples * np.log(spread) + 2.0 * estimated * samples / (samples - sizes - o - 1.0))
+
+
+def _rows_of(samples: list[Sample]) -> FloatArray:
+    """Outputs, inputs and disturbances, one sample per row."""
+    return np.array([(*s.outputs, *s.inputs, *s.disturbances) for s in samples])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
@@ -187,13 +188,18 @@ def card_columns(plant: type[Plant], *, driven: bool = False) -> list[tuple[str,
         ("× best", lambda c: number(c.ratio)),
         (f"end{in_unit[0]}", lambda c: number(c.end_output * y.noise, y.decimals + 1)),
         (f"end{in_unit[1]}", lambda c: number(c.end_input * u.noise, u.decimals + 1)),
-        (f"held{called[0]}", lambda c: f"{number(100 * c.coverage_output, 0)} %"),
-        (f"held{called[1]}", lambda c: f"{number(100 * c.coverage_input, 0)} %"),
+        (f"held{called[0]}", lambda c: _share(c.coverage_output)),
+        (f"held{called[1]}", lambda c: _share(c.coverage_input)),
         (f"width{in_unit[0]}", lambda c: number(c.width_output * y.noise, y.decimals + 1)),
         (f"width{in_unit[1]}", lambda c: number(c.width_input * u.noise, u.decimals + 1)),
         ("score", lambda c: number(c.score, 1)),
     ]
     return [column for k, column in enumerate(columns) if not (driven and k in _OF_INPUT)]
+
+
+def _share(share: float) -> str:
+    """In per cent; a dash without a band."""
+    return "–" if math.isnan(share) else f"{number(100 * share, 0)} %"
 
 
 _OF_INPUT: Final = (5, 7, 9)

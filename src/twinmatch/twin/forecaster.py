@@ -211,7 +211,7 @@ class Forecaster:
             foresight = self._twins.foresight(self._law, self.period)
             states, covariances = [f.states for f in filters], [f.joint for f in filters]
             now = foresight.at(states, covariances, self._recent[-1].inputs, self._controller)
-        return _Departure(leader, outlooks, names, foresight, now, self._arx.departure(self._controller))
+        return _Departure(leader, outlooks, names, foresight, now, self.arx)
 
     def enter(self, candidates: Sequence[Candidate], successors: Mapping[str, str] | None = None) -> None:
         """Set the candidates; those already present with the same parameters continue.
@@ -284,6 +284,12 @@ class Forecaster:
             visited=self._arx.visited,
             notes=self.notes,
         )
+
+    @property
+    def arx(self) -> ArxForecast:
+        """The ARX model at the newest sample."""
+        self._catch_up()
+        return self._arx.departure(self._controller)
 
     def check_bands(self, samples: int, refused: Collection[int] = ()) -> BandCheck | None:
         """How the newest readings lie in the bands forecast for them; None if there was no forecast.
@@ -378,7 +384,7 @@ class Forecaster:
         given, rows = self._conditions(came)
         first = self._columns[1].start
         measured = np.ascontiguousarray(came[:, first : first + signals].T)
-        last, measured = measured[:, :1], measured[:, 1:]
+        measured = measured[:, 1:]
         skipped = sample // self._stride % _OTHERS_EVERY
         banded = {n for n in self._twins if not skipped or n == departure.leader}
         found: dict[str, tuple[FloatArray, FloatArray]] = {}
@@ -401,7 +407,7 @@ class Forecaster:
                 twin.calibration.learn(quotients, before)
         kept = np.flatnonzero(seen)
         new = kept[kept >= before]
-        baselines = np.array([measured - last, measured - departure.arx.forecast(given, rows)[:signals]])
+        baselines = measured - departure.arx.referees(given, rows)[:, :signals]
         ledger.add(tuple(found), off[:, :, new], baselines[:, :, new], place)
         self.standings = Standings(self._twins, ledger)
         if ahead == self._longest and departure.leader in found:

@@ -18,10 +18,9 @@ from tests.support.processes import run_twinmatch
 from tests.support.steps import drive_lost
 from twinmatch.cli.shared import PEERS as OFFERED
 from twinmatch.dynamics import Sensor, begin, simulate_closed_loop
+from twinmatch.forecasting import Arx
 from twinmatch.importing import open_any
 from twinmatch.offline.backtest import Choices
-from twinmatch.offline.backtest.peer import BacktestError
-from twinmatch.offline.backtest.peers import PEERS, Absent, peers
 from twinmatch.offline.backtest.run import (
     Listener,
     ask,
@@ -38,8 +37,10 @@ from twinmatch.offline.backtest.scoring import (
     LEADER,
     NEWEST,
     NOMINAL,
+    PEERS,
     TWINS,
     Backtest,
+    BacktestError,
     Card,
     Marked,
     Marks,
@@ -80,8 +81,8 @@ def test_the_leader_is_near_the_best_and_beats_everybody_without_a_twin(shipped:
         assert 1.0 <= leader.ratio < 1.2
         others = [c for c in shipped.cards if c.horizon == horizon and c.who not in TWINS]
         assert others
-        assert all(c.median > 1.3 * leader.median for c in others)
-        assert all(c.score > leader.score for c in others)
+        assert all(c.median > 1.05 * leader.median for c in others)
+        assert card(shipped, "persistence", horizon).median > 10.0 * leader.median
 
 
 def test_the_leaders_band_holds_what_it_promises(shipped: Backtest) -> None:
@@ -105,8 +106,9 @@ def test_a_session_cut_short_gives_the_same_forecasts() -> None:
     whole, cut = (replace(session, samples=session.samples[:size]) for size in (1000, 801))
     choices = Choices(every=50.0, horizons=(10.0, 100.0))
     one, other = (backtest(s, terms_from_files(s), choices) for s in (whole, cut))
-    known = {(*m.place, m.who): m for m in other.marked if m.sample <= 700}
-    again = {(*m.place, m.who): m for m in one.marked if m.sample <= 700}
+    # As texts, in which figures that there are not, NaN, are equal.
+    known = {(*m.place, m.who): repr(m) for m in other.marked if m.sample <= 700}
+    again = {(*m.place, m.who): repr(m) for m in one.marked if m.sample <= 700}
     assert len(known) > 60
     assert known == again
 
@@ -126,14 +128,6 @@ def test_without_a_candidate_there_is_nothing_to_judge(tmp_path: Path) -> None:
     tested = backtest(session, terms_from_files(session), TWIN_ONLY)
     assert (tested.marked, tested.cards, tested.shown) == ((), [], ())
     assert any("there was no candidate yet" in note for note in tested.notes)
-
-
-def test_a_peer_that_could_not_answer_is_reported() -> None:
-    """After a gap the twins continue at once; ARX starts over and needs a minute."""
-    whole = open_any(SHIPPED)
-    session = replace(whole, samples=[*whole.samples[:700], *whole.samples[740:1000]])
-    tested = backtest(session, terms_from_files(session), Choices(every=50.0, peers=("arx",)))
-    assert any("some forecasters lacked samples (ARX)" in note for note in tested.notes)
 
 
 def test_a_lost_sample_costs_no_forecast() -> None:
@@ -239,12 +233,14 @@ HORIZONS = (10.0, 60.0)
 def tested() -> Backtest:
     """Ten minutes of a loop, forecast by those who need no twin."""
     loop = linear_loop(set_points(600, 21), np.random.default_rng(22))
-    marked, shown = [], []
-    for origin in origins([loop], regular([loop], 60.0), HORIZONS):
-        for peer in peers(Peltier, ["persistence", "arx"])[0]:
-            forecast = ask(peer, origin)
-            if forecast is not None:
-                marked += mark("loop", peer.name, forecast, origin, horizons=HORIZONS, plant=Peltier)
+    marked, shown, arx = [], [], Arx(Peltier.loop, 1.0)
+    held = {origin.sample: origin for origin in origins([loop], regular([loop], 60.0), HORIZONS)}
+    for sample in samples_of(loop):
+        arx.push(sample)
+        if sample.index in held:
+            for name, forecast in ask(arx.departure(np.zeros(2)), held[sample.index]).items():
+                origin, who = held[sample.index], PEERS[name]
+                marked += mark("loop", who, forecast, origin, horizons=HORIZONS, plant=Peltier)
                 shown.append(forecast)
     return Backtest(
         name="loop",
@@ -255,7 +251,6 @@ def tested() -> Backtest:
         marked=tuple(marked),
         came=(loop,),
         shown=tuple(shown[1::2]),
-        absent=(Absent("somebody", "is not here"),),
         notes=("a note",),
     )
 
@@ -310,7 +305,6 @@ def test_json_holds_cards_and_every_forecast(tested: Backtest) -> None:
     assert (read["name"], read["plant"], read["origins"]) == ("loop", "peltier", 9)
     assert read["noise"] == {"output": 0.1, "input": 7.0}
     assert len(read["forecasts"]) == len(tested.marked) == 36
-    assert read["absent"] == [{"name": "somebody", "reason": "is not here"}]
     errors = [f["error"] for f in read["forecasts"] if (f["who"], f["horizon"]) == ("ARX", 60.0)]
     card = next(c for c in read["cards"] if (c["who"], c["horizon"]) == ("ARX", 60.0))
     assert card["median"] == pytest.approx(np.median(errors))
@@ -324,7 +318,6 @@ def test_several_sessions_are_one(tested: Backtest) -> None:
     assert total.name == "all 2 sessions"
     assert [c.count for c in total.cards] == [2 * c.count for c in tested.cards]
     assert [c.median for c in total.cards] == [c.median for c in tested.cards]
-    assert total.absent == tested.absent
     assert total.notes == ("loop: a note", "loop: a note")
 
 

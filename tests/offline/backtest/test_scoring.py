@@ -12,12 +12,11 @@ from hypothesis import strategies as st
 
 from tests.offline.backtest.forecasts import forecast_of, linear_loop, set_points
 from twinmatch.dynamics import begin, simulate_closed_loop
-from twinmatch.forecasting import HORIZONS
-from twinmatch.offline.backtest.peer import BacktestError
-from twinmatch.offline.backtest.peers import Persistence
+from twinmatch.forecasting import HORIZONS, ArxForecast
 from twinmatch.offline.backtest.run import Origin, ask, mark, origins, regular, with_constant_band
 from twinmatch.offline.backtest.scoring import (
     HINDSIGHT,
+    BacktestError,
     Marked,
     Marks,
     SignalMarks,
@@ -30,6 +29,13 @@ from twinmatch.offline.backtest.scoring import (
 )
 from twinmatch.plants import Peltier
 from twinmatch.signals import Sample, Window, unbroken
+
+
+def nothing_changes(origin: Origin) -> ArxForecast:
+    """Who has learned nothing yet."""
+    now = origin.past
+    past = np.array([[now.output[-1], now.input[-1]]])
+    return ArxForecast(np.zeros((0, 0)), np.zeros(0), past, np.zeros((1, 2)), None, np.zeros(0))
 
 
 def window(samples: int, first: int = 0, period: float = 1.0) -> Window:
@@ -82,8 +88,7 @@ def test_past_and_future_meet_and_nothing_is_in_both(samples: int, told: list[in
 def test_a_forecast_is_marked_at_the_horizons_that_came() -> None:
     loop = linear_loop(set_points(200, 3), np.random.default_rng(3))
     (origin,) = origins([loop], [119], HORIZONS)
-    forecast = ask(Persistence(Peltier), origin)
-    assert forecast is not None
+    forecast = ask(nothing_changes(origin), origin)["persistence"]
     found = mark("a", "somebody", forecast, origin, horizons=HORIZONS, plant=Peltier)
     assert [(m.session, m.sample, m.who, m.horizon) for m in found] == [
         ("a", 119, "somebody", 10.0),
@@ -95,9 +100,13 @@ def test_a_forecast_is_marked_at_the_horizons_that_came() -> None:
     )
 
 
-def test_who_knows_too_little_says_nothing() -> None:
-    (origin,) = origins([window(40)], [10], (10.0,))
-    assert ask(Persistence(Peltier), origin) is None
+def test_without_a_band_there_is_no_coverage_and_no_score() -> None:
+    loop = linear_loop(set_points(200, 3), np.random.default_rng(3))
+    (origin,) = origins([loop], [119], HORIZONS)
+    forecast = ask(nothing_changes(origin), origin)["arx"]
+    (card, _) = cards(mark("a", "ARX", forecast, origin, horizons=HORIZONS, plant=Peltier))
+    assert card.median > 0.0
+    assert np.isnan([card.coverage_output, card.width_input, card.score]).all()
 
 
 values = st.lists(st.floats(-1e3, 1e3).map(lambda x: round(x, 3)), min_size=1, max_size=40)

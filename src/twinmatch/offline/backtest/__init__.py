@@ -1,15 +1,15 @@
 """Backtests: a twin's forecasts compared with the samples, beside those of simpler methods.
 
 `backtest_session` runs a session through the twin and makes forecasts with all forecasters at every verdict
-and every minute; a `Backtest` holds the results. `marks` scores one forecast, `cards` summarise many. A
-`Peer` forecasts from the same samples and set-points as the twin and nothing else.
+and every minute; a `Backtest` holds the results. `marks` scores one forecast, `cards` summarise many. The
+peers are the referees of the verdict: persistence and ARX, from the same samples as there.
 """
 
-from twinmatch.offline.backtest.peer import BacktestError, Peer
-from twinmatch.offline.backtest.peers import PEERS, Absent, peers
 from twinmatch.offline.backtest.run import Choices, Listener, backtest, backtest_session, graded, portable
 from twinmatch.offline.backtest.scoring import (
+    PEERS,
     Backtest,
+    BacktestError,
     Card,
     Marked,
     Marks,
@@ -25,7 +25,6 @@ from twinmatch.offline.backtest.scoring import (
 
 __all__ = [
     "PEERS",
-    "Absent",
     "Backtest",
     "BacktestError",
     "Card",
@@ -33,7 +32,6 @@ __all__ = [
     "Listener",
     "Marked",
     "Marks",
-    "Peer",
     "SignalMarks",
     "backtest",
     "backtest_session",
@@ -45,6 +43,5 @@ __all__ = [
     "interval_score",
     "marks",
     "over_all",
-    "peers",
     "portable",
 ]

@@ -11,17 +11,18 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from twinmatch.comparing import BASELINES
 from twinmatch.dynamics import SKIPPED, Law, Parameters, Plant
-from twinmatch.forecasting import CONFIDENCE, Band, Forecast, ForecastError, Outlook
+from twinmatch.forecasting import CONFIDENCE, ArxForecast, Band, Forecast, Outlook
 from twinmatch.importing import open_any
-from twinmatch.offline.backtest.peer import BacktestError, Peer
-from twinmatch.offline.backtest.peers import PEERS, peers
 from twinmatch.offline.backtest.scoring import (
     CONSTANT,
     LEADER,
     NEWEST,
     NOMINAL,
+    PEERS,
     Backtest,
+    BacktestError,
     Marked,
     best_in_hindsight,
     common,
@@ -99,14 +100,26 @@ def origins(
     return found
 
 
-def ask(peer: Peer, origin: Origin) -> Forecast | None:
-    """A peer's forecast; None if its past is too short."""
-    rows = origin.disturbances
-    try:
-        with one_thread():
-            return peer.forecast(origin.past, origin.ahead, None if rows is None else rows[1:])
-    except ForecastError:
-        return None
+def ask(arx: ArxForecast, origin: Origin) -> dict[str, Forecast]:
+    """The forecasts of the peers, by name: those that the ledger compares with, of means without bands."""
+    with one_thread():
+        found = arx.referees(origin.ahead, origin.disturbances)
+    past, size, outputs = origin.past, origin.count, origin.past.outputs.shape[1]
+    unknown = np.full(size, np.nan)
+    bands = [tuple(Band(mean, unknown, unknown) for mean in means) for means in found]
+    return {
+        name: Forecast(
+            sample=origin.sample,
+            candidate=PEERS[name],
+            structure="",
+            confidence=CONFIDENCE,
+            time=np.arange(1, size + 1, dtype=np.float64) * past.period,
+            references=np.full(size, np.nan) if origin.driven else origin.ahead,
+            outputs=of[:outputs],
+            inputs=of[outputs:],
+        )
+        for name, of in zip(BASELINES, bands, strict=True)
+    }
 
 
 def mark(
@@ -197,6 +210,7 @@ class _Outlooks(NamedTuple):
     outlooks: dict[str, Outlook]
     who: dict[str, str]
     """Name of the candidate by role: leader, nominal, newest."""
+    arx: ArxForecast
 
 
 class _Common(NamedTuple):
@@ -265,7 +279,7 @@ def _outlooks(twin: Twin) -> _Outlooks:
         NEWEST: next((name for name in names if name not in structures), None),
     }
     parts = {part: name for part, name in who.items() if name in names}
-    return _Outlooks({name: forecaster.outlook(name) for name in names}, parts)
+    return _Outlooks({name: forecaster.outlook(name) for name in names}, parts, forecaster.arx)
 
 
 def _grade(terms: _Common, origin: Origin, asked: _Outlooks) -> _Graded:
@@ -289,10 +303,9 @@ def _grade(terms: _Common, origin: Origin, asked: _Outlooks) -> _Graded:
             same = with_constant_band(forecasts[name], parameters, origin.past, settings.law)
             marked += scored(CONSTANT, same, name)
     marked += best_in_hindsight(itertools.chain.from_iterable(of.values()))
-    for peer in peers(settings.plant, names, driven=origin.driven)[0]:
-        forecast = ask(peer, origin)
-        if forecast is not None:
-            marked += scored(peer.name, forecast)
+    peers = ask(asked.arx, origin)
+    for name in names:
+        marked += scored(PEERS[name], peers[name])
     return _Graded(marked, forecasts[asked.who[LEADER]])
 
 
@@ -373,7 +386,6 @@ def graded(judgement: Judgement, listener: Listener, *, watch: Watch | None = No
     everything = [one for result, kept in found for one in result.marked if one.horizon in kept]
     marked = common(everything)
     judged = {one.sample for one in marked}
-    driven = judgement.settings.law is None
     return Backtest(
         name=judgement.name,
         plant=plant,
@@ -383,7 +395,6 @@ def graded(judgement: Judgement, listener: Listener, *, watch: Watch | None = No
         marked=tuple(marked),
         came=listener.held,
         shown=_one_after_another(result.shown for result, _ in found if result.shown.sample in judged),
-        absent=tuple(peers(plant, listener.common.peers, driven=driven)[1]),
         notes=tuple(_notes(total, judged, everything, spoilt, unasked)),
     )
 

@@ -11,11 +11,18 @@ from typing import Any, Final
 import numpy as np
 
 from twinmatch.dynamics import Plant
+from twinmatch.errors import TwinmatchError
 from twinmatch.forecasting import Band, Forecast
-from twinmatch.offline.backtest.peer import BacktestError
-from twinmatch.offline.backtest.peers import Absent
 from twinmatch.record import finite
 from twinmatch.signals import BoolArray, FloatArray, Window
+
+PEERS: Final = {"persistence": "persistence", "arx": "ARX"}
+"""Names in tables and figures of the forecasts that need no twin: those of `BASELINES`."""
+
+
+class BacktestError(TwinmatchError):
+    """A backtest that cannot be made: samples that do not fit a forecast, or an unknown peer."""
+
 
 _ROUNDING = 1e-9
 """Relative tolerance within which a horizon counts as a whole number of samples."""
@@ -30,7 +37,7 @@ class SignalMarks:
     end: float
     """Error at the horizon itself: measured minus forecast mean."""
     coverage: float
-    """Share of the samples within the band, edges included."""
+    """Share of the samples within the band, edges included; NaN, as width and score, without a band."""
     width: float
     """Mean width of the band."""
     score: float
@@ -132,7 +139,8 @@ def _signal(
     held = max(counts, default=0)
     x, mean, low, high = (a[:held] / noise for a in (came, band.mean, band.low, band.high))
     error = x - mean
-    inside, scores = (low <= x) & (x <= high), interval_score(low, high, x, confidence)
+    inside = np.where(np.isnan(high - low), np.nan, (low <= x) & (x <= high))
+    scores = interval_score(low, high, x, confidence)
     everything, found = np.array([error**2, inside, high - low, scores]), []
     for count in counts:
         received = slice(count) if seen is None else np.flatnonzero(seen[:count])
@@ -296,8 +304,6 @@ class Backtest:
     """Name of the session with these samples; empty: this one's."""
     shown: tuple[Forecast, ...] = ()
     """Consecutive forecasts of the leader, for a figure."""
-    absent: tuple[Absent, ...] = ()
-    """Peers that are not available here."""
     notes: tuple[str, ...] = ()
     """Sentences on what was left out and why."""
 
@@ -335,7 +341,6 @@ def over_all(found: Sequence[Backtest]) -> Backtest:
         name=f"all {len(found)} sessions",
         marked=tuple(marked),
         pictured=first.name,
-        absent=tuple(dict.fromkeys(a for each in found for a in each.absent)),
         notes=tuple(f"{each.name}: {note}" for each in found for note in each.notes),
     )
 
@@ -354,7 +359,6 @@ def document(backtest: Backtest, *, forecasts: bool = True) -> dict[str, Any]:
         "noise": {"output": plant.output.noise, "input": plant.drive.noise},
         "origins": backtest.origins,
         "cards": [finite(asdict(card)) for card in backtest.cards],
-        "absent": [absent._asdict() for absent in backtest.absent],
         "notes": list(backtest.notes),
     }
     if forecasts:

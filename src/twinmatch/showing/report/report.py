@@ -271,7 +271,7 @@ class SessionReport:
             "fans": tables.leader_forecast_table(fans_of(tested, judgement), plant),
             "horizons": ", ".join(f"{h:g}" for h in tested.horizons),
             "confidence": f"{100 * tested.confidence:.0f}",
-            "forecast_notes": [*tested.notes, *(f"{a.name}: {a.reason}" for a in tested.absent)],
+            "forecast_notes": list(tested.notes),
             "facts": session_facts(judgement),
             "notes": judgement.summary.notes,
             "pictures": self.pictures,
@@ -306,9 +306,8 @@ def _peer_words(names: Sequence[str], *, closed: bool) -> list[str]:
     words = {
         "persistence": "everything stays as it is (persistence)",
         "arx": "least squares (ARX)" if closed else "least squares on the same inputs (ARX)",
-        "statsmodels": "a vector autoregression of statsmodels" if closed else "",
     }
-    return [words[name] for name in words if name in names and words[name]]
+    return [words[name] for name in words if name in names]
 
 
 def build_report(
