@@ -14,7 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 
-from tests.support.places import SHIPPED
+from tests.support.incubator import FIRST, SECOND
+from tests.support.places import OTHERS, SHIPPED
 from tests.support.plant_files import plant_file
 from tests.support.plants import Exchanger, Lag, Motor
 from tests.support.processes import Process, run_twinmatch
@@ -22,11 +23,13 @@ from tests.support.servo import Servo, turns
 from twinmatch.adding import AddingError, Proposal, check_plant, example, files_of, propose
 from twinmatch.adding.data import check_data, compare_structures, loop_findings
 from twinmatch.adding.proposal import noise_of
+from twinmatch.cli import main
 from twinmatch.dynamics import PidGains, begin, simulate_closed_loop, simulate_driven
 from twinmatch.importing import open_any
 from twinmatch.importing.recordings import session_of
 from twinmatch.importing.tables import Table, read_table
-from twinmatch.plants import find_plant
+from twinmatch.offline.judging import judge, terms_from_files
+from twinmatch.plants import Incubator, find_plant
 from twinmatch.sampling.sources import SignalMap, SignalSource, parse_map
 from twinmatch.sessions import RecordingError, Session, samples_of
 from twinmatch.signals import Sample, Window
@@ -296,3 +299,19 @@ def test_there_is_nothing_to_compare_with_one_structure_or_few_samples() -> None
     assert one.findings == []
     assert len(one.notes) == 2
     assert one.least < 1e-6
+
+
+@pytest.mark.parametrize("name", [FIRST, SECOND])
+def test_check_and_verdict_name_the_same_structure(name: str, tmp_path: Path) -> None:
+    """A fit to the whole run of the box prefers one with a sensor's lag."""
+    if not (OTHERS / "incubator" / f"{name}.csv").exists():
+        pytest.skip("the shared recordings are not here; see TWINMATCH_PLANT_RECORDINGS")
+    table, out = OTHERS / "incubator" / f"{name}.csv", tmp_path / "session"
+    mapped = ["time=time", "output=t2, t3", "input=heater_on", "room=t1"]
+    assert main(["import", str(table), "--plant", "incubator", "--map", *mapped, "-o", str(out)]) == 0
+    session = open_any(out)
+    verdict = judge(session, terms_from_files(session)).verdicts[-1]
+    notes = check_data(session, Incubator).notes
+    assert verdict.structure == "box with mass"
+    assert f"as in the last verdict, the samples justify: {verdict.structure}" in notes
+    assert not any("criteria choose" in note for note in notes)

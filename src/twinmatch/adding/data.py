@@ -95,7 +95,8 @@ def check_data(session: Session, plant: type[Plant], show: Shown = lambda *_: No
     faults = [verdict.reason for verdict in judgement.verdicts if verdict.fault]
     size = len(session.samples)
     show(f"fitting {len(plant.structures)} structures to {size} samples", size, size)
-    compared = compare_structures(session.samples, plant, terms.settings)
+    chosen = next((verdict.structure for verdict in reversed(judgement.verdicts) if verdict.structure), "")
+    compared = compare_structures(session.samples, plant, terms.settings, chosen)
     findings += _of_matches(judgement.matches, faults)
     notes += [*_accepted(judgement.matches), *compared.notes]
     found = [report.match for report in judgement.matches]
@@ -210,8 +211,14 @@ class Compared(NamedTuple):
     """RMS of the smallest residuals, in the output's unit; NaN if nothing could be fitted."""
 
 
-def compare_structures(samples: Sequence[Sample], plant: type[Plant], settings: TwinSettings) -> Compared:
-    """Fit every structure of the plant file to a recording as a whole."""
+def compare_structures(
+    samples: Sequence[Sample], plant: type[Plant], settings: TwinSettings, chosen: str = ""
+) -> Compared:
+    """Fit every structure of the plant file to a recording as a whole.
+
+    The structure that the data support is the one that the twin has `chosen`, as the last verdict says.
+    Only of a recording too short for that is it the choice of these fits.
+    """
     names = [name for name, structure in plant.structures.items() if structure.external is None]
     windows = _windows(samples, settings)
     if not windows:
@@ -225,12 +232,13 @@ def compare_structures(samples: Sequence[Sample], plant: type[Plant], settings: 
     notes = [f"each structure fitted to {'all' if used == len(samples) else 'the first'} {used} samples:"]
     notes += [f"  {_line(score, plant)}" for score in choice.scores]
     if len(names) > 1:
-        notes.append(choice.sentence)
+        notes.append(f"as in the last verdict, the samples justify: {chosen}" if chosen else choice.sentence)
+    chosen = chosen or choice.chosen
     least = min(map(_rms, choice.scores))
     first = settings.start.model.structure_name
-    if choice.chosen == first:
+    if chosen == first:
         return Compared([], notes, least)
-    what = f"the recording supports the structure {choice.chosen!r} rather than {first!r}"
+    what = f"the recording supports the structure {chosen!r} rather than {first!r}"
     todo = "put it first in `structures`: single windows are matched with the first one"
     return Compared([Finding(what, todo)], notes, least)
 

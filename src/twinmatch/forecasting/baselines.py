@@ -178,7 +178,7 @@ class Arx:
         self._count += kept.size
 
     def _fitted(self) -> FloatArray:
-        """Coefficients of the order of least AICc, shape (o, 1 + p·(o + m + d)); empty with too few samples."""
+        """Coefficients of the order of least AICc, shape (o, 1 + p·(o + m + d)); empty without samples."""
         o = len(self.visited)
         sizes = 1 + self._level.size * np.arange(1, HIGHEST + 1)
         sizes = sizes[sizes * _ROWS <= self._weight + 1e-9]
