@@ -21,7 +21,7 @@ def entered(
     errors: dict[str, FloatArray], kept: float = 1.0, noise: FloatArray = NOISE, horizons: int = 1
 ) -> Ledger:
     """A ledger after one forecast for each column, shape (2, n) by name; the baselines may be the same."""
-    ledger = Ledger(horizons, noise, kept)
+    ledger = Ledger(np.ones(horizons), noise, kept)
     names = [name for name in errors if name not in {PERSISTENCE, ARX}]
     came = np.array([errors[name] for name in names])
     baselines = np.array([errors[PERSISTENCE], errors.get(ARX, errors[PERSISTENCE])])
@@ -102,7 +102,7 @@ def test_a_newcomer_has_saved_nothing_yet_and_an_heir_continues() -> None:
 
 
 def test_nothing_is_said_before_a_forecast_has_come_true() -> None:
-    ledger = Ledger(2, NOISE, 1.0)
+    ledger = Ledger(np.ones(2), NOISE, 1.0)
     assert np.isnan(ledger.gains(["a"])).all()
     ledger.add(["a"], np.zeros((1, 2, 3)), np.ones((2, 2, 3)), 0)
     first, second = ledger.gains(["a"])[0]
@@ -115,7 +115,7 @@ def test_skill_is_the_share_of_a_baselines_error_that_is_saved() -> None:
     n = 4000
     off = np.array([[1.0], [1.0]]) * NOISE[:, None] * np.ones(n)
     ledger = entered({PERSISTENCE: 4.0 * off, ARX: [[0.5], [0.25]] * off, "a": [[2.0], [0.5]] * off})
-    by_persistence, by_arx = ledger.skills("a")[:, 0]
+    by_persistence, by_arx = ledger.skills("a")[0][:, 0]
     assert by_persistence == pytest.approx(1 - 1 / 4, abs=3 * 4 / n)
     assert by_arx == pytest.approx(1 - np.sqrt(4 * 2), abs=0.02)
 
@@ -123,11 +123,35 @@ def test_skill_is_the_share_of_a_baselines_error_that_is_saved() -> None:
 def test_skill_is_given_after_some_forecasts_only_and_is_inherited() -> None:
     few = {PERSISTENCE: drawn(4.0, 3, 1), "a": drawn(1.0, 3, 2)}
     assert np.isnan(entered(few).skills("a")).all()
-    assert np.isnan(Ledger(1, NOISE, 1.0).skills("a")).all()
+    assert np.isnan(Ledger(np.ones(1), NOISE, 1.0).skills("a")).all()
     ledger = entered({PERSISTENCE: drawn(4.0, 9, 1), "a": drawn(1.0, 9, 2)})
     ledger.inherit("heir", "a")
     np.testing.assert_array_equal(ledger.skills("heir"), ledger.skills("a"))
-    assert (ledger.skills("a") > 0).all()
+    assert (ledger.skills("a")[0] > 0).all()
+
+
+def moving(rng: np.random.Generator, samples: int, overlap: int) -> FloatArray:
+    """Errors of forecasts of which each covers most of what the one before did; of unit size."""
+    steps = rng.normal(0.0, 1.0, (2, samples + overlap - 1))
+    found = np.apply_along_axis(np.convolve, 1, steps, np.full(overlap, overlap**-0.5), "valid")
+    return np.asarray(10.0 * NOISE[:, None] * found)
+
+
+@pytest.mark.parametrize("overlap", [1, 10])
+def test_of_two_that_are_equally_good_none_is_better_but_by_chance(overlap: int) -> None:
+    """The promise is one in twenty. The one with twice the error is found out."""
+    rng, alarms, found = np.random.default_rng(7), 0, 0
+    for _ in range(400):
+        shared, *own = (moving(rng, 150, overlap) for _ in range(4))
+        one, other, baseline = (shared + 0.5 * each for each in own)
+        ledger = Ledger(np.array([1.0 / overlap]), NOISE, 0.98)
+        for k in range(150):
+            errors = np.array([one, 2.0 * other])[..., k : k + 1]
+            ledger.add(["equal", "worse"], errors, np.array([baseline] * 2)[..., k : k + 1], 0)
+        alarms += ledger.skills("equal")[1][0, 0] < 0.0
+        found += ledger.skills("worse")[1][0, 0] < 0.0
+    assert alarms <= 0.06 * 400
+    assert found > 0.9 * 400
 
 
 # How wide a band has to be to hold what it promises.

@@ -22,15 +22,22 @@ from twinmatch.twin.trust import BandCheck
 INSIDE, OUTSIDE = BandCheck(0.6, 0.9, 0.6, 0.9), BandCheck(0.6, 0.9, 3.0, 0.1)
 NO_MATCH = MatchResult("refused", "match refused: the twin cannot explain it", unexplained=True)
 WELL, POOR, MIXED = (0.5, 0.5), (-0.5, -0.5), (0.5, -0.5)
-WORSE = "60 s ahead its forecasts are worse than saying that nothing changes"
-WORSE_EVERYWHERE = WORSE.replace("60", "10 and 60")
+WORSE = "60 s ahead its forecasts are worse than saying that nothing changes, with 1.50 times the error"
+EVERYWHERE = WORSE.replace("60", "10 and 60").replace("1.50", "1.50 and 1.50")
+USELESS = f"at every horizon forecasts without a twin are better: {EVERYWHERE}"
 
 
 def score(
-    name: str = "leader", skill: tuple[float, ...] = WELL, structure: str = "plate", gain: float = 5.0
+    name: str = "leader",
+    skill: tuple[float, ...] = WELL,
+    high: tuple[float, ...] | None = None,
+    structure: str = "plate",
+    gain: float = 5.0,
 ) -> ForecastScore:
+    """Beside both baselines the same skill; by default certain."""
     parameters = rig() if structure == "plate" else Peltier.model(structure).parameters(seebeck=gain / 100)
-    return ForecastScore(name, parameters, 0, 299, gain, (gain,), 7.0, skill, skill)
+    ends = skill if high is None else high
+    return ForecastScore(name, parameters, 0, 299, gain, (gain,), 7.0, skill, skill, ends, ends)
 
 
 def known(**more: Any) -> Knowledge:
@@ -56,7 +63,22 @@ def faulty(fault: Fault, state: HealthState = HealthState.FAULT) -> Health:
         ({"bands": OUTSIDE}, TrustLevel.DOUBTFUL, "measurements lie outside the forecast bands"),
         ({"bands": BandCheck(2.0, 0.5)}, TrustLevel.DOUBTFUL, "measurements lie outside the forecast bands"),
         ({"match": NO_MATCH}, TrustLevel.DOUBTFUL, "no match explains the newest window"),
-        ({"forecasts": (score(skill=POOR),)}, TrustLevel.DOUBTFUL, WORSE_EVERYWHERE),
+        ({"forecasts": (score(skill=POOR),)}, TrustLevel.DOUBTFUL, USELESS),
+        ({"forecasts": (score(skill=POOR, high=(-0.1, -0.01)),)}, TrustLevel.DOUBTFUL, USELESS),
+        # By chance, at one horizon or because nothing is said of it.
+        *(
+            (
+                {"forecasts": (score(skill=POOR, high=high),)},
+                TrustLevel.TRUSTED,
+                f"measurements lie within the forecast bands, but {EVERYWHERE}",
+            )
+            for high in ((-0.1, 0.01), (math.nan, math.nan), ())
+        ),
+        # Too few were compared at the longer horizon.
+        ({"forecasts": (score(skill=(-0.5, math.nan)),)}, TrustLevel.DOUBTFUL, "at every horizon"),
+        # Little worse, but certainly.
+        ({"forecasts": (score(skill=(-0.02, -0.01)),)}, TrustLevel.DOUBTFUL, "at every horizon"),
+        ({"forecasts": (score(skill=(-0.02, -0.01), high=(0.1, 0.1)),)}, TrustLevel.TRUSTED, "measurements"),
         (
             {"forecasts": (score(skill=MIXED),)},
             TrustLevel.TRUSTED,

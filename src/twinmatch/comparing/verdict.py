@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from functools import lru_cache
@@ -28,20 +28,30 @@ REFUSED: Final = "refused"
 
 
 _WORSE: Final = 0.05
-"""Errors of so much more than a baseline's, as a share, count as worse."""
-BASELINES: Final = {"persistence": "saying that nothing changes", "arx": "an ARX model"}
+"""Errors of so much more than a baseline's, as a share, are named; whether by chance or not."""
+BASELINES: Final = {
+    "persistence": "saying that nothing changes",
+    "arx": "a linear model without physics (ARX)",
+}
 """The baselines, and what each is called in a sentence."""
 
 
-def beaten_words(beaten: Mapping[float, str]) -> str:
+def beaten_words(beaten: Mapping[float, tuple[str, float]]) -> str:
     """Where a baseline forecasts better, by `ForecastScore.beaten`, in words; empty if nowhere."""
     found = []
     for baseline, words in BASELINES.items():
-        horizons = [f"{horizon:g}" for horizon, name in beaten.items() if name == baseline]
-        if horizons:
-            ahead = " and ".join(filter(None, (", ".join(horizons[:-1]), horizons[-1])))
-            found.append(f"{ahead} s ahead its forecasts are worse than {words}")
+        held = {horizon: times for horizon, (name, times) in beaten.items() if name == baseline}
+        if held:
+            ahead, times = _listed(held, "g"), _listed(held.values(), ".2f")
+            found.append(
+                f"{ahead} s ahead its forecasts are worse than {words}, with {times} times the error"
+            )
     return ", and ".join(found)
+
+
+def _listed(numbers: Iterable[float], digits: str) -> str:
+    *first, last = (format(number, digits) for number in numbers)
+    return f"{', '.join(first)} and {last}" if first else last
 
 
 class TrustLevel(Enum):
@@ -50,10 +60,10 @@ class TrustLevel(Enum):
     UNKNOWN = "unknown"
     """There is no candidate yet, or none of its forecasts could be compared yet."""
     TRUSTED = "trusted"
-    """The samples lie in the bands forecast for them, and no baseline forecasts better."""
+    """The samples lie in the bands forecast for them, and no baseline is better at every horizon."""
     DOUBTFUL = "doubtful"
     """The samples lie outside (`miss_since` says since when), no match explains the window, or forecasts that
-    need no twin are better at every horizon."""
+    need no twin are better at every horizon, by more than chance."""
     FAULT = "fault"
     """The plant has a fault, so that no twin holds; check the plant."""
 
@@ -127,23 +137,36 @@ class ForecastScore:
     """At each horizon, 1 − (mean |error|) / (that of a forecast of no change); NaN if too few were compared,
     empty in recordings from before it was computed."""
     arx_skill: tuple[float, ...] = ()
-    """The same beside an ARX model of second order, which is fitted to the samples so far."""
+    """The same beside an ARX model, which is fitted to the samples so far."""
+    persistence_skill_high: tuple[float, ...] = ()
+    """Upper end of the one-sided 95 % interval of `persistence_skill`: below 0, the forecast of no change is
+    better, and not by chance. NaN and empty as above."""
+    arx_skill_high: tuple[float, ...] = ()
+    """The same of `arx_skill`."""
 
-    def beaten(self, horizons: Sequence[float]) -> dict[float, str]:
-        """The baseline that forecasts better, by horizon, s; without those that none forecasts better."""
+    def beaten(self, horizons: Sequence[float]) -> dict[float, tuple[str, float]]:
+        """The baseline that forecasts better, and how many times its error the candidate's is, by horizon, s;
+        without those that none forecasts better."""
         found = {}
         for k, horizon in enumerate(horizons):
             every = {name: getattr(self, f"{name}_skill") for name in BASELINES}
-            skills = {name: skill[k] for name, skill in every.items() if skill and skill[k] < -_WORSE}
-            if skills:
-                found[horizon] = min(skills, key=lambda name: skills[name])
+            skills = {name: skill[k] for name, skill in every.items() if skill}
+            better = [n for n, skill in skills.items() if skill < -_WORSE or self._surely_worse(n, k)]
+            if better:
+                name = min(better, key=lambda name: skills[name])
+                found[horizon] = name, 1.0 - skills[name]
         return found
+
+    def _surely_worse(self, baseline: str, k: int) -> bool:
+        """Whether it is worse than a baseline at the k-th horizon by more than chance."""
+        highs = getattr(self, f"{baseline}_skill_high")
+        return bool(highs) and highs[k] < 0.0
 
     @property
     def useless(self) -> bool:
-        """Whether a baseline forecasts better at every horizon at which they were compared."""
+        """Whether a baseline forecasts better, by more than chance, at every horizon compared."""
         compared = [k for k, skill in enumerate(self.persistence_skill) if not math.isnan(skill)]
-        return bool(compared) and len(self.beaten(range(len(self.persistence_skill)))) == len(compared)
+        return bool(compared) and all(any(self._surely_worse(b, k) for b in BASELINES) for k in compared)
 
 
 @dataclass(frozen=True)

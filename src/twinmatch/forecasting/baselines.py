@@ -6,7 +6,7 @@ One says that nothing changes (persistence). The other is a vector ARX model, wh
 
 of all outputs, inputs and measured disturbances, fitted by least squares to all samples so far, older ones
 weighted less, and simulated ahead with the running controller, or under the given inputs. The order p is that
-of least AICc (Hurvich and Tsai 1989; of several outputs Bedrick and Tsai 1994) up to `HIGHEST`.
+of least AICc (Hurvich and Tsai 1989; of several outputs Bedrick and Tsai 1994) up to `MAX_ORDER`.
 
 All orders are fitted at once: columns are ordered by lag, so that every lower order is a leading block of one
 triangular factor. That factor is updated, so that the model is fitted live at every forecast.
@@ -30,9 +30,9 @@ from twinmatch.signals import FloatArray, Sample
 Visited = tuple[tuple[float, float], ...]
 """Lowest and highest value of each output."""
 
-HIGHEST: Final = 10
+MAX_ORDER: Final = 10
 """Highest order of the ARX model."""
-_ROWS: Final = 3
+_MIN_ROWS: Final = 3
 """Samples needed per coefficient of an output."""
 _RANK: Final = 1e-9
 """Relative size of a singular value that counts as zero: inputs that never moved."""
@@ -119,7 +119,7 @@ class Arx:
         self._factor, self._count, self._weight = np.zeros((0, 0)), 0, 0.0
         self._level = np.zeros(0)
         self._newest: list[Sample] = []
-        """Consecutive samples: the `HIGHEST` before those that are not yet in the factor, and these."""
+        """Consecutive samples: the `MAX_ORDER` before those that are not yet in the factor, and these."""
         self._learned = 0
         """How many of them are."""
         self.visited: Visited = ()
@@ -152,25 +152,25 @@ class Arx:
     def _learn(self) -> None:
         """Put the new samples into the factor of [1, lags, step of the outputs], weighted by age."""
         new, seen = _rows_of(self._newest), np.array([sample.seen for sample in self._newest])
-        first = max(self._learned, HIGHEST)
-        self._newest, self._learned = self._newest[-HIGHEST:], min(len(self._newest), HIGHEST)
+        first = max(self._learned, MAX_ORDER)
+        self._newest, self._learned = self._newest[-MAX_ORDER:], min(len(self._newest), MAX_ORDER)
         if first >= len(new):
             return
         o, size = len(self.visited), new.shape[1]
         if not self._level.size:
             self._level = new[int(np.argmax(seen))]
-        # Of sample k all of k − HIGHEST … k have to be seen.
+        # Of sample k all of k − MAX_ORDER … k have to be seen.
         lost = np.concatenate([[0], np.cumsum(~seen)])
         kept = np.arange(first, len(new))
-        kept = kept[lost[kept + 1] == lost[kept - HIGHEST]]
+        kept = kept[lost[kept + 1] == lost[kept - MAX_ORDER]]
         if not kept.size:
             return
         relative = new - self._level
-        lags = [relative[kept - lag] for lag in range(1, HIGHEST + 1)]
+        lags = [relative[kept - lag] for lag in range(1, MAX_ORDER + 1)]
         rows = np.hstack([np.ones((kept.size, 1)), *lags, new[kept, :o] - new[kept - 1, :o]])
         forgotten = self._kept ** np.arange(kept.size - 1, -1, -1)
         if not self._count:
-            self._factor = np.zeros((1 + HIGHEST * size + o,) * 2)
+            self._factor = np.zeros((1 + MAX_ORDER * size + o,) * 2)
         held = self._kept ** (kept.size / 2) * self._factor
         weighted = np.sqrt(forgotten)[:, None] * rows
         self._factor = np.asarray(np.linalg.qr(np.vstack([held, weighted]), mode="r"))
@@ -180,8 +180,8 @@ class Arx:
     def _fitted(self) -> FloatArray:
         """Coefficients of the order of least AICc, shape (o, 1 + p·(o + m + d)); empty without samples."""
         o = len(self.visited)
-        sizes = 1 + self._level.size * np.arange(1, HIGHEST + 1)
-        sizes = sizes[sizes * _ROWS <= self._weight + 1e-9]
+        sizes = 1 + self._level.size * np.arange(1, MAX_ORDER + 1)
+        sizes = sizes[sizes * _MIN_ROWS <= self._weight + 1e-9]
         if not sizes.size:
             return np.zeros((0, 0))
         left = self._factor[:, -o:]

@@ -21,7 +21,9 @@ the first baseline: no change.
 
 Who leads a family need not be of use. So each candidate's errors are also compared with those that the
 baselines made on the same samples: its skill is 1 − (its mean |error|) / (the baseline's), as in meteorology
-(Murphy 1988), positive where the twin adds something.
+(Murphy 1988), positive where the twin adds something. How certain that is follows from the differences of
+both errors, forecast by forecast, since most of what makes one large makes the other large (Diebold and
+Mariano 1995); of forecasts that overlap, only the part that the one before did not cover counts.
 """
 
 from __future__ import annotations
@@ -161,26 +163,34 @@ _SHRINKAGE: Final = 5.0
 _LN10: Final = float(np.log(10.0))
 _COMPARED: Final = 4.0
 """Effective number of forecasts from which on skill is computed."""
+_ONE_SIDED: Final = 1.6448536269514722
+"""Quantile of the normal distribution at 95 %."""
 _LENGTH, _WEIGHT, _COUNTED, _MEANS = range(4)
 """Columns of an account at a horizon: characters of all signals together, and the effective number of
-forecasts in that sum; the number in the means; and from here on the mean |error| of each signal, and those of
-the baselines on the same samples."""
+forecasts in that sum; the number in the means; and from here on those of `_SIZES` and `_SQUARES`."""
+_SIZES: Final = slice(_MEANS, -len(BASELINES))
+"""Columns of the mean |error| of each signal, and of those of the baselines on the same samples."""
+_SQUARES: Final = slice(-len(BASELINES), None)
+"""Columns, one for each baseline, of the mean square of the difference of both errors, relative to their
+means; before there is one it counts as large as the errors, 1."""
 
 
 class Ledger:
     """The accounts of all candidates: takes errors, returns gains."""
 
-    def __init__(self, horizons: int, noise: FloatArray, kept: float) -> None:
+    def __init__(self, new: FloatArray, noise: FloatArray, kept: float) -> None:
         """Begin without accounts.
 
         Args:
-            horizons: number of horizons H.
+            new: share of a forecast that the one before did not cover, at each horizon, shape (H,).
             noise: noise of the forecast signals, shape (signals,): outputs and inputs, or only the outputs if
                 inputs are given.
             kept: factor on past weights per forecast; below 1, the past is forgotten slowly.
         """
-        self.horizons, self.noise, self.kept = horizons, noise, kept
-        self._new = np.concatenate([[0.0, 0.0, _PRIOR_WEIGHT], np.tile(noise, 1 + len(BASELINES))])
+        self.horizons, self.noise, self.kept = new.size, noise, kept
+        self._uncovered = new
+        sizes, squares = np.tile(noise, 1 + len(BASELINES)), np.ones(len(BASELINES))
+        self._new = np.concatenate([[0.0, 0.0, _PRIOR_WEIGHT], sizes, squares])
         """A new account at a horizon: see `_LENGTH` and those after it."""
         self._rows: dict[str | int, int] = {}
         """Row of each candidate by name, and of each baseline by its place among `BASELINES`."""
@@ -225,22 +235,31 @@ class Ledger:
         before = account[:, _COUNTED, None].copy()
         account[:, _LENGTH] += characters.sum(axis=1)
         account[:, [_WEIGHT, _COUNTED]] += 1.0
-        means = np.hstack([found, np.tile(baseline, (len(found), 1))])
-        account[:, _MEANS:] = (before * account[:, _MEANS:] + means) / account[:, _COUNTED, None]
+        counted = account[:, _COUNTED, None]
+        sizes = np.hstack([found, np.tile(baseline, (len(found), 1))])
+        account[:, _SIZES] = (before * account[:, _SIZES] + sizes) / counted
+        relative = (sizes / account[:, _SIZES]).reshape(len(found), 1 + len(BASELINES), -1)
+        apart = (relative[:, :1] - relative[:, 1:]).mean(axis=2)
+        account[:, _SQUARES] = (before * account[:, _SQUARES] + np.square(apart)) / counted
         self._accounts[rows, h] = account
 
-    def skills(self, name: str) -> FloatArray:
-        """Skill of a candidate at each horizon beside each of `BASELINES`, shape (baselines, H).
+    def skills(self, name: str) -> tuple[FloatArray, FloatArray]:
+        """Skill of a candidate at each horizon beside each of `BASELINES`, and the upper end of its one-sided
+        95 % interval, shape (baselines, H) each.
 
         Of several signals it is the geometric mean of the ratios that counts. NaN where too few forecasts
         were compared.
         """
         if name not in self._rows:
-            return np.full((len(BASELINES), self.horizons), np.nan)
+            unknown = np.full((len(BASELINES), self.horizons), np.nan)
+            return unknown, unknown
         account = self._accounts[self._rows[name]]
-        sizes = account[:, _MEANS:].T.reshape(1 + len(BASELINES), -1, self.horizons)
+        sizes = account[:, _SIZES].T.reshape(1 + len(BASELINES), -1, self.horizons)
         ratios = np.log(sizes[0] / sizes[1:]).mean(axis=1)
-        return np.where(account[:, _WEIGHT] >= _COMPARED, 1.0 - np.exp(ratios), np.nan)
+        errors = np.sqrt(account[:, _SQUARES].T / (account[:, _COUNTED] * self._uncovered))
+        known = account[:, _WEIGHT] >= _COMPARED
+        skill, high = (1.0 - np.exp(each) for each in (ratios, ratios - _ONE_SIDED * errors))
+        return np.where(known, skill, np.nan), np.where(known, high, np.nan)
 
     def forecasts(self, name: str) -> float:
         """Effective number of a candidate's scored forecasts at all horizons, older ones weighted less."""

@@ -18,7 +18,7 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Image, Temperature
 from std_msgs.msg import Float64
 
-from twinmatch.comparing import ADMITTED, REFUSED, TrustLevel
+from twinmatch.comparing import ADMITTED, BASELINES, REFUSED, TrustLevel
 from twinmatch.dynamics import Plant
 from twinmatch.fitting import Status
 from twinmatch.nodes import messages as converted
@@ -207,7 +207,7 @@ def _check_verdict(message: Any) -> None:
     for candidate in message.candidates:
         _check_candidate(candidate)
     for score in message.forecasts:
-        skills = "gains", "persistence_skill", "arx_skill"
+        skills = "gains", *(f"{name}_skill{end}" for name in BASELINES for end in ("", "_high"))
         _sized(score, len(message.horizons), *skills, of="its horizons", empty=True)
         _check_score(score)
 

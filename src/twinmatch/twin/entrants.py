@@ -17,7 +17,7 @@ from twinmatch.dynamics import Foresight, Law
 from twinmatch.forecasting import Calibration, Ledger, StateFilter
 from twinmatch.forecasting.outlook import foresight_of
 
-_SKILLS: Final = tuple(f"{name}_skill" for name in BASELINES)
+_SKILLS: Final = tuple(f"{name}_skill{end}" for end in ("", "_high") for name in BASELINES)
 """Fields of `ForecastScore`."""
 
 
@@ -107,7 +107,9 @@ class Standings:
                     gain=total,
                     gains=tuple(gains),
                     forecasts=ledger.forecasts(name),
-                    **dict(zip(_SKILLS, map(tuple, ledger.skills(name).tolist()), strict=True)),
+                    **dict(
+                        zip(_SKILLS, map(tuple, np.concatenate(ledger.skills(name)).tolist()), strict=True)
+                    ),
                 )
             )
         return tuple(found)

@@ -224,7 +224,8 @@ class Forecaster:
         successors = successors or {}
         if self._ledger is None and candidates:
             noise = forecast_noise(candidates[0].parameters.model.plant, self._law)
-            self._ledger = Ledger(len(self.horizons), noise, self._kept)
+            new = np.minimum(self._stride / np.array(self.horizons), 1.0)
+            self._ledger = Ledger(new, noise, self._kept)
         twins = {}
         for candidate in candidates:
             twin = self._twins.get(candidate.name)

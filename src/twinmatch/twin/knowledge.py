@@ -106,7 +106,7 @@ def trust_of(known: Knowledge) -> Trust:
     elif miss < known.miss_limit and known.match.unexplained:
         reason = _UNEXPLAINED
     elif miss < known.miss_limit and leading is not None and leading.useless:
-        reason = beaten
+        reason = f"at every horizon forecasts without a twin are better: {beaten}"
     elif miss < known.miss_limit:
         level, held = TrustLevel.TRUSTED, LEVEL_WORDS[TrustLevel.TRUSTED]
         reason = f"{held}, but {beaten}" if beaten else held

@@ -18,11 +18,11 @@ from twinmatch.cli import main
 from twinmatch.dynamics import Experiment
 from twinmatch.fitting import fit_structure
 from twinmatch.forecasting import Arx, ArxForecast
-from twinmatch.forecasting.baselines import HIGHEST
+from twinmatch.forecasting.baselines import MAX_ORDER
+from twinmatch.importing import open_any
 from twinmatch.offline.backtest import Choices, Listener, graded
 from twinmatch.offline.judging import judge, terms_from_files
 from twinmatch.plants import Incubator, Peltier
-from twinmatch.sessions import open_any
 from twinmatch.signals import FloatArray, Sample, Window
 
 
@@ -54,10 +54,10 @@ def test_the_least_squares_and_their_aicc_are_those_of_statsmodels(kept: float) 
     u, y = second_order(400, 0.05, 3)
     ours = fitted(y[:, None], u[:, None], kept)
     signals = np.column_stack([y, u]) - [y[0], u[0]]
-    rows = np.arange(HIGHEST, y.size)
+    rows = np.arange(MAX_ORDER, y.size)
     weights = kept ** np.arange(rows.size)[::-1].astype(float)
     found = {}
-    for order in range(1, HIGHEST + 1):
+    for order in range(1, MAX_ORDER + 1):
         columns = np.column_stack([np.ones(rows.size), *(signals[rows - lag] for lag in range(1, order + 1))])
         theirs = api.WLS(y[rows] - y[rows - 1], columns, weights=weights).fit()
         n, size = weights.sum(), columns.shape[1]
@@ -159,11 +159,11 @@ def test_arx_beats_persistence_on_a_recorded_hour(
     number: int, recorded_hour: Callable[[int], Window]
 ) -> None:
     """Every five minutes of the second half: it knows the set-points, which persistence cannot use."""
-    hour, gains = recorded_hour(number), Peltier.loop
-    arx, state, errors = Arx(gains, 1.0), np.zeros(gains.n_states), []
+    hour, law = recorded_hour(number), Peltier.loop
+    arx, state, errors = Arx(law, 1.0), np.zeros(law.n_states), []
     for k in range(len(hour) - 301):
         row = hour.references[k], hour.outputs[k], hour.inputs[k]
-        state = gains.follow(state, *row)
+        state = law.follow(state, *row)
         arx.push(Sample(k, 0, *(tuple(each.tolist()) for each in row)))
         if k > 1800 and k % 300 == 0:
             came = np.array([hour.output[k + 1 : k + 301], hour.input[k + 1 : k + 301]])
