@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 
 from twinmatch.dynamics.declarations import PlantError
 from twinmatch.dynamics.descent import Descended, new_search, search_result
-from twinmatch.dynamics.laws import LawCode
 from twinmatch.dynamics.plant import Parameters
-from twinmatch.dynamics.runs import LeastSquares, Tangents
+from twinmatch.dynamics.runs import Course, LeastSquares, Start, Tangents
 from twinmatch.dynamics.simulation import (
     FROM_PLANT_FILE,
     SKIPPED,
@@ -117,25 +116,28 @@ class Experiment:
         for name, value in (beforehand or {}).items():
             place = self.free.index(name)
             expected[place], pull[place] = value.expected, value.pull
-        self._problem = LeastSquares(
-            base=base.vector,
+        self._course = Course(
             which=_indices(self._kernels.UNKNOWN, self.free),
+            tuned=np.array([known_gains[name] for name in self.free_gains], dtype=np.int64),
+            memory=memory,
+            references=signal_rows(model.title, "reference", references[SKIPPED:], columns),
+            disturbances=model.disturbance_rows(window.disturbances, len(window))[SKIPPED:],
+            measured=self.measured,
+            weights=weighed,
+            robust=bool(robust),
+            period=float(window.period),
+        )
+        self._problem = LeastSquares(
+            course=self._course,
+            base=base.vector,
             places=_indices(model.names, self.free),
             started=_indices(model.states, self.free_starts),
             first=model.row_of("outputs", window.outputs[SKIPPED]),
             inputs_before=model.row_of("inputs", window.inputs[SKIPPED - 1]),
             law=code,
-            tuned=np.array([known_gains[name] for name in self.free_gains], dtype=np.int64),
-            memory=memory,
-            references=signal_rows(model.title, "reference", references[SKIPPED:], columns),
-            measured=self.measured,
-            weights=weighed,
-            robust=bool(robust),
-            disturbances=model.disturbance_rows(window.disturbances, len(window))[SKIPPED:],
             default_disturbances=model.disturbances,
             corners=model.corners,
             drives=model.drives,
-            period=float(window.period),
             rate_limit=_COARSE if coarse else self._kernels.RATE_LIMIT,
             expected=expected,
             pull=pull,
@@ -144,7 +146,7 @@ class Experiment:
     @property
     def controller(self) -> FloatArray:
         """State of the controller at the start, shape (q,)."""
-        return self._problem.memory.copy()
+        return self._course.memory.copy()
 
     @property
     def pull(self) -> FloatArray:
@@ -168,19 +170,19 @@ class Experiment:
         """The unknowns, shape (n,): given parameters, the given gains, the plant file's initial states."""
         initial, _, _ = self._initial(parameters.vector)
         named = [parameters[name] for name in self.free]
-        gains = self._problem.law[self._problem.tuned]
+        gains = self._problem.law[self._course.tuned]
         return np.array([*named, *gains, *initial[self._problem.started]], dtype=np.float64)
 
     def simulate(self, values: FloatArray) -> Response:
         """Run without derivatives, from the third sample on."""
-        vector, law, states, _, steps = self._start(values)
-        problem, size = self._problem, self.measured.shape[1]
-        still = np.zeros((size, problem.first.size)), np.zeros(size, dtype=np.bool_), 0.0
+        start, course = self._start(values), self._course
+        still = np.zeros((self.measured.shape[1], self._problem.first.size))
+        never = np.zeros(self.measured.shape[1], dtype=np.bool_)
         outputs, inputs, passed = self._kernels.run(
-            vector, states, law, problem.memory, problem.references, problem.disturbances, *still,
-            problem.period, steps,
+            start.vector, start.x, start.law, course.memory, course.references, course.disturbances, still,
+            never, 0.0, course.period, start.steps,
         )  # fmt: skip
-        return Response(outputs, inputs, passed, steps)
+        return Response(outputs, inputs, passed, start.steps)
 
     def normal(self, values: FloatArray) -> tuple[float, FloatArray, FloatArray]:
         """Cost, gradient Jᵀr, shape (n,), and JᵀJ, shape (n, n), of the weighed residuals.
@@ -207,14 +209,9 @@ class Experiment:
 
     def tangents(self, values: FloatArray) -> Tangents:
         """Run with all derivatives."""
-        vector, law, states, columns, steps = self._start(values)
-        problem = self._problem
-        found: Tangents = self._kernels.run_with_tangents(
-            vector, problem.which, states, columns, law, problem.tuned, problem.memory, problem.references,
-            problem.disturbances, problem.period, steps, problem.measured, problem.weights, problem.robust,
-            True, np.inf,
-        )[0]  # fmt: skip
-        return found
+        tangents: Tangents
+        tangents, _ = self._kernels.run_with_tangents(self._start(values), self._course, True, np.inf)
+        return tangents
 
     @cached_property
     def start_slope(self) -> FloatArray:
@@ -225,18 +222,15 @@ class Experiment:
 
     def _initial(self, vector: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         initial: tuple[FloatArray, FloatArray, FloatArray] = self._kernels.begin(
-            vector, self._problem.first, self._problem.inputs_before, self._problem.disturbances[0]
+            vector, self._problem.first, self._problem.inputs_before, self._course.disturbances[0]
         )
         return initial
 
-    def _start(self, values: FloatArray) -> tuple[FloatArray, LawCode, FloatArray, FloatArray, int]:
-        """Parameters, law, states, their derivatives by the unknowns, and steps per sample."""
-        found: tuple[FloatArray, LawCode, FloatArray, FloatArray, int] = self._kernels.start_at(
-            self._problem, values
-        )
-        if found[-1] > self._kernels.MAX_STEPS:
-            self.model.steps(found[0], self.window.period)  # raises the error
-        return found
+    def _start(self, values: FloatArray) -> Start:
+        start: Start = self._kernels.start_at(self._problem, values)
+        if start.steps > self._kernels.MAX_STEPS:
+            self.model.steps(start.vector, self.window.period)  # raises the error
+        return start
 
 
 def _indices(known: Sequence[str], names: Sequence[str]) -> NDArray[np.int64]:

@@ -48,15 +48,51 @@ from twinmatch.dynamics.sensor import reading
 from twinmatch.signals import FloatArray
 
 
+class Course(NamedTuple):
+    """What a run with derivatives is given, and compared with; the same for all values of the unknowns."""
+
+    which: NDArray[np.int64]
+    """Indices of the unknown parameters among those with tangents, shape (m,)."""
+    tuned: NDArray[np.int64]
+    """Places of the unknown gains in the law."""
+    memory: FloatArray
+    """The controller's state at the start."""
+    references: FloatArray
+    """Shape (N, r)."""
+    disturbances: FloatArray
+    """Shape (N, number of disturbances)."""
+    measured: FloatArray
+    """Outputs and inputs, shape (o + inputs, N)."""
+    weights: FloatArray
+    """Weights of their residuals, of the same shape."""
+    robust: bool
+    """Whether large residuals count linearly."""
+    period: float
+
+
+class Start(NamedTuple):
+    """Where a run with derivatives starts: the values of the unknowns, and what follows from them."""
+
+    vector: FloatArray
+    """Parameters."""
+    law: LawCode
+    x: FloatArray
+    """States, shape (nx,)."""
+    columns: FloatArray
+    """Their derivatives by the n unknowns, shape (nx, n): parameters, gains, and others (initial states) that
+    act only through x."""
+    steps: int
+    """Runge–Kutta steps per sample."""
+
+
 class LeastSquares(NamedTuple):
     """A window's least-squares problem for compiled code: all but the values of the unknowns."""
 
+    course: Course
     base: FloatArray
     """Values of all parameters, shape (n,); those of the unknown ones are ignored."""
-    which: NDArray[np.int64]
-    """Indices of the unknown parameters among those with tangents, shape (m,)."""
     places: NDArray[np.int64]
-    """Their indices among all parameters."""
+    """Indices of the unknown parameters among all of them."""
     started: NDArray[np.int64]
     """Indices of the states with unknown initial value."""
     first: FloatArray
@@ -65,25 +101,11 @@ class LeastSquares(NamedTuple):
     """Inputs until the start, shape (inputs,)."""
     law: LawCode
     """The controller; if the inputs are given, they are the references, and are not compared."""
-    tuned: NDArray[np.int64]
-    """Places of the unknown gains in it."""
-    memory: FloatArray
-    """The controller's state at the start."""
-    references: FloatArray
-    """Shape (N, r)."""
-    measured: FloatArray
-    """Outputs and inputs, shape (o + inputs, N)."""
-    weights: FloatArray
-    """Weights of their residuals, of the same shape."""
-    robust: bool
-    disturbances: FloatArray
-    """Shape (N, number of disturbances)."""
     default_disturbances: FloatArray
     """Defaults of the disturbances."""
     corners: FloatArray
     """States at which the fastest rate is searched, shape (k, number of states); inputs `drives` likewise."""
     drives: FloatArray
-    period: float
     rate_limit: float
     """Longest Runge–Kutta step in units of the fastest time constant."""
     expected: FloatArray
@@ -230,20 +252,16 @@ def _store(
 
 @compiled
 def run_with_tangents(  # noqa: PLR0915 (one pass over the samples)
-    code: Code, vector: FloatArray, which: NDArray[np.int64], x: FloatArray, columns: FloatArray,
-    law: LawCode, tuned: NDArray[np.int64], memory: FloatArray, references: FloatArray,
-    disturbances: FloatArray, period: float, steps: int, measured: FloatArray, weights: FloatArray,
-    robust: bool, stored: bool, limit: float,
-) -> tuple[Tangents, FloatArray]:  # fmt: skip
+    code: Code, start: Start, course: Course, stored: bool, limit: float
+) -> tuple[Tangents, FloatArray]:
     """The run with its derivatives; either its arrays are stored, or the normal equations are summed.
 
-    `columns`, shape (nx, n), are the derivatives of x by the n unknowns: the parameters `which`,
-    indices into UNKNOWN, the law's gains `tuned`, and others (initial states) that act only through x.
-    `measured` holds outputs and inputs, shape (s, N), and `weights` the weights of all of them. Returns the
-    arrays and [J r]ᵀ[J r] of the weighed residuals r = weights·(simulated − measured), shape (n + 1, n + 1);
-    its last entry is the sum of r², or of 2(√(1 + r²) − 1) if `robust`, with rows weighted by 1/√(1 + r²).
-    A run ends when its sum exceeds `limit`.
+    Returns the arrays and [J r]ᵀ[J r] of the weighed residuals r = weights·(simulated − measured), shape
+    (n + 1, n + 1); its last entry is the sum of r², or of 2(√(1 + r²) − 1) if robust, with rows weighted by
+    1/√(1 + r²). A run ends when its sum exceeds `limit`.
     """
+    vector, law, x, columns, steps = start
+    which, tuned, memory, references, disturbances, measured, weights, robust, period = course
     size, (nx, n), q = disturbances.shape[0], columns.shape, memory.size
     inputs, outputs, unknown, kind = code[N_INPUTS], code[N_OUTPUTS], code[N_UNKNOWN], law[KIND]
     compared, kept = inputs if kind != GIVEN else 0, size if stored else 0
@@ -314,32 +332,31 @@ def run_with_tangents(  # noqa: PLR0915 (one pass over the samples)
 
 
 @compiled
-def start_at(
-    code: Code, problem: LeastSquares, values: FloatArray
-) -> tuple[FloatArray, LawCode, FloatArray, FloatArray, int]:
-    """Parameters, law, states at the start, their derivatives by the unknowns, and steps per sample."""
-    n, tuned = problem.which.size, problem.tuned.size
+def start_at(code: Code, problem: LeastSquares, values: FloatArray) -> Start:
+    """The start of a run with these values of the unknowns."""
+    course = problem.course
+    n, tuned = course.which.size, course.tuned.size
     p, law = problem.base.copy(), problem.law.copy()
     for j in range(n):
         p[problem.places[j]] = values[j]
     for j in range(tuned):
-        law[problem.tuned[j]] = values[n + j]
-    given = problem.disturbances[0]
+        law[course.tuned[j]] = values[n + j]
+    given = course.disturbances[0]
     x, _, by_parameters = begin(code, p, problem.first, problem.inputs_before, given)
     columns = np.zeros((x.size, values.size))
     for i in range(x.size):
         for j in range(n):
-            columns[i, j] = by_parameters[i, problem.which[j]]
+            columns[i, j] = by_parameters[i, course.which[j]]
     for k in range(problem.started.size):
         i = problem.started[k]
         x[i] = values[n + tuned + k]
         columns[i, :n] = 0.0
         columns[i, n + tuned + k] = 1.0
     steps = step_count(
-        code, p, problem.corners, problem.drives, problem.default_disturbances, problem.period,
+        code, p, problem.corners, problem.drives, problem.default_disturbances, course.period,
         problem.rate_limit,
     )  # fmt: skip
-    return p, law, x, columns, steps
+    return Start(p, law, x, columns, steps)
 
 
 @compiled
@@ -349,14 +366,10 @@ def normal_at(
     """Sum, gradient Jᵀr and JᵀJ of the weighed residuals, as far as the sum does not come above `limit`; it
     is infinite where the plant is too fast. What is known beforehand counts like so many residuals more."""
     n = values.size
-    p, law, x, columns, steps = start_at(code, problem, values)
-    if steps > MAX_STEPS:
+    start = start_at(code, problem, values)
+    if start.steps > MAX_STEPS:
         return np.inf, np.zeros(n), np.zeros((n, n))
-    normal = run_with_tangents(
-        code, p, problem.which, x, columns, law, problem.tuned, problem.memory, problem.references,
-        problem.disturbances, problem.period, steps, problem.measured, problem.weights, problem.robust, False,
-        limit,
-    )[1]  # fmt: skip
+    _, normal = run_with_tangents(code, start, problem.course, False, limit)
     cost, gradient, hessian = normal[n, n], normal[n, :n].copy(), normal[:n, :n].copy()
     for j in range(n):
         if problem.pull[j] > 0.0:

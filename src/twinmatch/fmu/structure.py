@@ -47,7 +47,7 @@ _SAMPLES = 1000
 """Samples that one FMU's `patience` is for."""
 _FINITE: Final = {"advance", "run", "run_with_tangents", "foresee"}
 """Kernels whose results are refused unless all are finite."""
-_ANSWERED: Final = {f"{runs.Tangents.__module__}:Tangents": runs.Tangents}
+_ANSWERED: Final = {f"{kind.__module__}:{kind.__name__}": kind for kind in (runs.Start, runs.Tangents)}
 """Classes of values that an answer may have."""
 SAMPLES = 8
 _STATE = 1e-4
