@@ -6,9 +6,10 @@ The PID has the parallel form, forward Euler, and back-calculation against windu
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
-from typing import ClassVar, NamedTuple
+from dataclasses import dataclass, fields, replace
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,7 +23,66 @@ _MAX_AMPLIFICATION = 1e3
 
 
 @dataclass(frozen=True, slots=True)
-class PidGains:
+class Law(ABC):
+    """A law as a plant file declares it: q states, m commands from p readings and r set-points."""
+
+    @property
+    @abstractmethod
+    def period(self) -> float:
+        """Sample time, s."""
+
+    def at_period(self, period: float) -> Law:
+        """The same law at another sample time, s."""
+        changes: dict[str, Any] = {"period": period}
+        return self if period == self.period else replace(self, **changes)
+
+    @property
+    @abstractmethod
+    def GAINS(self) -> Mapping[str, int]:  # noqa: N802 (a constant of most laws)
+        """Places of the gains in its `code`, by name."""
+
+    @property
+    @abstractmethod
+    def n_states(self) -> int:
+        """Number of states q."""
+
+    @property
+    def n_outputs(self) -> int:
+        """Number of readings p that it takes."""
+        return 1
+
+    @property
+    def n_inputs(self) -> int:
+        """Number of commands m."""
+        return 1
+
+    @property
+    def n_references(self) -> int:
+        """Number of set-points r."""
+        return 1
+
+    @property
+    @abstractmethod
+    def code(self) -> LawCode:
+        """The same numbers for compiled code."""
+
+    @abstractmethod
+    def state(self, window: Window) -> FloatArray:
+        """Its state after the window's second sample, shape (q,)."""
+
+    @abstractmethod
+    def follow(
+        self, state: FloatArray, reference: FloatArray, output: FloatArray, u: FloatArray
+    ) -> FloatArray:
+        """The state after a sample with these commands."""
+
+    @abstractmethod
+    def saturates(self, u: float | FloatArray) -> bool:
+        """Whether a command is on a limit."""
+
+
+@dataclass(frozen=True, slots=True)
+class PidGains(Law):
     """Gains and limits of the controller, in units of the plant's input u and output y.
 
     Raises:
@@ -47,9 +107,6 @@ class PidGains:
     """Whether the derivative is that of −y, which avoids derivative kick at set-point steps."""
 
     n_states: ClassVar[int] = 2
-    n_outputs: ClassVar[int] = 1
-    n_inputs: ClassVar[int] = 1
-    n_references: ClassVar[int] = 1
     GAINS: ClassVar[Mapping[str, int]] = {
         "proportional": laws.PROPORTIONAL,
         "integral": laws.INTEGRAL,
@@ -94,9 +151,9 @@ class PidGains:
         before = float(state[0]) if self.saturates(command) else consistent
         return np.array([_next_integral(self, before, consistent, error), moved])
 
-    def saturates(self, u: float) -> bool:
+    def saturates(self, u: float | FloatArray) -> bool:
         """Whether a command is on a limit."""
-        return not self.low < u < self.high
+        return not self.low < float(u) < self.high
 
 
 class PidState(NamedTuple):
@@ -163,7 +220,7 @@ def _finite(**signals: ArrayLike) -> list[FloatArray]:
 
 
 @dataclass(frozen=True, slots=True)
-class TwoLevel:
+class TwoLevel(Law):
     """Two commands with hysteresis and dwell times: on where the reading falls below r − `below`, off where
     it rises above r + `above`.
 
@@ -188,9 +245,6 @@ class TwoLevel:
     """Sample time, s."""
 
     n_states: ClassVar[int] = 3
-    n_outputs: ClassVar[int] = 1
-    n_inputs: ClassVar[int] = 1
-    n_references: ClassVar[int] = 1
     GAINS: ClassVar[Mapping[str, int]] = {
         "below": laws.BELOW,
         "above": laws.ABOVE,
@@ -228,7 +282,7 @@ class TwoLevel:
         held = self.least_on + self.least_off if on[0] == on[1] else 0.0
         return np.array([float(on[1]), held, window.outputs[1, 0]])
 
-    def saturates(self, u: float) -> bool:  # noqa: ARG002 (as of other laws)
+    def saturates(self, u: float | FloatArray) -> bool:  # noqa: ARG002 (as of other laws)
         """Whether a command is on a limit: the two levels are its only commands."""
         return False
 
@@ -241,7 +295,7 @@ class TwoLevel:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LinearLaw:
+class LinearLaw(Law):
     """u = clip(C·x + D·y + E·r + offset), then x ← A·x + B·y + F·r + G·u + shift, with q states x.
 
     An observer with state feedback is such a law; G is how it takes the limited command into account.
@@ -353,7 +407,7 @@ class LinearLaw:
         found: FloatArray = np.linalg.lstsq(np.concatenate(rows), np.concatenate(left), rcond=None)[0]
         return found
 
-    def saturates(self, u: ArrayLike) -> bool:
+    def saturates(self, u: float | FloatArray) -> bool:
         """Whether a command is on a limit."""
         given = np.array(u, dtype=np.float64)
         return bool(((given <= self.low) | (given >= self.high)).any())
@@ -363,11 +417,6 @@ class LinearLaw:
     ) -> FloatArray:
         """The state after a sample with these commands."""
         return self.A @ state + self.B @ output + self.F @ reference + self.G @ u + self.shift
-
-
-Law = PidGains | TwoLevel | LinearLaw
-"""A law as a plant file declares it: its `period`, its `code` for compiled code, and its `state` after the
-first two samples of a window."""
 
 
 def state_of(loop: Law, state: ArrayLike | None) -> FloatArray:

@@ -6,7 +6,6 @@ to the last bit.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
@@ -42,8 +41,7 @@ def law_for(plant: type[Plant], period: float, law: LoopLaw = FROM_PLANT_FILE) -
     """The controller of a closed-loop twin at a sample time, s; None for a driven twin."""
     if not isinstance(law, FromPlantFile):
         return law
-    loop = plant.loop
-    return loop if loop is None or loop.period == period else dataclasses.replace(loop, period=period)
+    return plant.loop and plant.loop.at_period(period)
 
 
 def law_of(plant: type[Plant], period: float) -> Law:

@@ -360,7 +360,7 @@ def update_sentence(state: DashboardState, settings: TwinSettings) -> None:
     samples = [Sample(int(k), int(k), r, y, u) for k, r, y, u in rows if not math.isnan(r)]  # NaN: a gap
     summed_up = ""
     if samples and verdict is not None and (verdict.leader or verdict.nominal):
-        law = settings.law and replace(settings.law, period=period)
+        law = settings.law and settings.law.at_period(period)
         own = replace(settings, period=period, law=law)
         with suppress(TwinmatchError):  # so few samples that there is no window
             summed_up = sentence(summarise(filled_stretches(samples, own), [verdict], law))
