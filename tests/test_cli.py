@@ -25,6 +25,7 @@ from tests.support.places import PROJECT, SHIPPED
 from tests.support.processes import Process, run_twinmatch
 from tests.support.steps import drive_lost, quarter_of_an_hour
 from twinmatch.cli import main
+from twinmatch.cli.shared import Progress
 from twinmatch.importing import open_any
 from twinmatch.launching.forking import fork_server
 from twinmatch.offline.judging import judge, terms_from_files
@@ -188,6 +189,16 @@ def test_a_terminal_shows_the_run_and_ends_with_the_sentence(replayed: Replayed)
     ]
     assert lines[-1].startswith("Leader: ")
     assert "trust it between" in lines[-1]
+
+
+def test_long_work_is_reported_in_lines_where_nobody_sees_a_bar(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with Progress("checking") as progress:
+        progress.show("checking structure a", 1, 4)
+        monkeypatch.setattr(Progress, "SILENCE", 0.0)
+        progress.show("checking structure b", 2, 4)
+    assert capsys.readouterr().err == "twinmatch: checking structure b, 50% done\n"
 
 
 def test_a_terminal_shows_the_progress_of_reading_a_session(tmp_path: Path) -> None:

@@ -158,6 +158,19 @@ def test_what_is_wrong_is_reported(
     assert all(finding.todo for finding in checked.findings)
 
 
+@pytest.mark.parametrize("period", [None, 10.0])
+def test_a_stiff_plant_is_usable(tmp_path: Path, period: float | None) -> None:
+    """A block of 1e5 s behind a shell of 3 s: its trial takes shorter samples than its slow state asks for."""
+    shell = (SHELL[0], SHELL[1].replace("default=9.0, bounds=(1.0, 99.0)", "default=3.0, bounds=(1.0, 9.0)"))
+    seen = ("rates={", "rates={self.shell: (self.block - self.shell) / self.tau, ")
+    heavy = ("default=100.0, bounds=(10.0, 1000.0)", "default=1e5, bounds=(1e4, 1e6)")
+    shown = ("output=self.block", "output=self.shell")
+    checked = checked_file(
+        tmp_path, f"checked_stiff_{period or 0:.0f}", shell, SHELL_START, seen, heavy, shown, period=period
+    )
+    assert (checked.unusable, checked.findings) == ("", ())
+
+
 def test_a_state_is_seen_through_another(tmp_path: Path) -> None:
     change = (
         "rates={self.block: (",

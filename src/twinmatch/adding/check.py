@@ -15,6 +15,7 @@ from twinmatch.adding.dimensions import Dimensions
 from twinmatch.adding.trial import (
     CheckedPlant,
     Finding,
+    affordable,
     inseparable,
     modes,
     run_trial,
@@ -72,7 +73,7 @@ def _steps(
         yield ranges(model), []
         yield pace(model, period)
         yield inseparable(model), []
-        yield in_bounds(model), []
+        yield in_bounds(model, period), []
 
 
 def _unit_notes(dimensions: Dimensions) -> list[str]:
@@ -265,15 +266,16 @@ def _growing(place: str, parameters: Parameters) -> Iterator[Finding]:
         yield Finding(what, "look for a wrong sign in the rates; an unstable plant needs a known `loop`")
 
 
-def in_bounds(model: Model) -> Iterator[Finding]:
-    """Whether the plant can be simulated within the bounds, at points spread over them."""
+def in_bounds(model: Model, period: float | None) -> Iterator[Finding]:
+    """Whether the plant can be simulated within the bounds, at points spread over them and sampled every
+    `period` s; None: as fast as each needs."""
     from scipy.stats import qmc  # noqa: PLC0415 (takes half a second, used only here)
 
     free = [name for name in model.structure.free if name in model.declared]
     if not free:
         return
     try:
-        trial = trial_for(model.parameters())
+        trial = trial_for(model.parameters(), period)
     except PlantError:
         return
     bad: list[str] = []
@@ -281,7 +283,9 @@ def in_bounds(model: Model) -> Iterator[Finding]:
         values = {n: _within(model, n, float(part)) for n, part in zip(free, row, strict=True)}
         where = ", ".join(f"{n} = {v:.3g}" for n, v in values.items())
         try:
-            run, _ = run_trial(model.parameters(**values), trial)
+            point = model.parameters(**values)
+            own = trial.period if period else affordable(point, trial.period)
+            run, _ = run_trial(point, trial._replace(period=own))
         except PlantError as error:
             bad.append(f"{where}: {str(error).removeprefix(f'{model.title}: ')}")
             continue

@@ -131,7 +131,7 @@ def _of_matches(matches: tuple[MatchReport, ...], faults: Sequence[str]) -> Iter
         for status, number in Counter(report.match.status for report in matches).most_common(2):
             first = next(report.match for report in matches if report.match.status is status)
             what = f"{number} of {len(matches)} matches were refused as {status.value}: {first.reason}"
-            yield Finding(what, f"{first.suggestion or ''} {_TODO.get(status, '')}".strip())
+            yield Finding(what, "; or ".join(filter(None, (first.suggestion, _TODO.get(status)))))
 
 
 def _accepted(matches: tuple[MatchReport, ...]) -> list[str]:
@@ -144,8 +144,9 @@ def _accepted(matches: tuple[MatchReport, ...]) -> list[str]:
         for name, error in zip(last.free, last.standard_errors, strict=True)
         if name in last.parameters and math.isfinite(error)
     )
+    shown = "; ".join(filter(None, (values, f"fit {last.fit.y:.1%}")))
     return [
-        f"{len(good)} of {len(matches)} matches were accepted; the last: {values}; fit {last.fit.y:.1%}",
+        f"{len(good)} of {len(matches)} matches were accepted; the last: {shown}",
         last.determined,
     ]
 

@@ -49,6 +49,7 @@ class CheckedPlant:
 SAMPLES: Final = 400
 _PER_LAG: Final = 20.0
 """Samples per slowest time constant: 400 samples span twenty of them."""
+_HALVINGS: Final = 20
 _SEED: Final = 7
 
 
@@ -93,13 +94,16 @@ def time_constants(parameters: Parameters) -> FloatArray:
     return np.sort(1.0 / rates[rates > 0])
 
 
-def trial_for(parameters: Parameters) -> Trial:
-    """Design the experiment for a plant with these parameters, sampled twenty times in its slowest time
-    constant."""
+def trial_for(parameters: Parameters, period: float | None = None) -> Trial:
+    """Design the experiment for a plant with these parameters.
+
+    It is sampled twenty times in its slowest time constant, or more often: every `period` s, if that is
+    given, and as often as a stiff plant needs, whose fastest state lies far below its slowest.
+    """
     model = parameters.model
     lags = time_constants(parameters)
-    period = float(lags[-1]) / _PER_LAG if lags.size else 1.0
-    period = float(f"{min(max(period, 1e-6), 1e6):.2g}")
+    slow = float(lags[-1]) / _PER_LAG if lags.size else 1.0
+    period = affordable(parameters, float(f"{min(max(slow, 1e-6), 1e6, period or math.inf):.2g}"))
     random = np.random.default_rng(_SEED)
     low, high = model.plant.drive.limits
     input_ = np.empty(SAMPLES)
@@ -111,6 +115,15 @@ def trial_for(parameters: Parameters) -> Trial:
     moved = np.repeat(random.uniform(-1.0, 1.0, (SAMPLES // 50, model.disturbances.size)), 50, axis=0)
     disturbances = model.disturbances + 0.1 * np.maximum(np.abs(model.disturbances), 1.0) * moved
     return Trial(input_, disturbances, period, middle_of(model))
+
+
+def affordable(parameters: Parameters, period: float) -> float:
+    """The longest of a period and its halves of which a sample does not take too many steps, s."""
+    for halvings in range(_HALVINGS):
+        with suppress(PlantError):
+            parameters.steps(period / 2**halvings)
+            return period / 2**halvings
+    return period  # simulating it raises the error
 
 
 def run_trial(parameters: Parameters, trial: Trial) -> tuple[Response, Window]:

@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 from twinmatch.errors import TwinmatchError
 
@@ -189,12 +189,16 @@ def console_for(width: int) -> Console:
 class Progress:
     """A context manager with a progress bar on standard error, shown from the first call of `advance`.
 
-    Without a terminal, or on a dumb one, nothing is shown.
+    Without a terminal, or on a dumb one, work that takes longer than `SILENCE` is reported in lines.
     """
+
+    SILENCE: ClassVar = 10.0
+    """Longest time without a line, s, where nobody sees a bar."""
 
     def __init__(self, doing: str = "judging") -> None:
         """Set the label of the bar."""
         self._doing = doing
+        self._said_at = time.monotonic()
         self._bar: progress.Progress | None = None
         self._shown = False
 
@@ -222,6 +226,9 @@ class Progress:
             self._bar.start()
         if self._bar is not None:
             self._bar.update(self._task, description=doing, completed=done, total=total)
+        elif not self._shown and time.monotonic() - self._said_at >= self.SILENCE:
+            self._said_at = time.monotonic()
+            print(f"twinmatch: {doing}, {done / max(total, 1):.0%} done", file=sys.stderr, flush=True)
 
 
 def add_serving_options(parser: argparse.ArgumentParser, port: int) -> None:
