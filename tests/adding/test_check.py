@@ -160,7 +160,7 @@ def test_what_is_wrong_is_reported(
 
 @pytest.mark.parametrize("period", [None, 10.0])
 def test_a_stiff_plant_is_usable(tmp_path: Path, period: float | None) -> None:
-    """A block of 1e5 s behind a shell of 3 s: its trial takes shorter samples than its slow state asks for."""
+    """A block of 1e5 s behind a shell of 3 s: its trial takes shorter samples than the block needs."""
     shell = (SHELL[0], SHELL[1].replace("default=9.0, bounds=(1.0, 99.0)", "default=3.0, bounds=(1.0, 9.0)"))
     seen = ("rates={", "rates={self.shell: (self.block - self.shell) / self.tau, ")
     heavy = ("default=100.0, bounds=(10.0, 1000.0)", "default=1e5, bounds=(1e4, 1e6)")

@@ -119,10 +119,10 @@ def trial_for(parameters: Parameters, period: float | None = None) -> Trial:
 
 def affordable(parameters: Parameters, period: float) -> float:
     """The longest of a period and its halves of which a sample does not take too many steps, s."""
-    for halvings in range(_HALVINGS):
+    for shorter in period * 0.5 ** np.arange(_HALVINGS):
         with suppress(PlantError):
-            parameters.steps(period / 2**halvings)
-            return period / 2**halvings
+            parameters.steps(shorter)
+            return float(shorter)
     return period  # simulating it raises the error
 
 
