@@ -86,7 +86,12 @@ class Sample:
     disturbances: Signals = ()
     """Measured disturbances; the rig has none."""
     seen: bool = True
-    """Whether it was received; False: it is a stand-in for a lost one, as `twin.gaps` makes them."""
+    """Whether its outputs were measured; False: they are a stand-in's, as `twin.door` makes them for a sample
+    that was lost and for a reading that was refused, and count nowhere."""
+    refused: Signals = ()
+    """The outputs as they were read, if they were refused as implausible."""
+    usable: bool = True
+    """False: more readings in a row were refused than stand-ins may replace; this one is only reported."""
 
     def __init__(  # noqa: PLR0917 (in the order of a row)
         self,
@@ -98,6 +103,8 @@ class Sample:
         disturbances: Signals = (),
         *,
         seen: bool = True,
+        refused: Signals = (),
+        usable: bool = True,
     ) -> None:
         """Signals with a single value may be given as a number."""
         keep = object.__setattr__
@@ -108,6 +115,8 @@ class Sample:
         keep(self, "inputs", inputs if isinstance(inputs, tuple) else (inputs,))
         keep(self, "disturbances", disturbances)
         keep(self, "seen", seen)
+        keep(self, "refused", refused)
+        keep(self, "usable", usable)
 
     @property
     def reference(self) -> float:
@@ -131,7 +140,7 @@ class Sample:
 
     def follows(self, before: Sample) -> bool:
         """Whether it is the next sample of the same plant, with nothing lost in between."""
-        return self.index == before.index + 1 and self.shape == before.shape
+        return self.index == before.index + 1 and self.shape == before.shape and self.usable and before.usable
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -154,8 +163,8 @@ class Window:
     disturbances: FloatArray = field(default_factory=lambda: _NONE)
     """Measured disturbances, shape (N, m); by default none, m = 0."""
     seen: BoolArray | None = None
-    """Which samples were received, shape (N,); the values of the others are estimates, which no fit and no
-    score counts. None: all."""
+    """Which samples were measured, shape (N,); those of the others are estimates, which no fit and no score
+    counts. None: all."""
 
     def __post_init__(self) -> None:
         lengths = set()

@@ -11,7 +11,7 @@ from tests.support import faulty_rig as rig
 from tests.support.plants import Motor
 from tests.support.servo import PERIOD, Servo, turns
 from twinmatch.dynamics import Controller, advance, begin, read, simulate_closed_loop, simulate_driven
-from twinmatch.health import Alarm, Balance, Fault, HealthError, HealthSettings, Monitor
+from twinmatch.health import Alarm, Balance, Fault, HealthError, HealthSettings, Monitor, Refusals
 from twinmatch.plants import Peltier
 from twinmatch.signals import Sample
 
@@ -104,13 +104,17 @@ def alarms(kind: str = "", matched: int = 400, **values: float) -> tuple[Alarm, 
     truth, pid = Motor.model().parameters(**{"j": 4.4e-4, "b": 1.2e-4, **values}), Controller(Motor.loop)
     states, random, y = begin(truth, 0.0), np.random.default_rng(7), 0.0
     monitor = Monitor(HealthSettings.of(Motor, PERIOD_OTHER_PLANT))
+    refusals = Refusals(monitor.settings, 5)
     for k, reference in enumerate(np.repeat([50.0, 120.0, 80.0, -150.0, 100.0, 130.0, 60.0, 110.0], 200)):
         broken = kind if k >= BROKEN else ""
         if broken != "frozen":
             y = 700.0 if broken == "off" else read(truth, states) + random.normal(0.0, 0.2)
         u, load = pid.step(float(reference), y)[0], 0.02 * np.sin(k / 200)
         known = truth if k >= matched else None
-        monitor.push(Sample(k, round(k * PERIOD_OTHER_PLANT * 1e9), float(reference), y, u, (load,)), known)
+        sample = Sample(k, round(k * PERIOD_OTHER_PLANT * 1e9), float(reference), y, u, (load,))
+        if known is not None:
+            refusals.know(known)
+        monitor.push(refusals.settle(sample), known)
         driven = 0.0 if broken == "lost" else u
         states = advance(truth, states, driven, PERIOD_OTHER_PLANT, np.array([load]))
     return monitor.alarms

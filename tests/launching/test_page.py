@@ -33,7 +33,7 @@ from twinmatch.showing.console import Console
 from twinmatch.showing.terminal import MAX_EVENTS, Screen
 from twinmatch.showing.verdicts import events
 from twinmatch.signals import Sample
-from twinmatch.twin import GapFiller, TwinSettings, filled_stretches
+from twinmatch.twin import Door, TwinSettings, filled_stretches
 
 pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
 pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup")
@@ -246,7 +246,7 @@ def test_the_figures_of_the_end_are_those_of_all_samples_and_verdicts(
     settings, law = TwinSettings(), None
     for given in (samples, holed):
         live = Live(LivePlan(Path("rig.yaml")))
-        live.filler = GapFiller.of(settings)
+        live.door = Door.of(settings)
         for sample in given:
             live.take_sample(sample)
         for verdict in verdicts:

@@ -11,9 +11,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from twinmatch.dynamics import Controller, Parameters, advance, begin, read
-from twinmatch.health import Fault, Health, HealthSettings, HealthState, Monitor
+from twinmatch.health import Fault, Health, HealthSettings, HealthState, Monitor, Refusals
 from twinmatch.plants import Peltier
 from twinmatch.signals import FloatArray, Sample
+from twinmatch.twin import TwinSettings
 
 RICH_RIG = Peltier.model("sink with mass").parameters(
     seebeck=0.06,
@@ -128,7 +129,8 @@ def watch(
     samples: list[Sample], parameters: Parameters | None = None, settings: HealthSettings | None = None
 ) -> tuple[Monitor, list[Health]]:
     monitor = Monitor(settings)
-    return monitor, [monitor.push(s, parameters) for s in samples]
+    refusals = Refusals(monitor.settings, TwinSettings().schedule.gap)
+    return monitor, [monitor.push(refusals.settle(s), parameters) for s in samples]
 
 
 def names_told(kind: str, seed: int) -> tuple[str, int | None]:

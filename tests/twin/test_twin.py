@@ -229,7 +229,8 @@ def test_who_was_matched_while_a_fault_already_showed_is_dismissed(
     assert told.fault == "sensor-implausible"
     assert newest.name in {c.name for c in told.candidates}
     # The same alarm, reaching back into the newest candidate's window.
-    gone = judge._remove_spoilt(dataclasses.replace(judge.monitor.alarms[-1], first=newest.last - 3))
+    alarm = dataclasses.replace(judge.monitor.alarms[-1], first=newest.last - 3, spoils=True)
+    gone = judge._remove_spoilt(alarm)
     assert newest.name in gone
     assert judge.nominal is not None
     after = judge.push_sample(dataclasses.replace(broken, index=broken.index + 1))

@@ -131,10 +131,11 @@ class Arx:
             self._learn()
             self._newest, self._learned = [], 0
         self._newest.append(sample)
-        seen = self.visited or [(y, y) for y in sample.outputs]
-        self.visited = tuple(
-            (min(low, y), max(high, y)) for (low, high), y in zip(seen, sample.outputs, strict=True)
-        )
+        if sample.seen:
+            seen = self.visited or [(y, y) for y in sample.outputs]
+            self.visited = tuple(
+                (min(low, y), max(high, y)) for (low, high), y in zip(seen, sample.outputs, strict=True)
+            )
 
     def departure(self, controller: FloatArray) -> ArxForecast:
         """The model at the newest sample, with the controller's state after it."""

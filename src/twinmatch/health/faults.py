@@ -62,6 +62,9 @@ class Alarm:
     """Last sample of its trace; None while it lasts."""
     reason: str
     """One plain sentence with numbers."""
+    spoils: bool = True
+    """Whether nothing should be learned from its samples. Matching adapts to slow changes, and a few refused
+    readings count nowhere."""
 
     def overlaps(self, first: int, last: int) -> bool:
         """Whether it touches the samples `first` to `last`."""
@@ -121,27 +124,27 @@ class FaultSentences:
 
     def __init__(self, plant: type[Plant], period: float) -> None:
         """`period` is the sample time, s."""
-        self._period = period
+        self._period, self._span = period, plant.output.span
         self.output = f"the {plant.output.text or plant.output.name}"
         self.unit = f" {plant.output.unit}".rstrip()
         self.input = plant.drive.unit or plant.drive.name
         self.sensor = f"the {plant.output.sensor}"
         self.surroundings = plant.surroundings
 
-    def impossible(self, sample: Sample) -> Evidence:
-        """A sample with impossible values."""
-        reason = (
-            f"{self.output} is {sample.output:g}{self.unit} at {sample.input:g} {self.input} and "
-            f"set-point {sample.reference:g}{self.unit}, which is impossible: look at {self.sensor}"
-        )
-        return Evidence(Fault.SENSOR_IMPLAUSIBLE, True, sample.index, reason)
-
-    def leaping(self, before: Sample, sample: Sample, unexplained: float) -> Evidence:
-        """A step that the plant cannot have made."""
-        reason = (
-            f"{self.output} jumped from {before.output:.4g} to {sample.output:.4g}{self.unit} in one sample, "
-            f"{abs(unexplained):.3g}{self.unit} more than the plant can explain: look at {self.sensor}"
-        )
+    def refused(self, before: Sample | None, sample: Sample) -> Evidence:
+        """A reading that the plant cannot have, or cannot have reached from the sample before."""
+        [reading] = sample.refused
+        if before is None or not self._span[0] <= reading <= self._span[1]:
+            reason = (
+                f"{self.output} is {reading:g}{self.unit} at {sample.input:g} {self.input} and "
+                f"set-point {sample.reference:g}{self.unit}, which is impossible: look at {self.sensor}"
+            )
+        else:
+            reason = (
+                f"{self.output} jumped from {before.output:.4g} to {reading:.4g}{self.unit} in one sample, "
+                f"{abs(reading - sample.output):.3g}{self.unit} more than the plant can explain: "
+                f"look at {self.sensor}"
+            )
         return Evidence(Fault.SENSOR_IMPLAUSIBLE, True, sample.index, reason)
 
     def frozen(self, sample: Sample, repeats: Repeats) -> Evidence:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from dataclasses import replace
 from typing import Final
@@ -22,24 +21,21 @@ from twinmatch.health.faults import (
 )
 from twinmatch.health.lagged_effect import LaggedEffect, is_lagged
 from twinmatch.health.late_input import LateInput
+from twinmatch.health.refusals import stamps_apart
 from twinmatch.health.settings import HealthSettings
 from twinmatch.health.slow_changes import SlowChanges
 from twinmatch.health.traces import DriveEffect, Effect, Lag, Repeats
 from twinmatch.signals import Sample
 
-_REACH: Final = 1.2
-"""Factor by which the drive, or all else, may move the plant further in one sample than the twin says."""
 _CONFIRM: Final = 3
-"""Consecutive samples that must show a drive without effect."""
+"""Consecutive samples that must show a drive without effect; refused ones that replace another fault."""
 _WEAKLY: Final = 20.0
 """Time for which a drive must show too small an effect, s."""
 _RECOVERED: Final = 15.0
 """Time without any trace after which a sensor counts as recovered, s."""
 _PROVE: Final = 10.0
 """Time for which the plant must follow the drive before the drive counts as recovered, s."""
-_GAP: Final = 3.0
-"""Time between two samples that counts as a gap: so many seconds, and so many periods. Half the shortest
-stretch over which the drive is judged, so that a late sample or two change nothing."""
+_REFUSED: Final = Fault.SENSOR_IMPLAUSIBLE
 _KEPT: Final = 1000
 """Number of alarms kept: more than any window that is still matched can overlap."""
 _UNPROVEN: Final = 120.0
@@ -49,9 +45,10 @@ _UNPROVEN: Final = 120.0
 class Monitor:
     """Watches one plant.
 
-    Push every sample once, in order, with the current parameters of the nominal twin, or None as long as
-    there is none. If the plant file declares no typical parameters, drive faults and slow changes are not
-    judged before there is a nominal twin: defaults are where a search begins, not what is known.
+    Push every sample once, in order, as `Refusals` settled it, with the current parameters of the nominal
+    twin, or None as long as there is none. If the plant file declares no typical parameters, drive faults and
+    slow changes are not judged before there is a nominal twin: defaults are where a search begins, not what
+    is known.
 
     A gap in the indices or in the stamps restarts the traces and keeps what was learned: unobserved time
     says nothing about the plant.
@@ -68,14 +65,16 @@ class Monitor:
         self._repeats = self._new_repeats()
         self._given: Parameters | None = None
         self._until_trial = 0  # blocks until the given parameters are tried again
-        self._before: Sample | None = None
+        self._newest: Sample | None = None
+        self._before: Sample | None = None  # the newest one, unless it is not usable
         self._begin = self._index = -2  # of the unbroken run of samples; no index can follow −2
         self._contrary = 0  # samples in a row without the drive's effect
         self._feeble = 0  # samples in a row with too small an effect
         self._quiet = 0  # samples in a row without any trace, except that of a slow change
         self._proofs = 0  # of those, the ones in which the plant followed the drive
         self._alarms: deque[Alarm] = deque(maxlen=_KEPT)
-        self._refused: deque[int] = deque(maxlen=_KEPT)  # samples with an implausible reading
+        self._refused = 0  # refused readings in a row
+        self._refused_at = -2  # index of the newest one
         self._open = False  # whether the last alarm is still on
         self._slow_alarm = False  # whether a slow change raised it
 
@@ -103,25 +102,21 @@ class Monitor:
     def fault_between(self, first: int, last: int) -> Alarm | None:
         """The first alarm whose trace touches the samples `first` to `last`, both included.
 
-        Nothing should be learned from such a window. Slow changes are left out: matching handles those.
+        Nothing should be learned from such a window. Slow changes are left out: matching handles those. So
+        are refused readings, which are in no window.
         """
-        faults = (alarm for alarm in self._alarms if alarm.fault not in SLOW)
+        faults = (alarm for alarm in self._alarms if alarm.spoils)
         return next((alarm for alarm in faults if alarm.overlaps(first, last)), None)
-
-    def refused(self, first: int, last: int) -> frozenset[int]:
-        """The samples from `first` to `last` whose readings are implausible, each for itself or because they
-        belong to such a fault."""
-        within = {index for index in self._refused if first <= index <= last}
-        for alarm in self._alarms:
-            if alarm.fault is Fault.SENSOR_IMPLAUSIBLE and alarm.overlaps(first, last):
-                end = last if alarm.last is None else min(alarm.last, last)
-                within |= set(range(max(alarm.first, first), end + 1))
-        return frozenset(within)
 
     def push(self, sample: Sample, parameters: Parameters | None = None) -> Health:
         """Take one sample; judge the plant as it is now."""
-        if sample.index != self._index + 1 or self._gap_before(sample):
+        last, self._newest = self._newest, sample
+        if last is None or sample.index != last.index + 1 or stamps_apart(last, sample, self.settings.period):
             self._restart(sample.index)
+        elif not sample.follows(last):  # readings were refused for long, and may be off from now on
+            self._before = None
+            self._restart_traces()
+            self._slow.restart(offset=True)
         self._index = sample.index
         if parameters is not self._given:
             self._given, self._until_trial = parameters, 0
@@ -130,34 +125,32 @@ class Monitor:
                 self._begin_with(replace(self.settings, reference=parameters))
             elif self._late is not None and parameters is not None:
                 self._late.take(parameters)
-        if self._possible(sample):
-            evidence = self._examine(sample)
-            starting = (sample.index - self._begin) * self.settings.period < self.settings.start
-            self._before = sample
-        else:
-            evidence, starting = self._sentences.impossible(sample), False
-            self._before = None
-            self._restart_traces()
-            self._slow.restart()
-        if evidence is not None and evidence.fault is Fault.SENSOR_IMPLAUSIBLE:
-            self._refused.append(sample.index)
+        before = self._before
+        evidence = self._examine(sample) if sample.usable else None
+        starting = (sample.index - self._begin) * self.settings.period < self.settings.start
+        if sample.refused:
+            evidence, starting = self._sentences.refused(before, sample), False
+            self._refused_at = sample.index
+            if self._brief and not sample.usable:  # from now on it is the fault of a sensor that has failed
+                self._alarms[-1] = replace(self._alarms[-1], spoils=True)
+        self._refused = self._refused + 1 if sample.refused else 0
+        self._before = sample if sample.usable else None
         news = self._judge(sample.index, evidence, starting)
         return self._health(sample.index, evidence, starting, news)
 
-    def _gap_before(self, sample: Sample) -> bool:
-        """Whether the stamps show a gap between the sample before and this one.
+    @property
+    def _brief(self) -> bool:
+        """Whether the fault that is on consists of a few refused readings, which count nowhere."""
+        return self._open and not self._alarms[-1].spoils and self._alarms[-1].fault is _REFUSED
 
-        A process that was stopped, or a machine that slept, may continue the index where it was.
-        """
-        if self._before is None:
-            return False
-        passed = (sample.stamp - self._before.stamp) / 1e9
-        return passed < 0 or passed > _GAP * max(1.0, self.settings.period)
+    @property
+    def _blind(self) -> bool:
+        """Whether nothing can be learned about the plant now."""
+        return self._open and self._alarms[-1].spoils and self._alarms[-1].fault in BLINDING
 
     def _restart(self, index: int) -> None:
         if index <= self._index:  # another session
             self._alarms.clear()
-            self._refused.clear()
             self._open = False
             self._slow.forget()
         self._begin, self._before = index, None
@@ -211,17 +204,13 @@ class Monitor:
             self._effect.push(movement, self._balance.roughness)
         self._learn()
         self._track(acting)
-        # Where the expected movement is large, its absence is a drive fault, not an implausible reading.
-        reach = _REACH * (abs(movement.drive) + abs(movement.passive))
-        if abs(movement.unexplained) > max(self.settings.jump * max(1.0, self.settings.pace), reach):
-            return self._sentences.leaping(before, sample, movement.unexplained)
         return self._weigh(sample)
 
     def _acting(self, sample: Sample) -> Sample:
         """The sample with the input that acts now, if inputs act later than the equations say."""
         if self._timing is None:
             return sample
-        faulty = self._contrary > 0 or (self._open and self._alarms[-1].fault in BLINDING)
+        faulty = self._contrary > 0 or self._blind
         self._timing.push(sample, learn=not faulty)
         if self._late is not None:
             self._late.delays = self._timing.credible
@@ -243,7 +232,7 @@ class Monitor:
 
     def _track(self, sample: Sample) -> None:
         """Look for slow changes, unless a graver fault is on or the session has only begun."""
-        if self._open and self._alarms[-1].fault in BLINDING:
+        if self._blind:
             return
         if (sample.index - self._begin) * self.settings.period >= self.settings.start:
             self._slow.push(sample)
@@ -276,7 +265,8 @@ class Monitor:
 
     def _judge(self, index: int, evidence: Evidence | None, starting: bool) -> Alarm | None:
         """Open and close alarms; return the one that changed."""
-        if evidence is not None and not evidence.slow:
+        few = evidence is not None and evidence.fault is _REFUSED and self._before is not None
+        if evidence is not None and not evidence.slow and not few:
             self._quiet = self._proofs = 0
         else:
             self._quiet += 1
@@ -286,27 +276,44 @@ class Monitor:
             if news is not None:
                 return news
         if self._open and self._recovered():
+            if self._brief:
+                return self._close(self._refused_at)
             return self._close(index - (1 if self._slow_alarm else self._quiet))
         return None
 
     def _raise(self, index: int, evidence: Evidence) -> Alarm | None:
         earliest = self._begin
+        # A trace reaches back over a few refused readings.
+        ended = [a.last for a in self._alarms if a.last is not None and (a.spoils or a.fault in SLOW)]
         if self._open:
             on = self._alarms[-1].fault
             if evidence.slow and evidence.fault is on and self._slow.reported is None:
                 self._slow.mark_reported(index)  # the drive's effect has reported it already
-            if evidence.fault not in PRECEDENCE.get(on, ()):
+            others = frozenset(Fault) - {_REFUSED} if self._brief else PRECEDENCE.get(on, ())
+            if evidence.fault not in others:
                 return None
-            earliest = index
-            self._close(index - 1)
-        elif self._alarms and self._alarms[-1].last is not None:
-            earliest = max(self._begin, self._alarms[-1].last + 1)
+            if evidence.fault is _REFUSED and self._refused < _CONFIRM:
+                return None
+            if self._brief:
+                self._close(self._refused_at)
+            else:
+                earliest = index
+                self._close(index - 1)
+        if earliest < index and ended:
+            earliest = max(self._begin, ended[-1] + 1)
         self._alarms.append(
-            Alarm(evidence.fault, max(evidence.first, earliest), index, None, evidence.reason)
+            Alarm(
+                evidence.fault,
+                max(evidence.first, earliest),
+                index,
+                None,
+                evidence.reason,
+                spoils=evidence.fault not in SLOW and evidence.fault is not _REFUSED,
+            )
         )
         self._open, self._slow_alarm = True, evidence.slow
-        if evidence.fault in BLINDING:
-            self._slow.restart(offset=evidence.fault is Fault.SENSOR_IMPLAUSIBLE)
+        if self._blind:
+            self._slow.restart()
         elif evidence.slow:
             self._slow.mark_reported(index)
         return self._alarms[-1]
@@ -319,6 +326,8 @@ class Monitor:
             return self._slow.over(self._index)
         if fault in (Fault.DRIVE_LOST, Fault.DRIVE_WEAK, Fault.SENSOR_LATE):
             return proven >= _PROVE or quiet >= _UNPROVEN
+        if self._brief:
+            return (self._index - self._refused_at) * self.settings.pace >= _RECOVERED
         return quiet >= _RECOVERED
 
     def _close(self, last: int) -> Alarm:
@@ -341,9 +350,3 @@ class Monitor:
         reason = f"during start-up: {evidence.reason}" if starting else evidence.reason
         first = max(evidence.first, self._begin)
         return Health(index, HealthState.SUSPECT, fault, first, reason, share, rate, news)
-
-    def _possible(self, sample: Sample) -> bool:
-        """Whether the values of the sample are possible for this plant."""
-        low, high = self.settings.reference.model.plant.output.span
-        given = (sample.input, sample.reference, *sample.disturbances)
-        return all(map(math.isfinite, given)) and low <= sample.output <= high

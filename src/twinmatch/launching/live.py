@@ -8,6 +8,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from operator import attrgetter
 from pathlib import Path
 from typing import Final
 
@@ -32,7 +33,7 @@ from twinmatch.showing.lines import Lines
 from twinmatch.showing.summary import closing_lines
 from twinmatch.showing.terminal import Screen, view_on
 from twinmatch.signals import Sample, Window
-from twinmatch.twin import GapFiller
+from twinmatch.twin import Door
 from twinmatch_msgs.msg import LoopSample
 
 EXIT_NOT_RECORDED = 1
@@ -63,7 +64,7 @@ class Live:
     console: Console = field(default_factory=lambda: Console(soft_wrap=True))
     samples: SampleSpool = field(default_factory=SampleSpool)
     """All samples, with stand-ins for the lost ones, kept on disk: a run may last for weeks."""
-    filler: GapFiller = field(default_factory=lambda: GapFiller(None, 0))
+    door: Door = field(default_factory=lambda: Door(None, 0, None))
     received: int = 0
     """Number of samples, without stand-ins."""
     verdicts: Tally = field(default_factory=Tally)
@@ -79,7 +80,7 @@ class Live:
             self.samples, self.received = SampleSpool(sample.shape), 0
             spool.close()
         self.received += 1
-        for one in self.filler.take(sample):
+        for one in filter(attrgetter("usable"), self.door.take(sample)):
             self.samples.push(one)
 
     def longest(self, period: float) -> tuple[Window, int]:
@@ -109,7 +110,7 @@ def _run_live(live: Live) -> int:
             f"{live.plan.twin_config or 'the twin'} is for plant {settings.plant.name}, "
             f"but this run is of plant {live.plan.plant}; give another --twin-config"
         )
-    live.filler = GapFiller.of(settings)
+    live.door = Door.of(settings)
     view = view_on(live.console, "live", settings.period)
     with lease(PATIENCE if live.plan.in_step else None):
         code = _LiveRun(live, view).run()

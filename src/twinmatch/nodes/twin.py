@@ -33,6 +33,7 @@ class TwinSimulatorNode(SampleNode):
             self.settings.period,
             self.settings.schedule.gap,
             scale=self.settings.forecasts.scale,
+            health=self.settings.health,
         )
         self._leader = ""
         self._made = 0  # states

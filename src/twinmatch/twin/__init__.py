@@ -8,9 +8,9 @@ pushed: no clock, no thread, no random state, so a replay of a recorded session 
 verdicts.
 """
 
+from twinmatch.twin.door import Door, filled, filled_stretches
 from twinmatch.twin.engine import Discriminator, Outcome, Step, Twin
 from twinmatch.twin.forecaster import Forecaster, Snapshot
-from twinmatch.twin.gaps import GapFiller, filled, filled_stretches
 from twinmatch.twin.matcher import MatchReport, MatchRequest, carry_out
 from twinmatch.twin.mirror import Mirror, MirrorState, Residuals, nrmse, residuals, response_on, window_fit
 from twinmatch.twin.schedule import Schedule, ScheduleError, ScheduleSettings, Trigger
@@ -20,9 +20,9 @@ from twinmatch.twin.structures import StructureChoice, StructureScore, choose_st
 
 __all__ = [
     "Discriminator",
+    "Door",
     "ForecastSettings",
     "Forecaster",
-    "GapFiller",
     "MatchReport",
     "MatchRequest",
     "Mirror",

@@ -14,8 +14,8 @@ from twinmatch.fitting import Status
 from twinmatch.health import SLOW, Alarm, Health, HealthState, Monitor
 from twinmatch.signals import Sample, Window
 from twinmatch.twin.candidates import UNSCORED, CandidatePool
+from twinmatch.twin.door import Door
 from twinmatch.twin.forecaster import Forecaster, Snapshot
-from twinmatch.twin.gaps import GapFiller
 from twinmatch.twin.knowledge import Knowledge, MatchResult, verdict_of
 from twinmatch.twin.matcher import MatchReport, MatchRequest, carry_out, one_thread
 from twinmatch.twin.mirror import Residuals, residuals
@@ -70,8 +70,10 @@ class Discriminator:
         self._pool = CandidatePool(self.settings, self._spoilt)
         self._bands = BandHistory(self.settings.limits.doubtful, self.settings.noise.output)
         self._given = list(given)
-        self._waiting: deque[Sample | Trigger] = deque()
-        self._filler = GapFiller.of(self.settings)
+        self._waiting: deque[Sample] = deque()
+        self._door = Door.of(self.settings)
+        self._entered: deque[Sample] = deque()
+        self._due: Trigger | None = None
         self._request: MatchRequest | None = None
         self._fits: Future[None] | None = None
         self._settled: int | None = None
@@ -101,17 +103,10 @@ class Discriminator:
     def push_sample(self, sample: Sample) -> Step:
         """Take one sample; return the verdicts now due, and the match to request.
 
-        A few samples lost before it get stand-ins, which count nowhere. After more,
-        everything starts over.
+        A few samples lost before it get stand-ins, and so do a few refused readings; these count nowhere.
+        After more, everything starts over.
         """
-        for one in self._filler.take(sample):
-            self._waiting.append(one)
-            self.stamps[one.index] = one.stamp
-            if len(self.stamps) > MAX_STAMPS:
-                del self.stamps[next(iter(self.stamps))]
-            trigger = self._schedule.push(one)
-            if trigger is not None:
-                self._waiting.append(trigger)
+        self._waiting.append(sample)
         return Step((), None) if self._request is not None else self._settle([])
 
     def push_match(self, report: MatchReport) -> Step:
@@ -121,34 +116,48 @@ class Discriminator:
         """
         if self._request is None or not report.answers(self._request):
             return Step((), None)
-        self._request = None
-        trigger = self._waiting.popleft()
-        assert isinstance(trigger, Trigger)  # noqa: S101 — only a trigger is waited for
+        self._request, trigger = None, self._due
+        assert trigger is not None  # noqa: S101 — a request is that of a trigger
         return self._settle([self._judge(trigger, self._admit(trigger, report))])
 
     def _settle(self, verdicts: list[Verdict]) -> Step:
         """Process the queue until it is empty or a match is needed."""
         snapshots: list[Snapshot] = []
-        while self._waiting:
-            item = self._waiting[0]
-            if isinstance(item, Sample):
-                verdicts += self._take(item)
-                if self._snapshots and item.seen:
-                    snapshots.append(self.forecaster.snapshot())
-            elif not item.excited:
-                verdicts.append(self._judge(item, MatchResult(reason=item.reason)))
-            elif (alarm := self.monitor.fault_between(item.window.first, item.window.last)) is not None:
-                reason = f"not matched: {alarm.fault.value} since sample {alarm.first}: {alarm.reason}"
-                verdicts.append(self._judge(item, MatchResult(REFUSED, reason)))
-            else:
-                self._request = self._new_request(item)
-                if not self._external:  # most of a match is compiled code, which releases the GIL
-                    with_match = ThreadPoolExecutor(1)
-                    self._fits = with_match.submit(self._fit, item)
-                    with_match.shutdown(wait=False)
-                break
-            self._waiting.popleft()
+        while (sample := self._next()) is not None:
+            verdicts += self._take(sample)
+            if not sample.usable:
+                continue
+            if self._snapshots and (sample.seen or sample.refused):
+                snapshots.append(self.forecaster.snapshot())
+            self._due = self._schedule.push(sample)
+            if self._due is not None:
+                verdicts += self._on_trigger(self._due)
+                if self._request is not None:
+                    break
         return Step(tuple(verdicts), self._request, tuple(snapshots))
+
+    def _next(self) -> Sample | None:
+        """The next sample of the queue, as the door settles it once all before it have been taken."""
+        if not self._entered and self._waiting:
+            if (nominal := self.nominal) is not None:
+                self._door.know(nominal.parameters)
+            self._entered.extend(self._door.take(self._waiting.popleft()))
+        return self._entered.popleft() if self._entered else None
+
+    def _on_trigger(self, trigger: Trigger) -> list[Verdict]:
+        """Judge a window, or request its match."""
+        if not trigger.excited:
+            return [self._judge(trigger, MatchResult(reason=trigger.reason))]
+        alarm = self.monitor.fault_between(trigger.window.first, trigger.window.last)
+        if alarm is not None:
+            reason = f"not matched: {alarm.fault.value} since sample {alarm.first}: {alarm.reason}"
+            return [self._judge(trigger, MatchResult(REFUSED, reason))]
+        self._request = self._new_request(trigger)
+        if not self._external:  # most of a match is compiled code, which releases the GIL
+            with_match = ThreadPoolExecutor(1)
+            self._fits = with_match.submit(self._fit, trigger)
+            with_match.shutdown(wait=False)
+        return []
 
     def _new_request(self, trigger: Trigger) -> MatchRequest:
         """The request for a trigger; its incumbent is the regime's current candidate."""
@@ -169,13 +178,17 @@ class Discriminator:
         """Judge the plant's health and have all candidates take the sample; return the verdict that is due if
         a fault has just begun or ended."""
         self._settled, verdicts = sample.index, []
+        self.stamps[sample.index] = sample.stamp
+        if len(self.stamps) > MAX_STAMPS:
+            del self.stamps[next(iter(self.stamps))]
         news = self._watch(sample)
         gone = self._remove_spoilt(news) if news is not None and news.last is None else ()
-        self.forecaster.push(sample)
+        if sample.usable:
+            self.forecaster.push(sample)
         if news is not None:
             reason = f"{news.fault.value} is over: the plant responds normally again"
             match = MatchResult(reason=news.reason if news.last is None else reason)
-            window = Window.from_samples(list(self._recent), self.settings.period)
+            window = Window.from_samples(list(self._recent) or [sample], self.settings.period)
             with one_thread():
                 self._pool.score_leader()
                 verdicts.append(verdict_of(self._known(sample.index, window, match, dismissed=gone)))
@@ -188,7 +201,8 @@ class Discriminator:
             if sample.index <= self._recent[-1].index:  # another session: the old alarms have other indices
                 self.monitor = Monitor(self.monitor.settings)
             self._recent.clear()
-        self._recent.append(sample)
+        if sample.usable:
+            self._recent.append(sample)
         nominal = self.nominal
         self._health = self.monitor.push(sample, nominal.parameters if nominal else None)
         return self._health.news
@@ -197,6 +211,7 @@ class Discriminator:
         """Remove the candidates that were matched while the fault was already on; return their names."""
         if alarm.fault in SLOW:  # the plant has changed since then, but still obeys its drive
             self._pool.structures.cut(alarm.first)
+        if not alarm.spoils:
             return ()
         with one_thread():
             return self._pool.expel(alarm.first, alarm.flagged)
@@ -263,19 +278,20 @@ class Discriminator:
 
     def _check_bands(self, window: Window) -> BandCheck:
         """How the newest samples lie in the bands that the leader forecast for them."""
-        samples, newest = min(self.settings.schedule.stride, len(window)), self._recent[-1].index
-        first = newest - samples + 1
-        check = self.forecaster.check_bands(samples, self.monitor.refused(first, newest))
+        if not self._recent:
+            return BandCheck()
+        samples = min(self.settings.schedule.stride, len(window))
+        check = self.forecaster.check_bands(samples)
         if check is None:
             return BandCheck()
-        self._bands.push(check, first)
+        self._bands.push(check, self._recent[-1].index - samples + 1)
         return check
 
     def _residuals(self, window: Window) -> Residuals:
         nominal = self.nominal
         if nominal is None:
             return Residuals(float("nan"), float("nan"))
-        alarms = self.monitor.alarms
+        alarms = [alarm for alarm in self.monitor.alarms if alarm.spoils or alarm.fault in SLOW]
         over = alarms[-1].last if alarms else None  # residuals during a past fault are not the twin's
         first = max(
             window.first, window.last - self.settings.schedule.stride + 1, 0 if over is None else over + 1

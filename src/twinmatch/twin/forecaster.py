@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import accumulate, pairwise, starmap
 from types import MappingProxyType
@@ -292,12 +292,12 @@ class Forecaster:
         self._catch_up()
         return self._arx.departure(self._controller)
 
-    def check_bands(self, samples: int, refused: Collection[int] = ()) -> BandCheck | None:
+    def check_bands(self, samples: int) -> BandCheck | None:
         """How the newest readings lie in the bands forecast for them; None if there was no forecast.
 
         The forecast is that of the leader at its time, from the last saved state before these samples, under
-        the actual set-points (or inputs) and disturbances. Lost samples, and those whose reading was
-        `refused`, by their indices, are not compared.
+        the actual set-points (or inputs) and disturbances. Samples that were lost or refused
+        are not compared.
         """
         if not self._recent:
             return None
@@ -315,7 +315,6 @@ class Forecaster:
                 raise
             return None
         rows, counted = came[-samples:], came[-samples:, -1] > 0.0
-        counted &= [index not in refused for index in range(newest - samples + 1, newest + 1)]
         if not counted.any():
             return None
         found = rows[:, outputs].T, None if self._law is None else rows[:, inputs].T

@@ -1,36 +1,19 @@
-"""Short gaps in the samples, filled with stand-ins where samples enter: a stream by `GapFiller`, a session by
-`filled_stretches`.
-
-Behind this door samples follow one another, or a longer gap has ended the stretch. Stand-ins are marked as
-not seen, and the mark says what does not count.
-"""
+"""Short gaps in the samples, filled with stand-ins, which are marked as not seen."""
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
 from twinmatch.dynamics import Law, commands_of
-from twinmatch.signals import FloatArray, Sample, Window, stretches
-from twinmatch.twin.settings import TwinSettings
+from twinmatch.signals import FloatArray, Sample, Window
 
 _PAST: Final = 60
 """Samples from which the law's state is found: a limited PID shows its integral once it leaves the limit."""
-
-
-def filled(samples: Iterable[Sample], settings: TwinSettings) -> list[Sample]:
-    """The samples of a session and its stand-ins, as a twin with these settings takes them."""
-    filler = GapFiller.of(settings)
-    return [one for sample in samples for one in filler.take(sample)]
-
-
-def filled_stretches(samples: Iterable[Sample], settings: TwinSettings) -> tuple[Window, ...]:
-    """These as windows: one for each stretch between gaps that are too long to be filled."""
-    return stretches(filled(samples, settings), settings.period)
 
 
 class GapFiller:
@@ -48,10 +31,9 @@ class GapFiller:
         self._law, self._longest = law, longest
         self._past: deque[Sample] = deque(maxlen=_PAST)
 
-    @classmethod
-    def of(cls, settings: TwinSettings) -> GapFiller:
-        """A filler for the plant, loop and longest gap of these settings."""
-        return cls(settings.law, settings.schedule.gap)
+    def restart(self) -> None:
+        """Fill nothing before the next sample."""
+        self._past.clear()
 
     def take(self, sample: Sample) -> list[Sample]:
         """The stand-ins for the samples lost before this one, if they are few enough, and this one, oldest

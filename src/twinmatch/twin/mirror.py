@@ -28,8 +28,9 @@ from twinmatch.dynamics import (
 )
 from twinmatch.fitting.problem import unknown_starts
 from twinmatch.forecasting import StateFilter
+from twinmatch.health import HealthSettings
 from twinmatch.signals import FloatArray, Sample, Signals, Window
-from twinmatch.twin.gaps import GapFiller
+from twinmatch.twin.door import Door
 
 _ESTIMATED_OVER: Final = 300.0
 """Newest stretch over which the states of a new structure are estimated, s, at a scale of 1."""
@@ -86,6 +87,7 @@ class Mirror:
         gap: int = 0,
         *,
         scale: float = 1.0,
+        health: HealthSettings | None = None,
     ) -> None:
         """Start with these parameters.
 
@@ -96,13 +98,17 @@ class Mirror:
             period: sample time, s; ignored with a controller, which has its own.
             gap: most samples lost in a row that do not restart the twins.
             scale: factor on the newest stretch over which the states of new parameters are estimated.
+            health: settings with the limits of a reading; default: the plant's.
         """
         self._parameters = parameters
         self._law = law_for(parameters.model.plant, period, law)
         self._period = period if self._law is None else self._law.period
         self._recent: deque[list[float]] = deque(maxlen=recent)
         self._samples: deque[Sample] = deque(maxlen=max(round(_ESTIMATED_OVER * scale / self._period), 1))
-        self._filler = GapFiller(self._law, gap)
+        plant = parameters.model.plant
+        if health is None and len(plant.outputs) == 1:
+            health = HealthSettings.of(plant, self._period)
+        self._door = Door(self._law, gap, health)
         self._previous: Sample | None = None
         self._started = 0
 
@@ -122,7 +128,7 @@ class Mirror:
 
     def push(self, sample: Sample) -> MirrorState:
         """Take one sample; return the state of the twins at its tick."""
-        *lost, sample = self._filler.take(sample)
+        *lost, sample = self._door.take(sample)
         for one in lost:
             self._push(one)
         return self._push(sample)

@@ -1,0 +1,151 @@
+"""Which readings are refused: those that the plant cannot have, or cannot have reached since the last one."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+
+from twinmatch.dynamics import Parameters, PlantError
+from twinmatch.health.settings import HealthSettings
+from twinmatch.signals import FloatArray, Sample, Signals
+
+_REACH: Final = 1.2
+"""Factor by which drive and surroundings may move the plant further than the twin says. Where a large
+movement is expected, its absence is a drive fault, not an implausible reading."""
+_SURE: Final = 6.0
+"""A movement below `jump` by this factor is never implausible: what is missing of the expected movement is
+then within its reach."""
+GAP: Final = 3.0
+"""Time between two samples that counts as a gap: so many seconds, and so many periods. Half the shortest
+stretch over which the drive is judged, so that a late sample or two change nothing."""
+
+
+def stamps_apart(before: Sample, after: Sample, period: float) -> bool:
+    """Whether the stamps of two samples show a gap, also where the index continues.
+
+    A process that was stopped, or a machine that slept, may continue the index where it was.
+    """
+    passed = (after.stamp - before.stamp) / 1e9
+    return passed < 0 or passed > GAP * max(1.0, period) * max(after.index - before.index, 1)
+
+
+class Refusals:
+    """Refuses implausible readings of one plant, sample by sample.
+
+    A refused reading is replaced by what the twin expects there, for as many samples in a row as may be lost;
+    further ones are not usable. After those, a reading is taken again if it agrees with the one before it,
+    even at another level: then it is the sensor that has shifted.
+    """
+
+    def __init__(self, settings: HealthSettings, longest: int) -> None:
+        """Begin without samples; at most `longest` in a row are replaced."""
+        plant = settings.reference.model.plant
+        self._spans = [output.span for output in plant.outputs.values()]
+        self._twin = settings.reference if plant.typical else None
+        self._period, self._longest = settings.period, longest
+        self._jump = settings.jump * max(1.0, settings.pace)
+        self._since: list[Sample] = []  # the newest accepted sample, and what was refused after it
+        self._cut = False  # whether the first of these is not usable
+
+    def know(self, parameters: Parameters) -> None:
+        """Judge movements by this twin if the plant file declares no typical one."""
+        self._twin = self._twin or parameters
+
+    def settle(self, sample: Sample) -> Sample:
+        """The sample, its reading replaced if it is refused."""
+        if self._since and self._apart(self._since[-1], sample):
+            self._since, self._cut = [], False
+        if self._possible(sample) and not (self._since and self._leaps(sample)):
+            self._since, self._cut = [sample], False
+            return sample
+        return self._refused(sample)
+
+    def _apart(self, before: Sample, sample: Sample) -> bool:
+        """Whether the samples before say nothing about this one."""
+        steps = sample.index - before.index
+        alike = sample.shape == before.shape and 1 <= steps <= self._longest + 1
+        return not alike or stamps_apart(before, sample, self._period)
+
+    def _possible(self, sample: Sample) -> bool:
+        """Whether the plant can have these values."""
+        given = (*sample.references, *sample.inputs, *sample.disturbances)
+        within = (low <= y <= high for (low, high), y in zip(self._spans, sample.outputs, strict=False))
+        return all(within) and all(map(math.isfinite, given))
+
+    def _leaps(self, sample: Sample) -> bool:
+        """Whether the plant cannot have moved there since the newest accepted sample."""
+        before = self._since[0]
+        if self._twin is None or len(sample.outputs) != 1 or len(sample.inputs) != 1:
+            return False
+        if self._cut and not self._possible(before):
+            return False
+        moved = sample.output - before.output
+        if abs(moved) <= self._jump / _SURE:
+            return False
+        expected, size = self._movement(self._twin, sample.index)
+        return abs(moved - expected) > max(self._jump, _REACH * size)
+
+    def _movement(self, twin: Parameters, index: int) -> tuple[float, float]:
+        """Expected movement from the newest accepted sample to an index, and the sum of its parts' sizes."""
+        model, steps = twin.model, twin.steps(self._period)
+        states: FloatArray = np.full(len(model.states), np.nan)
+        y, size = self._since[0].output, 0.0
+        ends = [*(sample.index for sample in self._since), index]
+        try:
+            for sample, (begin, end) in zip(self._since, pairwise(ends), strict=True):
+                row = model.disturbance_row(sample.disturbances or None)
+                for _ in range(end - begin):
+                    drive, passive, states = model.kernels.parts(
+                        twin.vector, y, states, float(sample.input), float(model.plant.drive.rest), row,
+                        self._period, steps,
+                    )  # fmt: skip
+                    y, size = y + drive + passive, size + abs(drive) + abs(passive)
+        except PlantError:
+            return 0.0, math.inf
+        return (y - self._since[0].output, size) if math.isfinite(y) else (0.0, math.inf)
+
+    def _refused(self, sample: Sample) -> Sample:
+        """The sample with a stand-in for its reading, or marked as not usable."""
+        cut = self._cut or not self._since or sample.index - self._since[0].index > self._longest
+        before = self._since[-1] if self._since else None
+        read = sample.outputs
+        settled = replace(
+            sample,
+            references=_finite(sample.references, before.references if before else ()),
+            outputs=self._nearest(read) if cut or before is None else self._expected(before, sample.index),
+            inputs=_finite(sample.inputs, before.inputs if before else ()),
+            disturbances=_finite(sample.disturbances, before.disturbances if before else ()),
+            seen=False,
+            refused=read,
+            usable=not cut,
+        )
+        if cut:  # the next reading is compared with this one
+            self._since, self._cut = [replace(settled, outputs=read)], True
+        else:
+            self._since.append(settled)
+        return settled
+
+    def _expected(self, before: Sample, index: int) -> Signals:
+        """The outputs that the twin expects at an index, or those of the sample before."""
+        if self._twin is None or len(before.outputs) != 1 or len(before.inputs) != 1:
+            return before.outputs
+        moved, _ = self._movement(self._twin, index)
+        return self._nearest((self._since[0].output + moved,))
+
+    def _nearest(self, outputs: Signals) -> Signals:
+        """The possible values nearest to these; in the middle of the span for what is not a number."""
+        spans = [*self._spans, *[(-math.inf, math.inf)] * (len(outputs) - len(self._spans))]
+        return tuple(
+            sum(span) / 2 if math.isnan(y) else min(max(y, span[0]), span[1])
+            for y, span in zip(outputs, spans, strict=False)
+        )
+
+
+def _finite(values: Signals, held: Signals) -> Signals:
+    """These values; for those that are not finite, the ones before."""
+    held = held or (0.0,) * len(values)
+    return tuple(v if math.isfinite(v) else before for v, before in zip(values, held, strict=True))
