@@ -35,29 +35,7 @@ from twinmatch.dynamics.laws import GIVEN as DRIVEN
 from twinmatch.dynamics.laws import KIND
 from twinmatch.dynamics.machine import FUNCTIONS, linked
 from twinmatch.dynamics.runs import LeastSquares, add_row, run
-from twinmatch.fmu.machine import (
-    EXCHANGE,
-    GIVEN,
-    HELD,
-    HIGHEST,
-    LOWEST,
-    N_INPUTS,
-    N_PARAMETERS,
-    N_STATES,
-    N_UNKNOWN,
-    SAMPLE,
-    SHOWN,
-    SIZES,
-    STATUS,
-    UNKNOWN,
-    Integers,
-    advance,
-    bring,
-    floats_at,
-    integers_at,
-    output,
-    rates,
-)
+from twinmatch.fmu.machine import Machine, advance, bring, machine_at, output, rates
 from twinmatch.signals import FloatArray
 
 WIDTH: Final = 1e-4
@@ -83,49 +61,47 @@ _CALLED: Final = ir.FunctionType(ir.VoidType(), [_LLVM[kind] for kind in _KINDS]
 
 
 @compiled(inside=True)
-def _value(
-    at: Integers, f: FloatArray, what: int, z: FloatArray, d: FloatArray, h: float, found: FloatArray
-) -> None:
+def _value(machine: Machine, what: int, z: FloatArray, d: FloatArray, h: float, found: FloatArray) -> None:
     """The output, the rates, or the states after a step of h; z holds parameters, states and drive.
 
     The rates of a co-simulation FMU are differences over one sample, which have the same equilibria.
     """
-    if at[STATUS] != 0:
+    if machine.head[0].status != 0:
         return
-    bring(at, f, z, d)
+    bring(machine, z, d)
     if what == OUTPUTS:
-        found[0] = output(at, f)
-    elif what == SLOPES and at[EXCHANGE]:
-        rates(at, f, found)
+        found[0] = output(machine)
+    elif what == SLOPES and machine.head[0].exchange:
+        rates(machine, found)
     else:
-        period = h if what == STEP else f[SAMPLE]
-        advance(at, f, period)
+        period = h if what == STEP else machine.head[0].sample
+        advance(machine, period)
         for i in range(found.size):
-            end, begun = f[at[HELD] + at[N_PARAMETERS] + i], z[at[N_PARAMETERS] + i]
+            end, begun = machine.held[machine.head[0].n_parameters + i], z[machine.head[0].n_parameters + i]
             found[i] = end if what == STEP else (end - begun) / period
 
 
 @compiled
-def ends_of(at: Integers, f: FloatArray, by: int, value: float) -> tuple[float, float]:
+def ends_of(machine: Machine, by: int, value: float) -> tuple[float, float]:
     """The ends of a difference by a parameter, state or the drive; the value instead of an impossible one."""
-    size = WIDTH * f[at[SIZES] + by]
-    if by < at[N_PARAMETERS]:
+    size = WIDTH * machine.sizes[by]
+    if by < machine.head[0].n_parameters:
         size = max(WIDTH * abs(value), NEAR_ZERO * size)
     high, low = value + size, value - size
-    return high if high <= f[at[HIGHEST] + by] else value, low if low >= f[at[LOWEST] + by] else value
+    return high if high <= machine.highest[by] else value, low if low >= machine.lowest[by] else value
 
 
 @compiled(inside=True)
 def _slope(
-    at: Integers, f: FloatArray, what: int, z: FloatArray, d: FloatArray, h: float, by: int,
+    machine: Machine, what: int, z: FloatArray, d: FloatArray, h: float, by: int,
     found: FloatArray,
 ) -> None:  # fmt: skip
     """The derivative by one of the parameters, then the states, then the drive."""
     values, moved = np.empty((2, found.size)), z.copy()
-    ends = ends_of(at, f, by, z[by])
+    ends = ends_of(machine, by, z[by])
     for side in range(2):
         moved[by] = ends[side]
-        _value(at, f, what, moved, d, h, values[side])
+        _value(machine, what, moved, d, h, values[side])
     for i in range(found.size):
         found[i] = (values[0, i] - values[1, i]) / (ends[0] - ends[1])
 
@@ -136,32 +112,33 @@ def _function(
     columns: Any, du: Any, which: Any, first: int, size: int,
 ) -> None:  # fmt: skip
     """One of the functions, an index of `FUNCTIONS`; b and those after `out` are not used by all of them."""
-    at, f = integers_at(integers), floats_at(integers, floats)
-    m, n, q, most = at[N_PARAMETERS], at[N_STATES], at[N_UNKNOWN], 0
-    for i in range(at[N_INPUTS] - 1):
-        most = max(most, at[at[GIVEN] + i] + 1)
+    machine, most = machine_at(integers, floats), 0
+    head = machine.head[0]
+    m, n, q = head.n_parameters, head.n_states, head.n_unknown
+    for i in range(head.n_inputs - 1):
+        most = max(most, machine.given[i] + 1)
     z, others, column = np.empty(m + n + 1), numba.carray(d, most), np.zeros(max(n, 1))
     for i in range(m + n + 1):
         z[i] = p[i] if i < m else x[i - m] if i < m + n else np.nan if what in _OF_OUTPUT else u[0]
     if what == OUTPUT_SLOPES:
         for i in range(n + q):
             out[i] = 0.0
-            if i < n or at[at[SHOWN] + i - n]:
-                by = m + i if i < n else at[at[UNKNOWN] + i - n]
-                _slope(at, f, OUTPUTS, z, others, 0.0, by, column[:1])
+            if i < n or machine.shown[i - n]:
+                by = m + i if i < n else machine.unknown[i - n]
+                _slope(machine, OUTPUTS, z, others, 0.0, by, column[:1])
                 out[i] = column[0]
     elif what == SLOPES:
         # By the unknowns (n × q), then the rates, their derivatives by the states (n × n) and the drive (n).
         for j in range(q + n + 1):
-            _slope(at, f, SLOPES, z, others, 0.0, at[at[UNKNOWN] + j] if j < q else m + j - q, column[:n])
+            _slope(machine, SLOPES, z, others, 0.0, machine.unknown[j] if j < q else m + j - q, column[:n])
             for i in range(n):
                 of_x = i * n + j - q if j < q + n else n * n + i
                 out[i * q + j if j < q else n * (q + 1) + of_x] = column[i]
     elif what == TANGENTS:
         by, before = np.empty((first + n + 1, n)), np.empty(n)
         for j in range(first + n + 1):
-            place = at[at[UNKNOWN] + which[j]] if j < first else m + j - first
-            _slope(at, f, STEP, z, others, h, place, by[j])
+            place = machine.unknown[which[j]] if j < first else m + j - first
+            _slope(machine, STEP, z, others, h, place, by[j])
         for j in range(size):
             for i in range(n):
                 before[i] = columns[i * size + j]
@@ -174,7 +151,7 @@ def _function(
         value = STEP if what == TANGENTS else what
         skipped = n * q if what == SLOPES else 0
         column[:] = 0.0
-        _value(at, f, value, z, others, h, column[: 1 if what == OUTPUTS else n])
+        _value(machine, value, z, others, h, column[: 1 if what == OUTPUTS else n])
         for i in range(column.size):
             out[skipped + i] = column[i]
         if value == STEP:
@@ -220,13 +197,13 @@ def code_for(addresses: Mapping[str, int], parameters: int, states: int, unknown
 
 @compiled
 def normal_at(
-    code: Code, at: Integers, f: FloatArray, problem: LeastSquares, values: FloatArray, limit: float
+    code: Code, machine: Machine, problem: LeastSquares, values: FloatArray, limit: float
 ) -> tuple[float, FloatArray, FloatArray]:
     """As `twinmatch.dynamics.runs.normal_at`, from differences of whole runs; infinite without finite values.
 
     `code` has no unknowns: no derivatives of single samples are needed.
     """
-    course, n, free, m = problem.course, values.size, problem.places.size, at[N_PARAMETERS]
+    course, n, free, m = problem.course, values.size, problem.places.size, machine.head[0].n_parameters
     size, signals = course.disturbances.shape[0], 1 if problem.law[KIND] == DRIVEN else 2
     nowhere = np.inf, np.zeros(n), np.zeros((n, n))
     still, never = np.zeros((size, 1)), np.zeros(size, dtype=np.bool_)
@@ -236,7 +213,7 @@ def normal_at(
         moved, j = values.copy(), (i - 1) // 2
         if i > 0:
             by = problem.places[j] if j < free else m + problem.started[j - free]
-            ends[j, 0], ends[j, 1] = ends_of(at, f, by, values[j])
+            ends[j, 0], ends[j, 1] = ends_of(machine, by, values[j])
             moved[j] = ends[j, (i - 1) % 2]
         vector = problem.base.copy()
         vector[problem.places] = moved[:free]

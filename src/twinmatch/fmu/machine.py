@@ -10,7 +10,7 @@ then does nothing more until `error_of` has told it.
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numba
 import numpy as np
@@ -21,6 +21,7 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from twinmatch.compiled import compiled
+from twinmatch.dynamics.kernels import BISECTIONS, MAX_EVENTS
 from twinmatch.signals import FloatArray
 
 FUNCTIONS: Final = (
@@ -40,60 +41,98 @@ NAMES_3: Final = {
 (
     RESET, SETUP, INITIALISE, BEGIN, GET, SET, STEP, SET_TIME, GET_STATES, SET_STATES, RATES, INDICATORS,
     COMPLETED, EVENT_MODE, UPDATE, CONTINUE,
-) = range(16)  # fmt: skip
-INSTANCE, RENEW, FMI_3, EXCHANGE, N_PARAMETERS, N_STATES, N_INPUTS, N_INDICATORS, N_UNKNOWN = range(16, 25)
-"""The instance, a function that replaces it, whether it is of FMI 3 and for model exchange, and numbers."""
-FIXED, INPUTS, STATES, OUTPUT = range(25, 29)
-"""Addresses of the value references of what is set before a run, of drive and disturbances, of states, of the
-output."""
-STATUS, WHERE, BEGUN = range(29, 32)
-"""The first error and the function that it came from, and whether a run has begun."""
-PLACES, GIVEN, UNKNOWN, SHOWN = range(32, 36)
-"""Where these begin among the integers: index of each state among the FMU's own, indices of the disturbances
-that it takes, indices of the parameters with tangents, and which of these the output depends on by itself."""
-FACTORS, OFFSETS, HELD, SIZES, LOWEST, HIGHEST, HEAD = range(36, 43)
-"""Where these begin among the floats, each in the order parameters, states, inputs, output. Plant value =
-factor · FMU value + offset; the values at which it is, in the plant's units; scales of parameters, and spans
-of states and drive; least and most possible values. And the end of the integers that are not lists."""
-RUN_TIME, REST, SAMPLE, VALUES = range(4)
-"""Time of the run, rest value of the drive, sample time of a rate in co-simulation; and the end of these."""
+) = range(len(FUNCTIONS))  # fmt: skip
 ENDED: Final = 101
 UNSETTLED: Final = 102
 _WARNING = 1
 """Highest status that is not an error."""
 MAX_ROUNDS = 100
 """Most event iterations at one time."""
-BISECTIONS = 48
-MAX_EVENTS = 24
-"""Most events located in one step; later ones are not located."""
-
 
 Integers = NDArray[np.int64]
-"""Addresses and numbers of a machine, in the order above, then lists."""
+_NUMBERS: Final = (
+    "instance",
+    "renew",  # a function that replaces the instance
+    "fmi_3",  # whether it is of FMI 3
+    "exchange",  # whether it is for model exchange
+    "n_parameters", "n_states", "n_inputs", "n_indicators", "n_unknown",
+    # Addresses of the value references of what is set before a run, of drive and disturbances, of states, of
+    # the output.
+    "fixed", "inputs", "states", "output",
+    "status", "where",  # the first error, and the function that it came from
+    "begun",  # whether a run has begun
+)  # fmt: skip
+_REALS: Final = (
+    "run_time",
+    "rest",  # rest value of the drive
+    "sample",  # sample time of a rate in co-simulation
+)
+HEAD: Final = np.dtype((
+    np.record, [*((name, np.int64) for name in _NUMBERS), *((name, np.float64) for name in _REALS)]
+))  # fmt: skip
+_BEGIN: Final = len(FUNCTIONS) + HEAD.itemsize // 8
+"""Where the lists begin among the integers."""
+
+
+class Machine(NamedTuple):
+    """A running FMU. Plant value = factor · FMU value + offset."""
+
+    functions: Integers
+    """Addresses, in the order of FUNCTIONS."""
+    head: Any
+    """One record of HEAD, as an array: numba returns no tuples of records."""
+    places: Integers
+    """Index of each state among the FMU's own."""
+    given: Integers
+    """Indices of the disturbances that it takes."""
+    unknown: Integers
+    """Indices of the parameters with tangents; room for all."""
+    shown: Integers
+    """Which of these the output depends on by itself."""
+    factors: FloatArray
+    """In the order parameters, states, inputs, output; as all that follow."""
+    offsets: FloatArray
+    held: FloatArray
+    """Values at which it is, in the plant's units."""
+    sizes: FloatArray
+    """Scales of parameters, spans of states and drive."""
+    lowest: FloatArray
+    """Least possible values."""
+    highest: FloatArray
 
 
 def memory_for(parameters: int, states: int, inputs: int) -> tuple[Integers, FloatArray]:
-    """The integers and the floats of a machine, zero but for what follows from its sizes."""
-    whole = parameters + states + inputs + 1
-    at = np.zeros(HEAD + states + inputs + 2 * parameters, dtype=np.int64)
-    at[[N_PARAMETERS, N_STATES, N_INPUTS]] = parameters, states, inputs
-    at[PLACES : SHOWN + 1] = np.cumsum([HEAD, states, inputs, parameters])
-    at[FACTORS:HEAD] = VALUES + whole * np.arange(6)
-    return at, np.zeros(VALUES + 6 * whole)
+    """The integers and the floats of a machine, zero but for these sizes."""
+    integers = np.zeros(_BEGIN + states + inputs + 2 * parameters, dtype=np.int64)
+    head = integers[len(FUNCTIONS) : _BEGIN].view(HEAD)[0]
+    head.n_parameters, head.n_states, head.n_inputs = parameters, states, inputs
+    return integers, np.zeros(6 * (parameters + states + inputs + 1))
 
 
 @compiled(inside=True)
-def integers_at(pointer: Any) -> Integers:
-    """The integers of a machine that begin at a pointer."""
-    at = numba.carray(pointer, HEAD)
-    return numba.carray(pointer, HEAD + at[N_STATES] + at[N_INPUTS] + 2 * at[N_PARAMETERS])
+def machine_of(integers: Integers, floats: FloatArray) -> Machine:
+    """The machine that has this memory."""
+    head = integers[len(FUNCTIONS) : _BEGIN].view(HEAD)
+    m, n, inputs = head[0].n_parameters, head[0].n_states, head[0].n_inputs
+    given = _BEGIN + n
+    unknown = given + inputs
+    shown, whole = unknown + m, m + n + inputs + 1
+    return Machine(
+        integers[: len(FUNCTIONS)], head, integers[_BEGIN:given], integers[given:unknown],
+        integers[unknown:shown], integers[shown : shown + m], floats[:whole], floats[whole : 2 * whole],
+        floats[2 * whole : 3 * whole], floats[3 * whole : 4 * whole], floats[4 * whole : 5 * whole],
+        floats[5 * whole : 6 * whole],
+    )  # fmt: skip
 
 
 @compiled(inside=True)
-def floats_at(integers: Any, floats: Any) -> FloatArray:
-    """The floats of a machine that begin at a pointer, as do its integers."""
-    at = numba.carray(integers, HEAD)
-    return numba.carray(floats, VALUES + 6 * (at[N_PARAMETERS] + at[N_STATES] + at[N_INPUTS] + 1))
+def machine_at(integers: Any, floats: Any) -> Machine:
+    """The machine whose memory begins at these pointers."""
+    head = numba.carray(integers, _BEGIN)[len(FUNCTIONS) :].view(HEAD)[0]
+    m, n, inputs = head.n_parameters, head.n_states, head.n_inputs
+    return machine_of(
+        numba.carray(integers, _BEGIN + n + inputs + 2 * m), numba.carray(floats, 6 * (m + n + inputs + 1))
+    )
 
 
 @intrinsic
@@ -109,263 +148,261 @@ def _fmi(context: Any, address: Any, instance: Any, given: Any) -> Any:  # noqa:
 
 
 @compiled(inside=True)
-def _note(at: Integers, where: int, status: int) -> None:
-    if status > _WARNING and at[STATUS] == 0:
-        at[STATUS], at[WHERE] = status, where
+def _note(machine: Machine, where: int, status: int) -> None:
+    if status > _WARNING and machine.head[0].status == 0:
+        machine.head[0].status, machine.head[0].where = status, where
 
 
 @compiled(inside=True)
-def _call(at: Integers, function: int, given: Any) -> None:
+def _call(machine: Machine, function: int, given: Any) -> None:
     """Call a function with arguments, a tuple, after the instance."""
-    _note(at, function, _fmi(at[function], at[INSTANCE], given))
+    _note(machine, function, _fmi(machine.functions[function], machine.head[0].instance, given))
 
 
 @compiled(inside=True)
-def _pass(at: Integers, function: int, values: FloatArray) -> None:
+def _pass(machine: Machine, function: int, values: FloatArray) -> None:
     """Call a function that reads or writes an array."""
     if values.size > 0:
-        _call(at, function, (values.ctypes.data, values.size))
+        _call(machine, function, (values.ctypes.data, values.size))
 
 
 @compiled(inside=True)
-def _transfer(at: Integers, function: int, references: int, values: FloatArray) -> None:
+def _transfer(machine: Machine, function: int, references: int, values: FloatArray) -> None:
     """Read or set some variables, in the FMU's units."""
     if values.size > 0:
         data = values.ctypes.data
-        _call(at, function, (at[references], values.size, data, values.size))
+        _call(machine, function, (references, values.size, data, values.size))
 
 
 @compiled(inside=True)
-def _set(at: Integers, f: FloatArray, references: int, first: int, count: int) -> None:
+def _set(machine: Machine, references: int, first: int, count: int) -> None:
     """Set some variables to their values in `held`."""
     own = np.empty(count)
     for i in range(count):
-        own[i] = (f[at[HELD] + first + i] - f[at[OFFSETS] + first + i]) / f[at[FACTORS] + first + i]
-    _transfer(at, SET, references, own)
+        own[i] = (machine.held[first + i] - machine.offsets[first + i]) / machine.factors[first + i]
+    _transfer(machine, SET, references, own)
 
 
 @compiled(inside=True)
-def _initialise(at: Integers, f: FloatArray) -> None:
+def _initialise(machine: Machine) -> None:
     """Initialise with the parameters and inputs that are held, for co-simulation also with the states."""
-    m, n = at[N_PARAMETERS], at[N_STATES]
-    if at[BEGUN] != 0 and _fmi(at[RESET], at[INSTANCE], ()) > _WARNING:
-        _note(at, RESET, _fmi(at[RENEW], at[INSTANCE], ()))
-    at[BEGUN] = 1
-    if at[SETUP] != 0:
-        _call(at, SETUP, (0, 0.0, 0.0, 0, 0.0))
-    _set(at, f, FIXED, 0, m if at[EXCHANGE] else m + n)
-    _call(at, INITIALISE, (0, 0.0, 0.0, 0, 0.0))
-    _set(at, f, INPUTS, m + n, at[N_INPUTS])
-    _call(at, BEGIN, ())
-    if at[EXCHANGE]:
-        _settle(at)
+    m, n = machine.head[0].n_parameters, machine.head[0].n_states
+    if machine.head[0].begun != 0 and _fmi(machine.functions[RESET], machine.head[0].instance, ()) > _WARNING:
+        _note(machine, RESET, _fmi(machine.head[0].renew, machine.head[0].instance, ()))
+    machine.head[0].begun = 1
+    if machine.functions[SETUP] != 0:
+        _call(machine, SETUP, (0, 0.0, 0.0, 0, 0.0))
+    _set(machine, machine.head[0].fixed, 0, m if machine.head[0].exchange else m + n)
+    _call(machine, INITIALISE, (0, 0.0, 0.0, 0, 0.0))
+    _set(machine, machine.head[0].inputs, m + n, machine.head[0].n_inputs)
+    _call(machine, BEGIN, ())
+    if machine.head[0].exchange:
+        _settle(machine)
 
 
 @compiled(inside=True)
-def bring(at: Integers, f: FloatArray, z: FloatArray, d: FloatArray) -> None:
+def bring(machine: Machine, z: FloatArray, d: FloatArray) -> None:
     """Bring it to parameters, states and drive, and to disturbances; a drive of NaN: as it is.
 
     A run continues where nothing but the inputs has changed; otherwise another one begins.
     """
-    m, n, held = at[N_PARAMETERS], at[N_STATES], at[HELD]
-    same, there = at[BEGUN] != 0, True
+    head, held = machine.head[0], machine.held
+    m, n = head.n_parameters, head.n_states
+    same, there = head.begun != 0, True
     for i in range(m + n):
-        if f[held + i] != z[i]:
+        if held[i] != z[i]:
             there = False
             same = same and i >= m
-        f[held + i] = z[i]
+        held[i] = z[i]
     there = there and same
     if not there:
-        f[RUN_TIME] = 0.0
+        head.run_time = 0.0
     changed = not there
-    for i in range(m + n, m + n + at[N_INPUTS]):
-        value = z[m + n] if i == m + n else d[at[at[GIVEN] + i - m - n - 1]]
+    for i in range(m + n, m + n + head.n_inputs):
+        value = z[m + n] if i == m + n else d[machine.given[i - m - n - 1]]
         if np.isnan(value):
-            value = f[held + i] if there else f[REST]
-        changed = changed or f[held + i] != value
-        f[held + i] = value
-    if not (same if at[EXCHANGE] else there):
-        _initialise(at, f)
-    elif changed and not at[EXCHANGE]:
-        _set(at, f, INPUTS, m + n, at[N_INPUTS])
-    if changed and at[EXCHANGE]:
+            value = held[i] if there else head.rest
+        changed = changed or held[i] != value
+        held[i] = value
+    if not (same if head.exchange else there):
+        _initialise(machine)
+    elif changed and not head.exchange:
+        _set(machine, head.inputs, m + n, head.n_inputs)
+    if changed and head.exchange:
         if not there:
-            _call(at, SET_TIME, (0.0,))
-        _set(at, f, INPUTS, m + n, at[N_INPUTS])
+            _call(machine, SET_TIME, (0.0,))
+        _set(machine, head.inputs, m + n, head.n_inputs)
         if not there and n > 0:
             own = np.empty(n)
             for i in range(n):
-                own[at[at[PLACES] + i]] = (z[m + i] - f[at[OFFSETS] + m + i]) / f[at[FACTORS] + m + i]
-            _pass(at, SET_STATES, own)
-        if at[N_INDICATORS] > 0:
-            _call(at, EVENT_MODE, ())
-            _settle(at)
+                own[machine.places[i]] = (z[m + i] - machine.offsets[m + i]) / machine.factors[m + i]
+            _pass(machine, SET_STATES, own)
+        if head.n_indicators > 0:
+            _call(machine, EVENT_MODE, ())
+            _settle(machine)
 
 
 @compiled(inside=True)
-def output(at: Integers, f: FloatArray) -> float:
+def output(machine: Machine) -> float:
     """The output, in the plant's unit."""
-    found = np.empty(1)
-    _transfer(at, GET, OUTPUT, found)
-    return f[at[OFFSETS] - 1] * found[0] + f[at[HELD] - 1]
+    value = np.empty(1)
+    _transfer(machine, GET, machine.head[0].output, value)
+    return machine.factors[-1] * value[0] + machine.offsets[-1]
 
 
 @compiled(inside=True)
-def advance(at: Integers, f: FloatArray, h: float) -> None:
+def advance(machine: Machine, h: float) -> None:
     """Advance it by a step, whose end is held."""
-    m, n = at[N_PARAMETERS], at[N_STATES]
+    m, n = machine.head[0].n_parameters, machine.head[0].n_states
     own = np.empty(n)
-    if at[EXCHANGE]:
-        _integrate(at, f, own, h)
+    if machine.head[0].exchange:
+        _integrate(machine, own, h)
     else:
-        _step(at, f, h)
-        _transfer(at, GET, STATES, own)
+        _step(machine, h)
+        _transfer(machine, GET, machine.head[0].states, own)
     for i in range(n):
-        value = own[at[at[PLACES] + i]]
-        f[at[HELD] + m + i] = f[at[FACTORS] + m + i] * value + f[at[OFFSETS] + m + i]
+        value = own[machine.places[i]]
+        machine.held[m + i] = machine.factors[m + i] * value + machine.offsets[m + i]
 
 
 @compiled(inside=True)
-def rates(at: Integers, f: FloatArray, found: FloatArray) -> None:
+def rates(machine: Machine, values: FloatArray) -> None:
     """The derivatives of the states of a model-exchange FMU, in the plant's units."""
-    m, n = at[N_PARAMETERS], at[N_STATES]
+    m, n = machine.head[0].n_parameters, machine.head[0].n_states
     x, own = np.empty(n), np.empty(n)
-    _pass(at, GET_STATES, x)
-    _rates(at, x, f[RUN_TIME], own)
+    _pass(machine, GET_STATES, x)
+    _rates(machine, x, machine.head[0].run_time, own)
     for i in range(n):
-        found[i] = own[at[at[PLACES] + i]] * f[at[FACTORS] + m + i]
+        values[i] = own[machine.places[i]] * machine.factors[m + i]
 
 
 @compiled(inside=True)
-def _step(at: Integers, f: FloatArray, h: float) -> None:
+def _step(machine: Machine, h: float) -> None:
     """One step of the FMU's own solver."""
     flags = np.zeros(8, dtype=np.int32)
-    data, time = flags.ctypes.data, f[RUN_TIME]
-    _call(at, STEP, (time, h, 1, data, data + 8, data + 16, data + 24))
-    if at[FMI_3] and (flags[2] != 0 or flags[4] != 0):  # it terminated, or returned early
-        _note(at, STEP, ENDED)
-    f[RUN_TIME] = time + h
+    data, time = flags.ctypes.data, machine.head[0].run_time
+    _call(machine, STEP, (time, h, 1, data, data + 8, data + 16, data + 24))
+    if machine.head[0].fmi_3 and (flags[2] != 0 or flags[4] != 0):  # it terminated, or returned early
+        _note(machine, STEP, ENDED)
+    machine.head[0].run_time = time + h
 
 
 @compiled(inside=True)
-def _integrate(at: Integers, f: FloatArray, x: FloatArray, h: float) -> None:
+def _integrate(machine: Machine, x: FloatArray, h: float) -> None:
     """One Runge–Kutta step of order 4, to the FMU's own states x.
 
-    If an event indicator changes sign within it, its time is found by bisection and the step ends just
-    after it, as for kinks of the native equations.
+    A step across a change of an event indicator's sign ends just after it, as at kinks of the native
+    equations.
     """
-    n, indicated = x.size, at[N_INDICATORS]
-    after, signs = np.empty(n), np.empty(indicated)
-    _pass(at, GET_STATES, x)
-    left = h
+    after, signs, left = np.empty(x.size), np.empty(machine.head[0].n_indicators), h
+    _pass(machine, GET_STATES, x)
     for event in range(MAX_EVENTS):
-        time, taken = f[RUN_TIME], left
-        _indicators(at, x, time, signs)
-        _stepped(at, x, time, left, after)
-        if indicated > 0 and event < MAX_EVENTS - 1 and _crossed(at, after, time + left, signs):
-            low, taken = 0.0, left
+        taken, step = left, (machine, x, machine.head[0].run_time, after, signs)
+        _indicators(machine, x, machine.head[0].run_time, signs)
+        if _crosses(step, left) and event < MAX_EVENTS - 1:
+            low = 0.0
             for _ in range(BISECTIONS):
                 middle = 0.5 * (low + taken)
-                _stepped(at, x, time, middle, after)
-                if _crossed(at, after, time + middle, signs):
+                if _crosses(step, middle):
                     taken = middle
                 else:
                     low = middle
-            _stepped(at, x, time, taken, after)
-        f[RUN_TIME] = time + taken
-        for i in range(n):
-            x[i] = after[i]
-        _complete(at, f, x)
+            _crosses(step, taken)
+        machine.head[0].run_time += taken
+        x[:] = after
+        _complete(machine, x)
         left -= taken
-        if not left > 0.0 or at[STATUS] != 0:
+        if not left > 0.0 or machine.head[0].status != 0:
             break
 
 
 @compiled(inside=True)
-def _place(at: Integers, x: FloatArray, time: float) -> None:
-    _call(at, SET_TIME, (time,))
-    _pass(at, SET_STATES, x)
+def _place(machine: Machine, x: FloatArray, time: float) -> None:
+    _call(machine, SET_TIME, (time,))
+    _pass(machine, SET_STATES, x)
 
 
 @compiled(inside=True)
-def _rates(at: Integers, x: FloatArray, time: float, found: FloatArray) -> None:
-    _place(at, x, time)
-    _pass(at, RATES, found)
+def _rates(machine: Machine, x: FloatArray, time: float, values: FloatArray) -> None:
+    _place(machine, x, time)
+    _pass(machine, RATES, values)
 
 
 @compiled(inside=True)
-def _stepped(at: Integers, x: FloatArray, t: float, h: float, after: FloatArray) -> None:
+def _runge_kutta(machine: Machine, x: FloatArray, t: float, h: float, after: FloatArray) -> None:
     k, there = np.empty((4, x.size)), x.copy()
     for stage in range(4):
         reach = h if stage == 3 else 0.5 * h
         if stage > 0:
             for i in range(x.size):
                 there[i] = x[i] + reach * k[stage - 1, i]
-        _rates(at, there, t + reach if stage > 0 else t, k[stage])
+        _rates(machine, there, t + reach if stage > 0 else t, k[stage])
     for i in range(x.size):
         after[i] = x[i] + h / 6.0 * (k[0, i] + 2.0 * k[1, i] + 2.0 * k[2, i] + k[3, i])
 
 
 @compiled(inside=True)
-def _indicators(at: Integers, x: FloatArray, time: float, found: FloatArray) -> None:
-    if found.size > 0:
-        _place(at, x, time)
-        _pass(at, INDICATORS, found)
+def _indicators(machine: Machine, x: FloatArray, time: float, values: FloatArray) -> None:
+    if values.size > 0:
+        _place(machine, x, time)
+        _pass(machine, INDICATORS, values)
 
 
 @compiled(inside=True)
-def _crossed(at: Integers, x: FloatArray, time: float, signs: FloatArray) -> bool:
-    """Whether an event indicator has another sign here."""
-    found = np.empty(signs.size)
-    _indicators(at, x, time, found)
-    crossed = False
+def _crosses(step: Any, h: float) -> bool:
+    """Take a step from x, to `after`; whether an event indicator has another sign there."""
+    machine, x, time, after, signs = step
+    _runge_kutta(machine, x, time, h, after)
+    values, crossed = np.empty(signs.size), False
+    _indicators(machine, after, time + h, values)
     for i in range(signs.size):
-        crossed = crossed or (found[i] > 0.0) != (signs[i] > 0.0)
+        crossed = crossed or (values[i] > 0.0) != (signs[i] > 0.0)
     return crossed
 
 
 @compiled(inside=True)
-def _complete(at: Integers, f: FloatArray, x: FloatArray) -> None:
+def _complete(machine: Machine, x: FloatArray) -> None:
     """Set the states at the end of a step, handle its events, and read the states after them."""
     flags = np.zeros(4, dtype=np.int32)
-    _place(at, x, f[RUN_TIME])
-    if at[COMPLETED] != 0:
+    _place(machine, x, machine.head[0].run_time)
+    if machine.functions[COMPLETED] != 0:
         data = flags.ctypes.data
-        _call(at, COMPLETED, (1, data, data + 4))
+        _call(machine, COMPLETED, (1, data, data + 4))
         if flags[1] != 0:
-            _note(at, COMPLETED, ENDED)
-    if flags[0] != 0 or at[N_INDICATORS] > 0:
-        _call(at, EVENT_MODE, ())
-        _settle(at)
-        _pass(at, GET_STATES, x)
+            _note(machine, COMPLETED, ENDED)
+    if flags[0] != 0 or machine.head[0].n_indicators > 0:
+        _call(machine, EVENT_MODE, ())
+        _settle(machine)
+        _pass(machine, GET_STATES, x)
 
 
 @compiled(inside=True)
-def _settle(at: Integers) -> None:
+def _settle(machine: Machine) -> None:
     """Iterate over events until the discrete states stay, and continue."""
     for _ in range(MAX_ROUNDS):
-        if at[STATUS] != 0:
+        if machine.head[0].status != 0:
             return
         flags = np.zeros(16, dtype=np.int32)
         data = flags.ctypes.data
-        _call(at, UPDATE, (data, data + 8, data + 16, data + 24, data + 32, data + 40))
-        if flags[2 if at[FMI_3] else 1] != 0:
-            _note(at, UPDATE, ENDED)
+        _call(machine, UPDATE, (data, data + 8, data + 16, data + 24, data + 32, data + 40))
+        if flags[2 if machine.head[0].fmi_3 else 1] != 0:
+            _note(machine, UPDATE, ENDED)
         if flags[0] == 0:
-            _call(at, CONTINUE, ())
+            _call(machine, CONTINUE, ())
             return
-    _note(at, UPDATE, UNSETTLED)
+    _note(machine, UPDATE, UNSETTLED)
 
 
-def error_of(at: Integers, f: FloatArray) -> str:
+def error_of(machine: Machine) -> str:
     """The error of the calls since the last time, as text; empty without one. It is then forgotten."""
-    status, where = int(at[STATUS]), FUNCTIONS[at[WHERE]]
+    status, where = int(machine.head[0].status), FUNCTIONS[machine.head[0].where]
     if not status:
         return ""
-    at[STATUS], f[at[HELD] : at[SIZES]] = 0, np.nan
+    machine.head[0].status = 0
+    machine.held[:] = np.nan
     if status == ENDED:
         return "it terminated the simulation, or returned early"
     if status == UNSETTLED:
         return f"its discrete states do not converge in {MAX_ROUNDS} event iterations"
-    name = NAMES_3.get(where, where) if at[FMI_3] else where
+    name = NAMES_3.get(where, where) if machine.head[0].fmi_3 else where
     return f"its function {name} returned status {status}"

@@ -16,14 +16,13 @@ import select
 import shutil
 import signal
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, BinaryIO, Final
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from twinmatch.dynamics.kernels import Code
 from twinmatch.fmu import functions, machine
@@ -75,48 +74,41 @@ class LoadedFmu:
         self._load, self._m, self._n = load, len(load["parameters"]), len(load["starts"])
         self._formulas = [Formula(f"start of a state of {described.name}", text) for text in load["starts"]]
         references = {name: np.array(those, dtype=np.uint32) for name, those in load["references"].items()}
-        self.at, self.numbers = machine.memory_for(self._m, self._n, len(references["inputs"]))
+        self._memory = machine.memory_for(self._m, self._n, len(references["inputs"]))
+        self.machine = machine.machine_of.py_func(*self._memory)  # type: ignore[attr-defined]
         self._kept = references, _RENEW(self._renew), _START(self._start)
-        self.at[: len(machine.FUNCTIONS)] = [self._address(name) for name in machine.FUNCTIONS]
-        for place, value in (
-            (machine.RENEW, ctypes.cast(self._kept[1], ctypes.c_void_p).value),
-            (machine.INSTANCE, self._fmu.component),
-            (machine.FMI_3, self._major == 3),
-            (machine.EXCHANGE, kind == MODEL_EXCHANGE),
-            *((machine.FIXED + k, references[name].ctypes.data) for k, name in enumerate(_GROUPS)),
-        ):
-            self.at[place] = value
+        self.machine.functions[:] = [self._address(name) for name in machine.FUNCTIONS]
+        head = self.machine.head[0]
+        head.renew, head.instance = ctypes.cast(self._kept[1], ctypes.c_void_p).value, self._fmu.component
+        head.fmi_3, head.exchange = self._major == 3, kind == MODEL_EXCHANGE
+        for name, those in references.items():
+            head[name] = those.ctypes.data
         if kind == MODEL_EXCHANGE:
             own = described.indicators if self._major == 2 else self._fmu.getNumberOfEventIndicators()
-            self.at[machine.N_INDICATORS] = own
-            self.at[machine.COMPLETED] *= described.after_steps
-        self._fill(self.at, machine.PLACES, load["places"])
-        self._fill(self.at, machine.GIVEN, load["given"])
-        for place, values in enumerate(load["numbers"], machine.FACTORS):
-            self._fill(self.numbers, place, values)
-        self.numbers[[machine.REST, machine.SAMPLE]] = load["rest"], load["sample"]
+            head.n_indicators = own
+            self.machine.functions[machine.COMPLETED] *= described.after_steps
+        self.machine.places[:], self.machine.given[: len(load["given"])] = load["places"], load["given"]
+        values = ("factors", "offsets", "held", "sizes", "lowest", "highest")
+        for name, numbers in zip(values, load["numbers"], strict=True):
+            getattr(self.machine, name)[: len(numbers)] = numbers
+        head.rest, head.sample = load["rest"], load["sample"]
         self._owner, self._addresses = functions.functions_for(
-            self.at.ctypes.data,
-            self.numbers.ctypes.data,
+            self._memory[0].ctypes.data,
+            self._memory[1].ctypes.data,
             ctypes.cast(self._kept[2], ctypes.c_void_p).value or 0,
         )
 
     def code(self, unknown: list[int], shown: list[int]) -> Code:
         """The FMU for kernels, with derivatives by these of its parameters; `shown`: of the output, too."""
-        self.at[machine.N_UNKNOWN] = len(unknown)
-        self._fill(self.at, machine.UNKNOWN, unknown)
-        self._fill(self.at, machine.SHOWN, shown)
+        self.machine.head[0].n_unknown = len(unknown)
+        self.machine.unknown[: len(unknown)], self.machine.shown[: len(shown)] = unknown, shown
         return functions.code_for(self._addresses, self._m, self._n, len(unknown))
 
     def require_success(self) -> None:
         """Raises FmuRunError if one of its functions has reported an error."""
-        error = machine.error_of(self.at, self.numbers)
+        error = machine.error_of(self.machine)
         if error:
             raise FmuRunError(error)
-
-    def _fill(self, array: NDArray[Any], place: int, values: Sequence[float]) -> None:
-        """Write a list of the machine, all of whose places are known."""
-        array[self.at[place] : self.at[place] + len(values)] = values
 
     def _address(self, name: str) -> int:
         name = machine.NAMES_3.get(name, name) if self._major == 3 else name
@@ -130,7 +122,7 @@ class LoadedFmu:
             self._fmu.instantiate()
         except Exception:  # FMPy raises many kinds
             return 3
-        self.at[machine.INSTANCE] = self._fmu.component
+        self.machine.head[0].instance = self._fmu.component
         return 0
 
     def _start(self, y: Any, u: Any, d: Any, p: Any, _: Any, out: Any) -> None:
@@ -141,8 +133,8 @@ class LoadedFmu:
         values |= dict(zip(others, d[: len(others)], strict=True))
         values |= dict(zip(names, p[: len(names)], strict=True))
         reach = functions.WIDTH * (1.0 + abs(y[0]))
-        unknown = self.at[self.at[machine.UNKNOWN] :][: self.at[machine.N_UNKNOWN]].tolist()
-        ends = [functions.ends_of.py_func(self.at, self.numbers, k, p[k]) for k in unknown]  # type: ignore[attr-defined]
+        unknown = self.machine.unknown[: self.machine.head[0].n_unknown].tolist()
+        ends = [functions.ends_of.py_func(self.machine, k, p[k]) for k in unknown]  # type: ignore[attr-defined]
         of = [(output, (y[0] + reach, y[0] - reach)), *zip([names[k] for k in unknown], ends, strict=True)]
         for i, formula in enumerate(self._formulas):
             out[i] = formula(values)
@@ -152,7 +144,6 @@ class LoadedFmu:
                 out[place] = rise / (high - low)
 
 
-_GROUPS: Final = ("fixed", "inputs", "states", "output")
 _RENEW: Final = ctypes.CFUNCTYPE(ctypes.c_int)
 _START: Final = ctypes.CFUNCTYPE(None, *(ctypes.POINTER(ctypes.c_double),) * 6)
 
@@ -236,7 +227,7 @@ class FmuWorker:
             raise FmuRunError("no FMU is loaded")
         header, arrays = message.header, message.arrays
         kernel, before = _named(header["kernel"]), [array.tobytes() for array in arrays]
-        own = (self._fmu.at, self._fmu.numbers) if kernel is functions.normal_at else ()
+        own = (self._fmu.machine,) if kernel is functions.normal_at else ()
         given = value_of(header["arguments"], arrays, _named)
         whole = (self._fmu.code(header["unknown"], header["shown"]), *own, *given)
         kinds = tuple(map(numba.typeof, whole))
