@@ -10,12 +10,21 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from rclpy.duration import Duration
+from rclpy.time import Time
+from rosgraph_msgs.msg import Clock
+from std_msgs.msg import Float64
 
-from tests.support.oven import MAP, PERIOD, RIG, oven_file
+from tests.support.foreign_rig import CAPACITY, GAIN, TOPICS, Oven
+from tests.support.oven import HOLD, MAP, PERIOD, RIG, oven_file
 from tests.support.processes import Process, Processes, no_plant_files
 from tests.support.ros import Inside, Listener
-from twinmatch.nodes.topics import EVERYTHING, MessageTypeError, fields_of, message_class
+from tests.support.waiting import PATIENCE
+from twinmatch.nodes.messages import sample_from
+from twinmatch.nodes.topics import EVERYTHING, NEWEST, MessageTypeError, fields_of, message_class
+from twinmatch.plants import find_plant
 from twinmatch.sampling.channels import Field
+from twinmatch.twin import Twin, TwinSettings
 from twinmatch_msgs.msg import LoopSample
 
 pytestmark = pytest.mark.ros
@@ -99,6 +108,50 @@ def test_each_tick_of_the_rig_is_a_sample_of_the_same_three_numbers(
     assert all(a < b for a, b in pairwise(stamps))
     publishers = beside.listener.node.get_publishers_info_by_topic("/oven/heater")
     assert [info.node_name for info in publishers] == ["oven_rig"]
+
+
+def in_step(beside: Beside, ticks: int) -> list[tuple[float, float, float]]:
+    """Run the rig in this process by plant time, which passes once a tick was sampled: what it did.
+
+    However long this machine takes, no message is late.
+    """
+    listener, oven = beside.listener, Oven(PERIOD, HOLD)
+    sampler = beside.sampler(use_sim_time="true")
+    publishers = [listener.node.create_publisher(Float64, topic, 10) for topic in TOPICS]
+    clock = listener.node.create_publisher(Clock, "/clock", NEWEST)
+    node = sampler.nodes[0]
+
+    def pass_to(seconds: float) -> None:
+        now = Time(nanoseconds=round(1e9 * seconds))
+        clock.publish(Clock(clock=now.to_msg()))
+        listener.spin_until(lambda: node.get_clock().now().nanoseconds == now.nanoseconds, "the plant time")
+
+    listener.spin_until(clock.get_subscription_count, "the reader of the clock")
+    listener.spin_until(lambda: all(p.get_subscription_count() for p in publishers), "the readers of the rig")
+    listener.spin_until(lambda: listener.node.count_publishers("plant/sample"), "the sampler")
+    done = []
+    for tick in range(ticks):
+        pass_to(1000.0 + PERIOD * tick)
+        done.append(oven.step())
+        for publisher, value in zip(publishers, done[-1], strict=True):
+            publisher.publish(Float64(data=value))
+            assert publisher.wait_for_all_acked(Duration(seconds=PATIENCE))
+        pass_to(1000.0 + PERIOD * (tick + 0.2))
+        listener.spin_until(lambda: len(beside.samples) == len(done), beside.said)
+    return done
+
+
+def test_samples_of_a_rig_in_step_lead_to_its_own_numbers(beside: Beside, plant: Path) -> None:
+    """0.5 W/% and 4 J/K, of a plant file that begins at 0.8 and 6."""
+    ticks = in_step(beside, 3 * HOLD)
+    assert taken(beside.samples) == ticks
+    assert [message.index for message in beside.samples] == list(range(len(ticks)))
+    twin = Twin(TwinSettings.of(find_plant(str(plant)), period=PERIOD))
+    outcomes = [twin.push(sample_from(message)) for message in beside.samples]
+    matches = [outcome.match.match for outcome in outcomes if outcome.match is not None]
+    assert matches[-1].accepted
+    assert matches[-1].parameters["gain"] == pytest.approx(GAIN, rel=0.02)
+    assert matches[-1].parameters["capacity"] == pytest.approx(CAPACITY, rel=0.02)
 
 
 def test_pause_end_and_restart_of_the_rig_are_reported_and_leave_gaps_of_their_length(beside: Beside) -> None:

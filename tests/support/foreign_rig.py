@@ -22,6 +22,27 @@ LEVELS = (30.0, 40.0)  # °C, by turns
 TOPICS = ("/oven/set_point", "/oven/temperature", "/oven/heater")
 
 
+class Oven:
+    """The oven and its controller, one tick after the other."""
+
+    def __init__(self, period: float, hold: int) -> None:
+        self._period, self._hold = period, hold
+        self._noise = random.Random(7)
+        self._oven, self._integral, self._tick = ROOM, 0.0, 0
+
+    def step(self) -> tuple[float, float, float]:
+        """Set-point and reading, °C, and command, %; then the oven moves on to the next tick."""
+        wanted = LEVELS[self._tick // self._hold % 2]
+        reading = self._oven + self._noise.gauss(0.0, 0.02)
+        heater = min(max(PROPORTIONAL * (wanted - reading) + self._integral, 0.0), 100.0)
+        self._integral += INTEGRAL * self._period * (wanted - reading)
+        for _ in range(10):
+            rate = (GAIN * heater - LOSS * (self._oven - ROOM)) / CAPACITY
+            self._oven += 0.1 * self._period * rate
+        self._tick += 1
+        return wanted, reading, heater
+
+
 def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--period", type=float, default=0.05)
@@ -40,18 +61,12 @@ def main() -> None:
     readings = node.create_publisher(kind, temperature, sensor if options.stamped else 10)
     commands = node.create_publisher(Float64, command, 10)
     set_points = node.create_publisher(Float64, set_point, 10)
-    noise = random.Random(7)
-    oven = ROOM
-    integral = 0.0
-    tick = 0
+    oven = Oven(options.period, options.hold)
     due = time.monotonic()
     try:
         while rclpy.ok():
-            wanted = LEVELS[tick // options.hold % 2]
-            reading = oven + noise.gauss(0.0, 0.02) + 273.15 * options.kelvin
-            error = wanted - reading + 273.15 * options.kelvin
-            integral += INTEGRAL * options.period * error
-            heater = min(max(PROPORTIONAL * error + integral, 0.0), 100.0)
+            wanted, reading, heater = oven.step()
+            reading += 273.15 * options.kelvin
             message = kind()
             if options.stamped:
                 message.temperature = reading
@@ -64,10 +79,6 @@ def main() -> None:
                 set_points.publish(Float64(data=wanted))
             commands.publish(Float64(data=heater))
             print(json.dumps([wanted, reading, heater]), flush=True)
-            for _ in range(10):
-                rate = (GAIN * heater - LOSS * (oven - ROOM)) / CAPACITY
-                oven += 0.1 * options.period * rate
-            tick += 1
             due = max(due + options.period, time.monotonic() - options.period)
             time.sleep(max(due - time.monotonic(), 0.0))
     except (KeyboardInterrupt, ExternalShutdownException):
