@@ -18,6 +18,13 @@ foreach(package std_msgs builtin_interfaces service_msgs)
   set_target_properties(
     ${package}::${package}__rosidl_generator_py PROPERTIES INTERFACE_INCLUDE_DIRECTORIES "")
 endforeach()
+# Only what a Python program loads: nothing here reads the types for C++, which take longest to compile.
+list(FILTER AMENT_EXTENSIONS_rosidl_generate_idl_interfaces EXCLUDE REGEX "_cpp")
+# Generated files share their headers, which take longer to compile than what is in the files.
+set(CMAKE_UNITY_BUILD ON)
+set(CMAKE_UNITY_BUILD_BATCH_SIZE 0)
+cmake_language(DEFER CALL
+  set_target_properties ${PROJECT_NAME}__rosidl_generator_c PROPERTIES UNITY_BUILD OFF)
 """
 
 DEFAULTS = """\
