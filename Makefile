@@ -111,7 +111,9 @@ $(STAMPS)/dependencies: pyproject.toml setup.py setup.cfg package.xml $(wildcard
 $(STAMPS)/messages: $(wildcard $(MESSAGES)/msg/*.msg $(MESSAGES)/srv/*.srv) $(addprefix $(MESSAGES)/,setup.py pyproject.toml package.xml) $(STAMPS)/dependencies
 	@echo "setup: building the ROS messages (half a minute)"
 	@$(RUN) .ci/check_machine.py
-	@$(RUN) -m pip --quiet install --no-index --no-build-isolation --no-deps --force-reinstall ./$(MESSAGES)
+	@rm -rf build/messages
+	@$(RUN) -m pip --quiet wheel --no-index --no-build-isolation --no-deps --wheel-dir build/messages ./$(MESSAGES)
+	@$(RUN) -m pip --quiet install --no-index --no-deps --force-reinstall build/messages/*.whl
 	@touch $@
 
 $(STAMPS)/test: $(STAMPS)/dependencies

@@ -40,16 +40,27 @@ def locked(path: Path) -> Iterator[None]:
         yield
 
 
+def depends_on(sources: Path) -> list[Path]:
+    """The files that a wheel is made of: messages, services, and how they are built."""
+    return sorted(
+        path for glob in ("msg/*.msg", "srv/*.srv", "*.toml", "setup.py") for path in sources.glob(glob)
+    )
+
+
 def key_of(sources: Path) -> str:
-    """What the environment depends on: the messages, how they are built, the interpreter."""
+    """What the environment depends on: those files and the interpreter."""
     digest = hashlib.sha256(sys.version.encode())
-    for path in sorted([*sources.glob("msg/*.msg"), *sources.glob("*.toml"), sources / "setup.py"]):
+    for path in depends_on(sources):
         digest.update(path.name.encode() + path.read_bytes())
     return digest.hexdigest()[:16]
 
 
-def build_wheel(sources: Path, folder: Path, environment: dict[str, str]) -> Path:
-    """The messages as a wheel, built from a copy, so that nothing changes in the project."""
+def wheel_of(sources: Path, built: Path, folder: Path, environment: dict[str, str]) -> Path:
+    """The messages as a wheel: that of `make setup`, or one built from a copy if they have changed since."""
+    newest = max(path.stat().st_mtime for path in depends_on(sources))
+    for wheel in built.glob(f"twinmatch_msgs-*-cp{sys.version_info[0]}{sys.version_info[1]}-*.whl"):
+        if wheel.stat().st_mtime > newest:
+            return wheel
     copy = folder / "sources"
     shutil.copytree(sources, copy, ignore=shutil.ignore_patterns("build", "*.egg-info"))
     options = [*OPTIONS, "--no-build-isolation", "--no-deps", "--wheel-dir", str(folder)]
@@ -73,7 +84,8 @@ def other_python(
     with locked(project / "build" / "subscriber_venv.lock"):
         if not stamp.exists() or stamp.read_text() != key:
             shutil.rmtree(folder, ignore_errors=True)
-            wheel = build_wheel(sources, tmp_path_factory.mktemp("wheel"), environment)
+            folders = project / "build" / "messages", tmp_path_factory.mktemp("wheel")
+            wheel = wheel_of(sources, *folders, environment)
             run([bare_python, "-m", "venv", str(folder)], environment)
             install = ["sh", str(project / ".ci" / "install.sh"), str(python)]
             run([*install, str(wheel), "ros-jazzy-rclpy>=7.1,<8"], environment)
