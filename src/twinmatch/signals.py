@@ -309,7 +309,7 @@ class Window:
                 msg = f"window: {here.shape[1]} and {there.shape[1]} {name}; they must be equal"
                 raise SignalError(msg)
             columns[name] = np.concatenate([here, there])
-        seen = np.concatenate([self._marks, newer._marks])
+        seen = np.concatenate([self.marks, newer.marks])
         return Window(**columns, first=self.first, period=self.period, seen=seen)
 
     def samples(self, begin: int) -> list[Sample]:
@@ -318,13 +318,13 @@ class Window:
         return [
             Sample(index, begin + round(index * self.period * 1e9), *values, seen=seen)
             for index, (values, seen) in enumerate(
-                zip(rows, self._marks.tolist(), strict=True), start=self.first
+                zip(rows, self.marks.tolist(), strict=True), start=self.first
             )
         ]
 
     @property
-    def _marks(self) -> BoolArray:
-        """Which samples were received, shape (N,)."""
+    def marks(self) -> BoolArray:
+        """Which samples were measured, shape (N,)."""
         return np.ones(len(self), dtype=np.bool_) if self.seen is None else self.seen
 
     def received(self, values: FloatArray) -> FloatArray:
@@ -334,7 +334,7 @@ class Window:
     @property
     def lost(self) -> list[int]:
         """Indices of the samples that were not received."""
-        return (self.first + np.flatnonzero(~self._marks)).tolist()
+        return (self.first + np.flatnonzero(~self.marks)).tolist()
 
     @property
     def share_seen(self) -> float:

@@ -68,6 +68,12 @@ def test_stand_ins_fill_a_short_gap_and_say_what_they_are(
     np.testing.assert_allclose(np.diff(levels), (after - y) / (missing + 1), atol=1e-9)
 
 
+def test_a_stand_in_has_all_signals_of_a_plant_with_several() -> None:
+    before = Sample(3, 3, (1.0, 2.0), (3.5, 4.0), (5.0,))
+    found = stand_ins(before, Sample(5, 5, (1.0, 2.0), (7.5, 2.0), (6.0,)))
+    assert found == [Sample(4, 4, (1.0, 2.0), (5.5, 3.0), (5.0,), seen=False)]
+
+
 @pytest.mark.parametrize("length", [1, 2, 3])
 def test_the_law_says_when_a_set_point_moved_that_nobody_saw(
     length: int, simulated_session: list[Sample]

@@ -64,6 +64,27 @@ def test_evidence_adds_over_samples_that_follow() -> None:
     assert all(score.evidence == score.total for score in overlapping.scores)
 
 
+def test_a_structure_is_scored_on_what_was_measured_alone() -> None:
+    """Whatever stands in for twenty lost outputs, figures and criteria are the same to the last bit."""
+    window = recorded(RICH, 1).part(0, 599)
+    seen = np.ones(len(window), dtype=np.bool_)
+    seen[[*range(200, 205), *range(400, 415)]] = False
+    scores = []
+    for off in (0.0, 40.0):
+        output = window.output + np.where(seen, 0.0, off)
+        lost = Window(window.reference, output, window.input, seen=seen)
+        scores.append(choose_structure(lost, SOME, thorough=False).scores)
+    for one, other in zip(*scores, strict=True):
+        assert one.total == other.total
+        assert (one.loss, one.fitted.fit, one.fitted.cost) == (
+            other.loss,
+            other.fitted.fit,
+            other.fitted.cost,
+        )
+    whole = choose_structure(window, SOME, thorough=False).scores
+    assert all(one.total != every.total for one, every in zip(scores[0], whole, strict=True))
+
+
 def test_prediction_errors_are_those_of_the_noise_behind_the_twin() -> None:
     random = np.random.Generator(np.random.PCG64(5))
     white = random.standard_normal(20_000)

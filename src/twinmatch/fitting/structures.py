@@ -29,7 +29,7 @@ from twinmatch.dynamics import (
 )
 from twinmatch.fitting.data import FittingError
 from twinmatch.fitting.problem import Noise, checked_law, unknown_parameters, unknown_starts
-from twinmatch.signals import FloatArray, Window
+from twinmatch.signals import BoolArray, FloatArray, Window
 
 SETTLE: Final = 60
 """Samples at a window's start that are simulated but not compared, until the loop has forgotten the twin's
@@ -56,6 +56,8 @@ class StructureFit:
     """Outputs and, in closed loop, inputs of each window, shape (signals, M)."""
     simulated: tuple[FloatArray, ...]
     """The same for the twin."""
+    seen: tuple[BoolArray, ...]
+    """Which of these samples were measured, of each window, shape (M,); the others are estimates."""
     converged: bool
     """Whether the search converged."""
     cost: float
@@ -84,7 +86,8 @@ class StructureFit:
 
         NaN for the inputs of a driven twin.
         """
-        measured, simulated = np.hstack(self.measured), np.hstack(self.simulated)
+        seen = np.concatenate(self.seen)
+        measured, simulated = np.hstack(self.measured)[:, seen], np.hstack(self.simulated)[:, seen]
         spread = np.linalg.norm(measured - measured.mean(axis=1, keepdims=True), axis=1)
         left = np.linalg.norm(measured - simulated, axis=1)
         figures = [1.0 - a / b if b > 0 else float("nan") for a, b in zip(left, spread, strict=True)]
@@ -232,13 +235,15 @@ class _Problem:
             msg = f"structures: {self._runs[0].model.title} has no finite response at the best parameters"
             raise FittingError(msg)
         measured = tuple(run.measured[:signals, SETTLE:] for run in self._runs)
+        seen = tuple(run.window.marks[SKIPPED + SETTLE :] for run in self._runs)
         return StructureFit(
             parameters=self._runs[0].parameters_at(parts[0]),
             starts=tuple(run.starts_at(part) for run, part in zip(self._runs, parts, strict=True)),
             measured=measured,
             simulated=tuple(simulated),
+            seen=seen,
             converged=found.converged,
-            cost=found.cost / sum(window.size for window in measured),
+            cost=found.cost / (signals * sum(int(marks.sum()) for marks in seen)),
             states=tuple(states),
             covariance=self._covariance(found.hessian)[: self._free, : self._free],
             charge=self._charge(found),

@@ -27,7 +27,7 @@ from twinmatch.comparing.criteria import Criteria
 from twinmatch.dynamics import FROM_PLANT_FILE, LoopLaw, Model, Parameters
 from twinmatch.errors import TwinmatchError
 from twinmatch.fitting import FittingError, Noise, StructureFit, fit_structure
-from twinmatch.signals import FloatArray, Window
+from twinmatch.signals import BoolArray, FloatArray, Window
 
 NOISE_ORDER: Final = 12
 """Order of the noise model: longer than the loop's time constants, small compared with a window."""
@@ -181,18 +181,24 @@ def choose_structure(
 
 
 def score_structure(fitted: StructureFit, decimals: int = 2) -> StructureScore:
-    """Score a fit on the windows on which it was made."""
+    """Score a fit on the windows on which it was made; samples that were not measured are not counted."""
+    seen = np.concatenate(fitted.seen)
     scores, losses = [], []
     offsets = [output.absolute for output in fitted.model.plant.outputs.values()]
     for row in range(len(fitted.measured[0])):
         offset = offsets[row] if row < len(offsets) else 0.0
         measured = [window[row] for window in fitted.measured]
         simulated = [window[row] for window in fitted.simulated]
-        errors = prediction_errors([m - s for m, s in zip(measured, simulated, strict=True)])
+        # Where nothing was measured, the twin itself stands in for what comes before an error.
+        pairs = zip(measured, simulated, fitted.seen, strict=True)
+        residuals = [np.where(marks, m - s, 0.0) for m, s, marks in pairs]
+        errors = prediction_errors(residuals, seen=fitted.seen)
         # An exact twin leaves no errors; the smallest number keeps the logarithm finite.
         loss = max(float(np.mean(np.square(errors))), _TINY)
         gain = information_gain(
-            np.concatenate(measured) + offset, np.concatenate(simulated) + offset, decimals=decimals
+            np.concatenate(measured)[seen] + offset,
+            np.concatenate(simulated)[seen] + offset,
+            decimals=decimals,
         )
         losses.append(loss)
         n = fitted.n_parameters
@@ -201,7 +207,9 @@ def score_structure(fitted: StructureFit, decimals: int = 2) -> StructureScore:
     return StructureScore(fitted, tuple(scores), total, total, tuple(losses))
 
 
-def prediction_errors(residuals: Sequence[FloatArray], order: int = NOISE_ORDER) -> FloatArray:
+def prediction_errors(
+    residuals: Sequence[FloatArray], order: int = NOISE_ORDER, *, seen: Sequence[BoolArray] = ()
+) -> FloatArray:
     """One-step prediction errors of an autoregression of the residuals, clipped; one common model.
 
     The autoregression is fitted by iteratively reweighted least squares: samples with large errors or large
@@ -210,12 +218,15 @@ def prediction_errors(residuals: Sequence[FloatArray], order: int = NOISE_ORDER)
     Args:
         residuals: one array per window.
         order: order of the autoregression; windows of no more samples than this are ignored.
+        seen: which samples of each window were measured; by default all. Only their errors are returned.
     """
     past, now = [], []
-    for window in residuals:
+    seen = seen or [np.ones(window.size, dtype=np.bool_) for window in residuals]
+    for window, marks in zip(residuals, seen, strict=True):
         if window.size > order:
-            past.append(np.lib.stride_tricks.sliding_window_view(window[:-1], order))
-            now.append(window[order:])
+            counted = marks[order:]
+            past.append(np.lib.stride_tricks.sliding_window_view(window[:-1], order)[counted])
+            now.append(window[order:][counted])
     rows, target = np.concatenate(past), np.concatenate(now)
     reach = 2.0 * CUT * _NORMAL * float(np.median(np.abs(target)))
     downweighted = _downweighted(reach, np.max(np.abs(rows), axis=1))
