@@ -20,12 +20,14 @@ from rcl_interfaces.msg import Log
 from rcl_interfaces.srv import DescribeParameters, GetParameterTypes
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.serialization import deserialize_message
 from rclpy.time import Time
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Image, Temperature
 from std_srvs.srv import SetBool, Trigger
 
 from tests.support.nonsense import Nonsense
+from tests.support.recorded import wait_for_recorded
 from tests.support.ros import Inside, Listener
 from tests.support.verdicts import LED, verdict
 from tests.support.waiting import wait_for
@@ -41,6 +43,7 @@ from twinmatch.nodes.messages import message_of, request_message, sample_message
 from twinmatch.nodes.topics import EVERYTHING, NEWEST
 from twinmatch.nodes.twin import MAX_WAITING
 from twinmatch.plants import Peltier
+from twinmatch.sessions import read_session
 from twinmatch.showing.console import Console
 from twinmatch.showing.foxglove.node import Foxglove
 from twinmatch.showing.page.node import Dashboard
@@ -582,6 +585,67 @@ def sound_request(sample: int) -> messages.MatchRequest:
     window = Window(*(np.full(300, 30.0) for _ in range(3)), first=sample)
     asked = MatchRequest(sample + 299, 30.0, window, Peltier.model().parameters(), None)
     return request_message(asked, 0)
+
+
+def of_plant(name: str, message: Any) -> Any:
+    """The message, with the parameters in it said to be those of another plant."""
+    for field in getattr(message, "get_fields_and_field_types", dict)():
+        value = getattr(message, field)
+        if isinstance(value, messages.Parameters) and value.names:
+            value.plant = name
+        for part in value if isinstance(value, list) else (value,):
+            of_plant(name, part)
+    return message
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_what_is_said_of_a_plant_in_a_file_is_recorded(
+    start: Callable[..., Inside], listener: Listener, steps: list[Sample], tmp_path: Path, late: bool
+) -> None:
+    """The recorder has not loaded it, whether it is told at once or by the keeper. Of a plant that it knows,
+    what nobody can read is refused."""
+    said = {"twin/match": sound_match(), "twin/model_score": sound_score()}
+    if not late:
+        said |= {"twin/match_request": sound_request(1), "twin/leader": said["twin/model_score"].forecasts[0]}
+    said = {topic: of_plant("oven", message) for topic, message in said.items()}
+    make = listener.node.create_publisher
+    writers = {topic: make(type(message), topic, EVERYTHING) for topic, message in said.items()}
+    publishers = (*writers.values(), listener.samples)
+    assert not listener.health
+    arguments = "-p", f"folder:={tmp_path}", "-p", "name:=run", "-p", "min_free_mb:=1.0"
+    reader = start("rig") if late else start("recorder", *arguments)
+
+    def refused() -> set[tuple[str, str]]:
+        told = [
+            v
+            for name in ("keeper", "recorder")
+            for s in listener.reports(f"{name}: health")
+            for v in s.values
+        ]
+        return {(v.key.replace(" /", " "), v.value) for v in told if v.key.startswith("refused: ")}
+
+    listener.spin_until(lambda: all(one.get_subscription_count() for one in publishers), "a reader")
+    unreadable = sound_match()
+    unreadable.parameters.values = [-1.0] * len(unreadable.parameters.values)
+    writers["twin/match"].publish(unreadable)
+    listener.send(steps[:330])
+    for topic, writer in writers.items():
+        writer.publish(said[topic])
+    listener.spin_until(refused, "the refusal")
+    if late:
+        kept = next(node for node in reader.nodes if node.NAME == "keeper")
+        listener.spin_until(lambda: all(map(len, kept._store.messages.values())), "the keeper")
+        before = listener.samples.get_subscription_count()
+        start("recorder", *arguments)
+        listener.spin_until(lambda: listener.samples.get_subscription_count() > before, "the recorder")
+    listener.send(steps[330:331])
+    counts = {topic.replace("/", "__"): 1 for topic in said}
+    wait_for_recorded(tmp_path / "run", plant__sample=331, **counts)
+    assert refused() == {("refused: twin/match", "1")}
+    found = read_session(tmp_path / "run")
+    for topic, message in said.items():
+        (recorded,) = found.messages([f"/{topic}"])
+        assert repr(deserialize_message(recorded.data, type(message))) == repr(message)
 
 
 def test_a_keeper_keeps_no_more_verdicts_than_there_are_samples(

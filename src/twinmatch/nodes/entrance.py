@@ -23,7 +23,7 @@ from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
 
 from twinmatch.errors import TwinmatchError
-from twinmatch.nodes.expected import MESSAGES, Kind, check
+from twinmatch.nodes.expected import MESSAGES, Kind, check, check_readable
 from twinmatch.nodes.fields import Expected, MessageError
 from twinmatch.nodes.health import Level, NodeHealth
 
@@ -90,7 +90,8 @@ class Entrance:
         """What a raw subscription calls in place of `take`, which gets what `MESSAGES` makes of the bytes.
 
         If `raw`, it gets bytes again: those of the message that was checked, without what rclpy reads over
-        and other readers stumble at. Bytes of types that are not in the table pass as they came.
+        and other readers stumble at. Bytes of types that are not in the table pass as they came, and so may
+        what is said of a plant that only another process has loaded.
         """
         if raw and kind not in MESSAGES:
             return take
@@ -102,8 +103,9 @@ class Entrance:
                 check(message, self.plant)
                 if course is not None:
                     course.follow(message, time.monotonic())
-                found = expected.read(message)
-                take(_again(came, message) if raw else found)
+                if raw:
+                    check_readable(message)
+                take(_again(came, message) if raw else expected.read(message))
             except TwinmatchError as error:
                 self.refuse(topic, str(error), topic)
 

@@ -21,10 +21,23 @@ from twinmatch.plants.incubator import Incubator
 from twinmatch.plants.peltier import Peltier
 from twinmatch.plants.tclab import TCLab
 
-__all__ = ["PLANTS", "Incubator", "Peltier", "TCLab", "find_plant", "plant_named", "written_name"]
+__all__ = [
+    "PLANTS",
+    "Incubator",
+    "Peltier",
+    "TCLab",
+    "UnknownPlantError",
+    "find_plant",
+    "plant_named",
+    "written_name",
+]
 
 PLANTS: Final[dict[str, type[Plant]]] = {plant.name: plant for plant in (Peltier, TCLab, Incubator)}
 """The plants that come with this package, by name."""
+
+
+class UnknownPlantError(PlantError):
+    """This process has no plant of that name; another process may have loaded its file."""
 
 
 def find_plant(name: str) -> type[Plant]:
@@ -51,7 +64,7 @@ def plant_named(name: str) -> type[Plant]:
     loaded because the user named it. This function never loads a file.
 
     Raises:
-        PlantError: there is none.
+        UnknownPlantError: there is none.
     """
     if name in PLANTS:
         return PLANTS[name]
@@ -60,9 +73,9 @@ def plant_named(name: str) -> type[Plant]:
         return found
     if is_plant_file(name):
         msg = f"the plant is in a file, {name}; files are run only if you name them: add --plant {name}"
-        raise PlantError(msg)
+        raise UnknownPlantError(msg)
     known = ", ".join(dict.fromkeys([*PLANTS, *installed_names()]))
-    raise PlantError(
+    raise UnknownPlantError(
         f"plant {name!r}: not known; choose from {known}. One in a file is named by its path: --plant "
         f"{name}.py, or plant: {name}.py in a configuration"
     )
