@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from twinmatch.signals import Sample, SignalError, Window, stretches, unbroken
+from twinmatch.signals import Sample, SignalError, Window, rms, stretches, unbroken
 from twinmatch.units import UnitError, conversion, measure
 
 
@@ -217,3 +217,11 @@ def test_what_a_unit_measures() -> None:
     assert not measure("PWM").known
     assert not measure("(%").known
     assert measure("PWM").dimension == measure("%").dimension == measure("").dimension == ()
+
+
+def test_an_error_counts_in_the_unit_of_its_signal() -> None:
+    """Two signals, off by 3 and 4 of their units: each alone, then both together."""
+    off, unit = np.array([[3.0, -3.0], [400.0, 400.0]]), np.array([[1.0], [100.0]])
+    assert rms(off, unit).tolist() == [3.0, 4.0]
+    assert rms(rms(off, unit)) == pytest.approx(np.sqrt(12.5))
+    assert rms(off, axis=0).tolist() == pytest.approx(np.sqrt((9.0 + 160000.0) / 2.0).repeat(2).tolist())

@@ -37,6 +37,7 @@ __all__ = [
     "incomplete",
     "one_of_each",
     "only",
+    "rms",
     "stretches",
     "unbroken",
 ]
@@ -56,6 +57,14 @@ _NONE: FloatArray = np.empty((0, 0))
 def finite(values: FloatArray) -> bool:
     """Whether all values are finite; of a few values in a fraction of the time of `np.isfinite(…).all()`."""
     return math.isfinite(np.vdot(values, values)) or bool(np.isfinite(values).all())
+
+
+def rms(values: FloatArray, unit: FloatArray | float = 1.0, axis: int = -1) -> FloatArray:
+    """Root mean square along an axis, in a unit of one's choice.
+
+    An error counts in units of its signal's noise, or of the spread of its forecast.
+    """
+    return np.asarray(np.sqrt(np.mean(np.square(values / unit), axis=axis)))
 
 
 class SignalError(TwinmatchError):

@@ -10,7 +10,7 @@ import numpy as np
 from twinmatch.dynamics import Parameters, Response, begin_window, simulate_driven
 from twinmatch.dynamics.simulation import SKIPPED
 from twinmatch.forecasting import Band, Forecast
-from twinmatch.signals import FloatArray, Window
+from twinmatch.signals import FloatArray, Window, rms
 from twinmatch.twin import TwinSettings, response_on
 
 
@@ -75,7 +75,7 @@ def compare(
 def root_mean_square(parts: Sequence[FloatArray]) -> float:
     """RMS over all values of all parts; NaN without values."""
     values = np.concatenate(parts) if parts else np.empty(0)
-    return float(np.sqrt(np.mean(values**2))) if values.size else float("nan")
+    return float(rms(values)) if values.size else float("nan")
 
 
 def rolling_rms(values: FloatArray, count: int) -> FloatArray:

@@ -27,7 +27,7 @@ from twinmatch.forecasting import (
     leads_of,
 )
 from twinmatch.forecasting.outlook import deviations
-from twinmatch.signals import FloatArray, Sample, finite
+from twinmatch.signals import FloatArray, Sample, finite, rms
 from twinmatch.twin.entrants import Entrant, Entrants, Standings
 from twinmatch.twin.settings import ForecastSettings
 from twinmatch.twin.trust import BandCheck, LeaderConfidence, check_band
@@ -411,7 +411,7 @@ class Forecaster:
         ledger.add(tuple(found), off[:, :, new], baselines[:, :, new], place)
         self.standings = Standings(self._twins, ledger)
         if ahead == self._longest and departure.leader in found:
-            paths = np.sqrt(np.mean(np.square(off[:, :, kept] / ledger.noise[:, None]), axis=(1, 2)))
+            paths = rms(rms(off[:, :, kept], ledger.noise[:, None]))
             leading = paths[list(found).index(departure.leader)]
             self._leader_confidence.add(float(leading), float(paths.min()))
 

@@ -29,7 +29,7 @@ from twinmatch.dynamics import (
 from twinmatch.fitting.problem import unknown_starts
 from twinmatch.forecasting import StateFilter
 from twinmatch.health import HealthSettings
-from twinmatch.signals import FloatArray, Sample, Signals, Window
+from twinmatch.signals import FloatArray, Sample, Signals, Window, rms
 from twinmatch.twin.door import Door
 
 _ESTIMATED_OVER: Final = 300.0
@@ -192,7 +192,7 @@ class Mirror:
         residual = [*(y - closed).tolist(), *(u - commands).tolist(), *(y - driven).tolist()]
         if sample.seen or not self._recent:
             self._recent.append(residual)
-        rms = np.sqrt(np.mean(np.square(self._recent), axis=0)).tolist()
+        sizes = rms(np.array(self._recent), axis=0).tolist()
         of_y, of_u, of_driven = slice(y.size), slice(y.size, y.size + u.size), slice(y.size + u.size, None)
         names = self._parameters.model.states
         return MirrorState(
@@ -205,9 +205,9 @@ class Mirror:
             closed_residual_y=tuple(residual[of_y]),
             closed_residual_u=tuple(residual[of_u]),
             driven_residual_y=tuple(residual[of_driven]),
-            closed_rms_y=tuple(rms[of_y]),
-            closed_rms_u=tuple(rms[of_u]),
-            driven_rms_y=tuple(rms[of_driven]),
+            closed_rms_y=tuple(sizes[of_y]),
+            closed_rms_u=tuple(sizes[of_u]),
+            driven_rms_y=tuple(sizes[of_driven]),
         )
 
 
@@ -237,11 +237,11 @@ def residuals(parameters: Parameters, window: Window, law: Law | None) -> Residu
     driven = simulate_driven(
         parameters, window.input[SKIPPED:], states=states, period=window.period, disturbances=disturbances
     )
-    off = _rms(window.received(window.output[SKIPPED:] - driven.output))
+    off = float(rms(window.received(window.output[SKIPPED:] - driven.output)))
     if law is None:
         return Residuals(off, float("nan"))
     closed = simulate_window(parameters, window, law=law)
-    return Residuals(off, _rms(window.received(window.input[SKIPPED:] - closed.input)))
+    return Residuals(off, float(rms(window.received(window.input[SKIPPED:] - closed.input))))
 
 
 def window_fit(parameters: Parameters, window: Window, law: Law | None) -> tuple[float, float]:
@@ -291,7 +291,3 @@ def nrmse(measured: FloatArray, simulated: FloatArray) -> float:
     """1 − ‖measured − simulated‖ / ‖measured − mean‖; NaN for a measured signal that is constant."""
     spread = float(np.linalg.norm(measured - np.mean(measured)))
     return 1.0 - float(np.linalg.norm(measured - simulated)) / spread if spread > 0 else float("nan")
-
-
-def _rms(values: FloatArray) -> float:
-    return float(np.sqrt(np.mean(values**2)))

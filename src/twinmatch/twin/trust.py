@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from twinmatch.forecasting import Band, Forecast
-from twinmatch.signals import BoolArray, FloatArray
+from twinmatch.signals import BoolArray, FloatArray, rms
 
 _NEIGHBOURS: Final = 10.0
 """Spans of output closer than this, in units of its noise, are merged: samples of a fast step are that far
@@ -68,7 +68,7 @@ def _misses(values: FloatArray, band: Band, counted: BoolArray | None) -> tuple[
     half = np.where(came > mean, high - mean, mean - low)
     # At a limit of the controller a band has one side only.
     half = np.maximum(half, 0.5 * (high - low))
-    miss = float(np.sqrt(np.mean(np.square((came - mean) / half))))
+    miss = float(rms(came - mean, half))
     return miss, float(np.mean((low <= came) & (came <= high)))
 
 

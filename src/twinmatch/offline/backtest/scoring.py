@@ -14,7 +14,7 @@ from twinmatch.dynamics import Plant
 from twinmatch.errors import TwinmatchError
 from twinmatch.forecasting import Band, Forecast
 from twinmatch.record import finite
-from twinmatch.signals import BoolArray, FloatArray, Window
+from twinmatch.signals import BoolArray, FloatArray, Window, rms
 
 PEERS: Final = {"persistence": "persistence", "arx": "ARX"}
 """Names in tables and figures of the forecasts that need no twin: those of `BASELINES`."""
@@ -55,9 +55,8 @@ class Marks:
     @property
     def error(self) -> float:
         """Both signals together: root of the mean of their mean squared errors; or only the output's."""
-        if self.input is None:
-            return self.output.rms
-        return math.sqrt((self.output.rms**2 + self.input.rms**2) / 2.0)
+        signals = [self.output] if self.input is None else [self.output, self.input]
+        return float(rms(np.array([signal.rms for signal in signals])))
 
     @property
     def score(self) -> float:
@@ -141,11 +140,13 @@ def _signal(
     error = x - mean
     inside = np.where(np.isnan(high - low), np.nan, (low <= x) & (x <= high))
     scores = interval_score(low, high, x, confidence)
-    everything, found = np.array([error**2, inside, high - low, scores]), []
+    everything, found = np.array([inside, high - low, scores]), []
     for count in counts:
         received = slice(count) if seen is None else np.flatnonzero(seen[:count])
-        square, coverage, width, score = everything[:, received].mean(axis=1).tolist()
-        found.append(SignalMarks(math.sqrt(square), float(error[count - 1]), coverage, width, score))
+        coverage, width, score = everything[:, received].mean(axis=1).tolist()
+        found.append(
+            SignalMarks(float(rms(error[received])), float(error[count - 1]), coverage, width, score)
+        )
     return found
 
 
