@@ -602,8 +602,8 @@ def of_plant(name: str, message: Any) -> Any:
 def test_what_is_said_of_a_plant_in_a_file_is_recorded(
     start: Callable[..., Inside], listener: Listener, steps: list[Sample], tmp_path: Path, late: bool
 ) -> None:
-    """The recorder has not loaded it, and hears of it at once or from the keeper. A message of a plant that it
-    knows is refused if it cannot be read."""
+    """The recorder has not loaded it, and receives it live or from the keeper. A message of a plant that it
+    has loaded is refused if it cannot be read."""
     said = {"twin/match": sound_match(), "twin/model_score": sound_score()}
     if not late:
         said |= {"twin/match_request": sound_request(1), "twin/leader": said["twin/model_score"].forecasts[0]}
