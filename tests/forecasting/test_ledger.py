@@ -336,6 +336,22 @@ def test_a_plant_of_its_form_with_several_signals_is_forecast_exactly() -> None:
     np.testing.assert_allclose(found, np.hstack([y[200:], u[200:]]).T, atol=1e-9)
 
 
+@given(st.sets(st.integers(0, 119)), st.booleans())
+@settings(max_examples=20, deadline=None)
+def test_who_asks_in_between_changes_no_bit(asked: set[int], gap: bool) -> None:
+    """Forecasts asked for beside a run, on a page or by a service, are not in its verdicts."""
+    samples = [s for s in record(120, GAINS)[0] if not (gap and 60 <= s.index < 63)]
+    quiet, curious = Arx(GAINS, 0.99), Arx(GAINS, 0.99)
+    for sample in samples:
+        quiet.push(sample)
+        curious.push(sample)
+        if sample.index in asked:
+            curious.departure(np.zeros(2))
+    for one, other in zip(quiet.departure(np.zeros(2)), curious.departure(np.zeros(2)), strict=True):
+        if isinstance(one, np.ndarray):
+            np.testing.assert_array_equal(one, other)
+
+
 def test_until_there_are_enough_samples_nothing_changes() -> None:
     samples, states = record(12, GAINS)
     found = fed(samples, GAINS).departure(states[11]).forecast(np.ones(4), np.ones((5, 1)))

@@ -32,6 +32,8 @@ Visited = tuple[tuple[float, float], ...]
 
 MAX_ORDER: Final = 10
 """Highest order of the ARX model."""
+_BLOCK: Final = 20
+"""Samples with which the factor is updated at once."""
 _MIN_ROWS: Final = 3
 """Samples needed per coefficient of an output."""
 _RANK: Final = 1e-9
@@ -110,14 +112,26 @@ class ArxForecast(NamedTuple):
         return found
 
 
+class _Fit(NamedTuple):
+    """What an ARX model has learned."""
+
+    factor: FloatArray
+    """Triangular factor of [1, lags, step of the outputs], weighted by age."""
+    rows: int
+    """Their number."""
+    weight: float
+    """Sum of their weights."""
+    level: FloatArray
+    """Values of all signals that they are relative to; empty before the first."""
+
+
 class Arx:
     """The ARX model of one plant, sample by sample."""
 
     def __init__(self, law: Law | None, kept: float) -> None:
         """Begin without samples; `kept` is the factor on past weights per sample."""
         self._law, self._kept = law, kept
-        self._factor, self._count, self._weight = np.zeros((0, 0)), 0, 0.0
-        self._level = np.zeros(0)
+        self._fit = _Fit(np.zeros((0, 0)), 0, 0.0, np.zeros(0))
         self._newest: list[Sample] = []
         """Consecutive samples: the `MAX_ORDER` before those that are not yet in the factor, and these."""
         self._learned = 0
@@ -128,7 +142,7 @@ class Arx:
     def push(self, sample: Sample) -> None:
         """Take one sample; from one that was lost, or does not follow the last one, nothing is learned."""
         if self._newest and sample.index != self._newest[-1].index + 1:
-            self._learn()
+            self._fit = self._fit_now()
             self._newest, self._learned = [], 0
         self._newest.append(sample)
         if sample.seen:
@@ -136,11 +150,14 @@ class Arx:
             self.visited = tuple(
                 (min(low, y), max(high, y)) for (low, high), y in zip(seen, sample.outputs, strict=True)
             )
+        if len(self._newest) - self._learned >= _BLOCK:
+            self._fit = self._fit_now()
+            self._newest, self._learned = self._newest[-MAX_ORDER:], MAX_ORDER
 
     def departure(self, controller: FloatArray) -> ArxForecast:
         """The model at the newest sample, with the controller's state after it."""
-        self._learn()
-        coefficients = self._fitted()
+        fit = self._fit_now()
+        coefficients = self._coefficients(fit)
         past = _rows_of(self._newest)[::-1]
         # After a gap the model waits until it has as many samples as its order.
         order = coefficients.shape[1] // past.shape[1]
@@ -148,47 +165,51 @@ class Arx:
             coefficients, order = np.zeros((0, 0)), 0
         spans = np.array([(low - (high - low), high + (high - low)) for low, high in self.visited])
         now = np.ascontiguousarray(past[: max(order, 1)])
-        return ArxForecast(coefficients, self._level, now, spans, self._law, controller)
+        return ArxForecast(coefficients, fit.level, now, spans, self._law, controller)
 
-    def _learn(self) -> None:
-        """Put the new samples into the factor of [1, lags, step of the outputs], weighted by age."""
+    def _fit_now(self) -> _Fit:
+        """The fit with the new samples.
+
+        It is kept after every `_BLOCK` of them and never when a forecast is asked for: the blocks in which a
+        factor is updated change its last bits.
+        """
         new, seen = _rows_of(self._newest), np.array([sample.seen for sample in self._newest])
-        first = max(self._learned, MAX_ORDER)
-        self._newest, self._learned = self._newest[-MAX_ORDER:], min(len(self._newest), MAX_ORDER)
+        first, fit = max(self._learned, MAX_ORDER), self._fit
         if first >= len(new):
-            return
+            return fit
         o, size = len(self.visited), new.shape[1]
-        if not self._level.size:
-            self._level = new[int(np.argmax(seen))]
+        level = fit.level if fit.level.size else new[int(np.argmax(seen))]
         # Of sample k all of k − MAX_ORDER … k have to be seen.
         lost = np.concatenate([[0], np.cumsum(~seen)])
         kept = np.arange(first, len(new))
         kept = kept[lost[kept + 1] == lost[kept - MAX_ORDER]]
         if not kept.size:
-            return
-        relative = new - self._level
+            return fit._replace(level=level)
+        relative = new - level
         lags = [relative[kept - lag] for lag in range(1, MAX_ORDER + 1)]
         rows = np.hstack([np.ones((kept.size, 1)), *lags, new[kept, :o] - new[kept - 1, :o]])
         forgotten = self._kept ** np.arange(kept.size - 1, -1, -1)
-        if not self._count:
-            self._factor = np.zeros((1 + MAX_ORDER * size + o,) * 2)
-        held = self._kept ** (kept.size / 2) * self._factor
+        factor = fit.factor if fit.rows else np.zeros((1 + MAX_ORDER * size + o,) * 2)
+        held = self._kept ** (kept.size / 2) * factor
         weighted = np.sqrt(forgotten)[:, None] * rows
-        self._factor = np.asarray(np.linalg.qr(np.vstack([held, weighted]), mode="r"))
-        self._weight = self._kept**kept.size * self._weight + float(forgotten.sum())
-        self._count += kept.size
+        return _Fit(
+            np.asarray(np.linalg.qr(np.vstack([held, weighted]), mode="r")),
+            fit.rows + kept.size,
+            self._kept**kept.size * fit.weight + float(forgotten.sum()),
+            level,
+        )
 
-    def _fitted(self) -> FloatArray:
-        """Coefficients of the order of least AICc, shape (o, 1 + p·(o + m + d)); empty without samples."""
+    def _coefficients(self, fit: _Fit) -> FloatArray:
+        """Those of the order of least AICc, shape (o, 1 + p·(o + m + d)); empty without samples."""
         o = len(self.visited)
-        sizes = 1 + self._level.size * np.arange(1, MAX_ORDER + 1)
-        sizes = sizes[sizes * _MIN_ROWS <= self._weight + 1e-9]
+        sizes = 1 + fit.level.size * np.arange(1, MAX_ORDER + 1)
+        sizes = sizes[sizes * _MIN_ROWS <= fit.weight + 1e-9]
         if not sizes.size:
             return np.zeros((0, 0))
-        left = self._factor[:, -o:]
+        left = fit.factor[:, -o:]
         squares = np.cumsum((left[:, :, None] * left[:, None, :])[::-1], axis=0)[::-1]
-        size = int(sizes[np.argmin(_aicc(squares[sizes] / self._weight, sizes, self._weight))])
-        columns = self._factor[:size, :size]
+        size = int(sizes[np.argmin(_aicc(squares[sizes] / fit.weight, sizes, fit.weight))])
+        columns = fit.factor[:size, :size]
         scale = np.maximum(np.linalg.norm(columns, axis=0), _TINY)
         found = np.linalg.lstsq(columns / scale, left[:size], rcond=_RANK)[0] / scale[:, None]
         return np.ascontiguousarray(found.T)
