@@ -607,7 +607,7 @@ def test_what_is_said_of_a_plant_in_a_file_is_recorded(
     said = {"twin/match": sound_match(), "twin/model_score": sound_score()}
     if not late:
         said |= {"twin/match_request": sound_request(1), "twin/leader": said["twin/model_score"].forecasts[0]}
-    said = {topic: of_plant("oven", message) for topic, message in said.items()}
+    said = {topic: of_plant("of_nobody_here", message) for topic, message in said.items()}
     make = listener.node.create_publisher
     writers = {topic: make(type(message), topic, EVERYTHING) for topic, message in said.items()}
     publishers = (*writers.values(), listener.samples)
