@@ -48,8 +48,6 @@ _COUNTS = ((1e17, 1e9), (1e14, 1e6), (1e11, 1e3), (1e8, 1.0))
 _ENDING: Final = re.compile(
     r".[ _.-](ns|us|ms|s|secs?|seconds?|min|mins|minutes?|h|hrs?|hours?|d|days?)$", re.I
 )
-_UNITS: Final = {"sec": "s", "min": "min", "hr": "h", "hou": "h", "day": "d", "d": "d", "h": "h"}
-"""Units of time by the first letters of their names; others are written as they are."""
 _SERIAL: Final = (36526.0, 73051.0)
 """Days since 1899-12-30 from the year 2000 on, to 2100."""
 _DENSE: Final = 0.05
@@ -99,12 +97,7 @@ def read_times(table: Table, title: str, unit: str = "", scale: float = 1.0) -> 
             raise RecordingError(msg) from None
     else:
         per_second = next((count for least, count in _COUNTS if size >= least), 1.0)
-    if (
-        per_second == 1.0 / _DAY
-        and values.size
-        and _SERIAL[0] <= float(np.nanmin(values))
-        and size < _SERIAL[1]
-    ):
+    if per_second == 1.0 / _DAY and _may_be_days(values):
         return _since((values - _EXCEL) * _DAY)
     if size / per_second >= 1e8:
         return _since(values / per_second)
@@ -114,14 +107,18 @@ def read_times(table: Table, title: str, unit: str = "", scale: float = 1.0) -> 
 def unit_in(title: str) -> str:
     """The unit of time with which a title ends, as in `t_ms` or `elapsed hours`; empty without one."""
     ending = _ENDING.search(title.strip())
-    word = ending[1].lower() if ending else ""
-    return _UNITS.get(word[:3], word)
+    return ending[1].lower() if ending else ""
+
+
+def _may_be_days(values: FloatArray) -> bool:
+    """Whether all are days of a spreadsheet from 2000 to 2100."""
+    known = values[np.isfinite(values)]
+    return bool(known.size) and bool((known >= _SERIAL[0]).all() and (known < _SERIAL[1]).all())
 
 
 def _require_no_days(table: Table, title: str, values: FloatArray) -> None:
     known = values[np.isfinite(values)]
-    steps = np.abs(np.diff(known))
-    if steps.size and known.min() >= _SERIAL[0] and known.max() < _SERIAL[1] and np.median(steps) < _DENSE:
+    if known.size > 1 and _may_be_days(values) and np.median(np.abs(np.diff(known))) < _DENSE:
         raise RecordingError(
             f"{table.path}: {title!r} goes from {known.min():g} to {known.max():g} in small steps: days of a "
             f"spreadsheet, or seconds? Write time='{title}; unit=d' or time='{title}; unit=s'"
