@@ -1,0 +1,101 @@
+"""The simulated plants are what they say, and the benchmark that watches them runs."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Mapping
+
+import numpy as np
+import pytest
+
+from tests.support.abroad import KINDS, AbroadPlant, Mishap
+from tests.support.places import PROJECT
+from twinmatch.signals import KELVIN
+
+LONG = {"rig": 3000, "kit": 3000, "incubator": 30_000, "motor": 10, "tanks": 2000}
+"""Seconds after which each kind is at rest."""
+
+
+def rig_out_of_balance(p: Mapping[str, float], x: tuple[float, ...], u: float, room: float) -> float:
+    plate, sink = x
+    current = (-p["supply"] * u / 255 - p["seebeck"] * (sink - plate)) / 3.4
+    electric = 3.3 * current**2 + p["seebeck"] * (sink - plate) * current
+    return electric - p["convection"] * (sink - KELVIN - room)
+
+
+def kit_out_of_balance(p: Mapping[str, float], x: tuple[float, ...], u: float, room: float) -> float:
+    warm, cold = x[0], room + KELVIN
+    radiated = 0.9 * 5.670374e-8 * 10e-4 * (warm**4 - cold**4)
+    return p["heating"] * u - p["losses"] * 10e-4 * (warm - cold) - radiated
+
+
+def incubator_out_of_balance(p: Mapping[str, float], x: tuple[float, ...], u: float, room: float) -> float:
+    resistance = 1 / p["wall_conductance"] + 1 / p["box_conductance"]
+    return p["power"] * u - (x[3] - room) / resistance
+
+
+def motor_out_of_balance(p: Mapping[str, float], x: tuple[float, ...], u: float, _: float) -> float:
+    torque = p["k"] * (u - p["k"] * x[0]) / p["resistance"]
+    return 100 * (torque - p["dry"] - p["viscous"] * x[0])
+
+
+def tanks_out_of_balance(p: Mapping[str, float], x: tuple[float, ...], u: float, _: float) -> float:
+    return 10 * (x[1] - (p["pump"] * u / p["lower_hole"]) ** 2)
+
+
+CASES: dict[str, tuple[float, Callable[..., float]]] = {
+    "rig": (80.0, rig_out_of_balance),
+    "kit": (40.0, kit_out_of_balance),
+    "incubator": (0.2, incubator_out_of_balance),
+    "motor": (6.0, motor_out_of_balance),
+    "tanks": (4.0, tanks_out_of_balance),
+}
+"""Input, and what enters less what leaves at rest, in about the share of a percent."""
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_at_rest_as_much_enters_a_plant_as_leaves_it(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    (u, out_of_balance), kind = CASES[name], KINDS[name]
+    plant = AbroadPlant(kind, 3, (), closed=False)
+    monkeypatch.setattr(plant, "_level", lambda _: u)
+    monkeypatch.setitem(plant.parameters, "box_capacity", 500.0)  # hours pass before a real one is at rest
+    samples = list(plant.run(round(LONG[name] / kind.period)))
+    assert abs(out_of_balance(plant.parameters, plant.states, u, plant.room)) < 0.01
+    assert abs(samples[-1].output - plant.output) < 6 * kind.noise + kind.resolution
+    assert abs(plant.output - samples[0].output) > 10 * kind.kelvin
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_a_controller_holds_a_plant_at_its_level(name: str) -> None:
+    kind = KINDS[name]
+    plant = AbroadPlant(kind, 5, (), closed=True)
+    samples = list(plant.run(round(1800 * kind.second / kind.period)))
+    outputs = np.array([s.output for s in samples[len(samples) // 3 :]])
+    assert kind.levels[0] - 4 * kind.kelvin < np.median(outputs) < kind.levels[1] + 4 * kind.kelvin
+    if kind.gains is not None:
+        references = np.array([s.reference for s in samples[len(samples) // 3 :]])
+        assert np.median(np.abs(outputs - references)) < 2 * kind.kelvin
+
+
+def test_the_loop_reacts_to_what_a_faulty_sensor_shows() -> None:
+    kind = KINDS["kit"]
+    whole = AbroadPlant(kind, 4, (), closed=True)
+    lied = AbroadPlant(kind, 4, (), closed=True)
+    list(whole.run(900))
+    told = list(lied.run(900, Mishap("reading+5", 600, 900)))
+    assert whole.output - lied.output == pytest.approx(5.0, abs=0.7)
+    assert abs(told[-1].output - whole.output) < 0.7
+
+
+def test_the_benchmark_prints_a_row_for_a_kind(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.syspath_prepend(str(PROJECT))
+    from benchmarks import abroad
+
+    monkeypatch.setattr(sys, "argv", ["abroad", "healthy", "1", "0.1", "--kind", "kit", "--monitor"])
+    abroad.main()
+    assert "kit          0.1" in capsys.readouterr().out
+    assert abroad.right_name("drive*0.62") == "drive-weak"
+    assert abroad.right_name("drive*0 twice") == "drive-lost"
+    assert abroad.right_name("reading late") == "sensor-late"
