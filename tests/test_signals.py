@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from twinmatch.signals import Sample, SignalError, Window, rms, stretches, unbroken
+from twinmatch.signals import Sample, SignalError, Window, joined, rms, stretches, unbroken
 from twinmatch.units import UnitError, conversion, measure
 
 
@@ -143,12 +143,11 @@ def test_a_stretch_that_is_taken_apart_and_joined_has_lost_nothing(
         last = data.draw(st.integers(first, whole.last))
         parts.append(whole.part(data.draw(st.integers(whole.first, first)), last))
         first = last + 1
-    joined = reduce(Window.joined, (parts[0].part(whole.first, parts[0].last), *parts[1:]))
+    again = reduce(Window.joined, (parts[0].part(whole.first, parts[0].last), *parts[1:]))
     for field in fields(Window):
-        np.testing.assert_array_equal(getattr(joined, field.name), getattr(whole, field.name))
-    assert joined.samples(begin) == taken
-    again = [s for part in parts for s in part.samples(begin)]
-    assert {s.index: s for s in again} == {s.index: s for s in taken}
+        np.testing.assert_array_equal(getattr(again, field.name), getattr(whole, field.name))
+    assert again.samples(begin) == taken
+    assert joined(part.samples(begin) for part in parts) == taken[parts[0].first - whole.first :]
 
 
 @given(recorded(), st.sets(st.integers(0, 19)))
@@ -162,11 +161,30 @@ def test_stretches_between_gaps_hold_every_sample(
     assert all(after.first > before.last + 1 for before, after in pairwise(found))
 
 
-def test_a_sample_of_another_plant_follows_none() -> None:
-    before, after = samples(4, 5)
-    assert after.follows(before)
-    assert not before.follows(after)
-    assert not replace(after, disturbances=(1.0,)).follows(before)
+@given(recorded(), st.sets(st.integers(0, 19)), st.lists(st.tuples(st.integers(0, 20), st.integers(0, 3))))
+def test_a_run_in_pieces_is_the_run(
+    run: tuple[list[Sample], float, int], gaps: set[int], cuts: list[tuple[int, int]]
+) -> None:
+    """Wherever it is cut, however the pieces overlap, and wherever samples are missing."""
+    taken = [sample for k, sample in enumerate(run[0]) if k not in gaps]
+    ends = sorted(cut for cut, _ in cuts)
+    begins = [max(0, end - overlap) for end, (_, overlap) in zip(ends, cuts, strict=True)]
+    pieces = [taken[a:b] for a, b in zip([0, *begins], [*ends, len(taken)], strict=True)]
+    assert joined(pieces) == taken
+    of_another_plant = [replace(sample, disturbances=(0.0,) * 9) for sample in taken]
+    assert joined([*pieces, of_another_plant]) == taken
+
+
+def test_what_continues_and_what_follows_a_sample() -> None:
+    before, after, later = samples(4, 5, 7)
+    for sample, continues, follows in (
+        (after, True, True),
+        (later, True, False),
+        (replace(after, usable=False), True, False),
+        (before, False, False),
+        (replace(after, disturbances=(1.0,)), False, False),
+    ):
+        assert (sample.continues(before), sample.follows(before)) == (continues, follows)
 
 
 # Units: against the definitions of the International System, and what people write in brackets.

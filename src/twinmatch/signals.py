@@ -12,7 +12,7 @@ or `input`, and is refused where there is not exactly one.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
 from operator import attrgetter
@@ -35,6 +35,7 @@ __all__ = [
     "counted",
     "finite",
     "incomplete",
+    "joined",
     "one_of_each",
     "only",
     "rms",
@@ -147,9 +148,14 @@ class Sample:
         """Numbers of references, outputs, inputs and disturbances."""
         return len(self.references), len(self.outputs), len(self.inputs), len(self.disturbances)
 
+    def continues(self, before: Sample) -> bool:
+        """Whether it is a later sample of the same run; samples in between may be lost."""
+        return self.index > before.index and self.shape == before.shape
+
     def follows(self, before: Sample) -> bool:
-        """Whether it is the next sample of the same plant, with nothing lost in between."""
-        return self.index == before.index + 1 and self.shape == before.shape and self.usable and before.usable
+        """Whether it is the next sample of the same run, with nothing lost in between."""
+        next_one = self.index == before.index + 1 and self.continues(before)
+        return next_one and self.usable and before.usable
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -390,6 +396,14 @@ def incomplete(index: int, numbers: Sequence[int]) -> str:
 def counted(index: int, numbers: Sequence[int]) -> str:
     """The numbers of references, outputs and inputs of a sample, as text."""
     return f"sample {index} has {numbers[0]} references, {numbers[1]} outputs and {numbers[2]} inputs"
+
+
+def joined(pieces: Iterable[Sequence[Sample]]) -> list[Sample]:
+    """The pieces of a run as one: of each, the samples that continue those before it; pieces may overlap."""
+    whole: list[Sample] = []
+    for piece in pieces:
+        whole += [sample for sample in piece if sample.continues(whole[-1])] if whole else piece
+    return whole
 
 
 def unbroken(samples: Sequence[Sample]) -> list[Sequence[Sample]]:

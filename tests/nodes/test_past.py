@@ -13,7 +13,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from twinmatch.nodes import keeper
 from twinmatch.nodes.expected import check
 from twinmatch.nodes.fields import MessageError
-from twinmatch.nodes.keeper import Store
+from twinmatch.nodes.keeper import RunStore
 from twinmatch.nodes.past import Copies, RecorderPast, Stream, samples_of_answer, values_of
 from twinmatch.sessions.messages import encode_sample
 from twinmatch.signals import Sample
@@ -26,15 +26,15 @@ def sample(index: int) -> Sample:
 
 
 @contextmanager
-def kept(samples: int = 2000, messages: int = 20) -> Iterator[Store]:
+def kept(samples: int = 2000, messages: int = 20) -> Iterator[RunStore]:
     """A store that gives so many at a time."""
-    with pytest.MonkeyPatch.context() as patch, closing(Store()) as store:
+    with pytest.MonkeyPatch.context() as patch, closing(RunStore()) as store:
         patch.setattr(keeper, "MAX_SAMPLES", samples)
         patch.setattr(keeper, "MAX_MESSAGES", messages)
         yield store
 
 
-def answered(stream: Stream, store: Store) -> bool:
+def answered(stream: Stream, store: RunStore) -> bool:
     wanted = stream.wanted()
     return wanted is not None and stream.answered(store.answer(wanted))
 

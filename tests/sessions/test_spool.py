@@ -30,11 +30,13 @@ def test_rows_are_the_samples_with_these_indices(
 ) -> None:
     first, count, most = wish
     samples, index = [], begin
-    with closing(SampleSpool(shape)) as spool:  # an example may end in the middle
+    with closing(SampleSpool()) as spool:  # an example may end in the middle
         for step in steps:
             signals = [data.draw(st.tuples(*[numbers] * width)) for width in shape]
             samples.append(Sample(index, index * 1000, *signals, seen=data.draw(st.booleans())))
+            assert spool.continued_by(samples[-1])
             spool.push(samples[-1])
+            assert not spool.continued_by(samples[-1])
             index += step
         assert len(spool) == len(samples)
         assert spool.end == (samples[-1].index + 1 if samples else 0)

@@ -12,7 +12,7 @@ from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64
 
 from twinmatch.errors import TwinmatchError
-from twinmatch.nodes.expected import MESSAGES, Kind, check
+from twinmatch.nodes.expected import MESSAGES, MessageRules, check
 from twinmatch.nodes.topics import _field, message_class
 from twinmatch.plants import Peltier
 
@@ -140,7 +140,7 @@ def is_sound(message: Any) -> bool:
     """Whether the nodes of a Peltier rig take a message."""
     try:
         check(message, Peltier)
-        MESSAGES.get(type(message), Kind()).read(message)
+        MESSAGES.get(type(message), MessageRules()).read(message)
     except TwinmatchError:
         return False
     return True

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from twinmatch.dynamics.declarations import PlantError
 from twinmatch.dynamics.descent import Descended, new_search, search_result
 from twinmatch.dynamics.plant import Parameters
-from twinmatch.dynamics.runs import Course, LeastSquares, Start, Tangents
+from twinmatch.dynamics.runs import LeastSquares, RunData, Start, Tangents
 from twinmatch.dynamics.simulation import (
     FROM_PLANT_FILE,
     SKIPPED,
@@ -116,7 +116,7 @@ class Experiment:
         for name, value in (beforehand or {}).items():
             place = self.free.index(name)
             expected[place], pull[place] = value.expected, value.pull
-        self._course = Course(
+        self._data = RunData(
             which=_indices(self._kernels.UNKNOWN, self.free),
             tuned=np.array([known_gains[name] for name in self.free_gains], dtype=np.int64),
             memory=memory,
@@ -128,7 +128,7 @@ class Experiment:
             period=float(window.period),
         )
         self._problem = LeastSquares(
-            course=self._course,
+            data=self._data,
             base=base.vector,
             places=_indices(model.names, self.free),
             started=_indices(model.states, self.free_starts),
@@ -146,7 +146,7 @@ class Experiment:
     @property
     def controller(self) -> FloatArray:
         """State of the controller at the start, shape (q,)."""
-        return self._course.memory.copy()
+        return self._data.memory.copy()
 
     @property
     def pull(self) -> FloatArray:
@@ -170,17 +170,17 @@ class Experiment:
         """The unknowns, shape (n,): given parameters, the given gains, the plant file's initial states."""
         initial, _, _ = self._initial(parameters.vector)
         named = [parameters[name] for name in self.free]
-        gains = self._problem.law[self._course.tuned]
+        gains = self._problem.law[self._data.tuned]
         return np.array([*named, *gains, *initial[self._problem.started]], dtype=np.float64)
 
     def simulate(self, values: FloatArray) -> Response:
         """Run without derivatives, from the third sample on."""
-        start, course = self._start(values), self._course
+        start, data = self._start(values), self._data
         still = np.zeros((self.measured.shape[1], self._problem.first.size))
         never = np.zeros(self.measured.shape[1], dtype=np.bool_)
         outputs, inputs, passed = self._kernels.run(
-            start.vector, start.x, start.law, course.memory, course.references, course.disturbances, still,
-            never, 0.0, course.period, start.steps,
+            start.vector, start.x, start.law, data.memory, data.references, data.disturbances, still,
+            never, 0.0, data.period, start.steps,
         )  # fmt: skip
         return Response(outputs, inputs, passed, start.steps)
 
@@ -210,7 +210,7 @@ class Experiment:
     def tangents(self, values: FloatArray) -> Tangents:
         """Run with all derivatives."""
         tangents: Tangents
-        tangents, _ = self._kernels.run_with_tangents(self._start(values), self._course, True, np.inf)
+        tangents, _ = self._kernels.run_with_tangents(self._start(values), self._data, True, np.inf)
         return tangents
 
     @cached_property
@@ -222,7 +222,7 @@ class Experiment:
 
     def _initial(self, vector: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         initial: tuple[FloatArray, FloatArray, FloatArray] = self._kernels.begin(
-            vector, self._problem.first, self._problem.inputs_before, self._course.disturbances[0]
+            vector, self._problem.first, self._problem.inputs_before, self._data.disturbances[0]
         )
         return initial
 

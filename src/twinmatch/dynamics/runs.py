@@ -48,7 +48,7 @@ from twinmatch.dynamics.sensor import reading
 from twinmatch.signals import FloatArray
 
 
-class Course(NamedTuple):
+class RunData(NamedTuple):
     """What a run with derivatives is given, and compared with; the same for all values of the unknowns."""
 
     which: NDArray[np.int64]
@@ -88,7 +88,7 @@ class Start(NamedTuple):
 class LeastSquares(NamedTuple):
     """A window's least-squares problem for compiled code: all but the values of the unknowns."""
 
-    course: Course
+    data: RunData
     base: FloatArray
     """Values of all parameters, shape (n,); those of the unknown ones are ignored."""
     places: NDArray[np.int64]
@@ -252,7 +252,7 @@ def _store(
 
 @compiled
 def run_with_tangents(  # noqa: PLR0915 (one pass over the samples)
-    code: Code, start: Start, course: Course, stored: bool, limit: float
+    code: Code, start: Start, data: RunData, stored: bool, limit: float
 ) -> tuple[Tangents, FloatArray]:
     """The run with its derivatives; either its arrays are stored, or the normal equations are summed.
 
@@ -261,7 +261,7 @@ def run_with_tangents(  # noqa: PLR0915 (one pass over the samples)
     1/√(1 + r²). A run ends when its sum exceeds `limit`.
     """
     vector, law, x, columns, steps = start
-    which, tuned, memory, references, disturbances, measured, weights, robust, period = course
+    which, tuned, memory, references, disturbances, measured, weights, robust, period = data
     size, (nx, n), q = disturbances.shape[0], columns.shape, memory.size
     inputs, outputs, unknown, kind = code[N_INPUTS], code[N_OUTPUTS], code[N_UNKNOWN], law[KIND]
     compared, kept = inputs if kind != GIVEN else 0, size if stored else 0
@@ -334,26 +334,26 @@ def run_with_tangents(  # noqa: PLR0915 (one pass over the samples)
 @compiled
 def start_at(code: Code, problem: LeastSquares, values: FloatArray) -> Start:
     """The start of a run with these values of the unknowns."""
-    course = problem.course
-    n, tuned = course.which.size, course.tuned.size
+    data = problem.data
+    n, tuned = data.which.size, data.tuned.size
     p, law = problem.base.copy(), problem.law.copy()
     for j in range(n):
         p[problem.places[j]] = values[j]
     for j in range(tuned):
-        law[course.tuned[j]] = values[n + j]
-    given = course.disturbances[0]
+        law[data.tuned[j]] = values[n + j]
+    given = data.disturbances[0]
     x, _, by_parameters = begin(code, p, problem.first, problem.inputs_before, given)
     columns = np.zeros((x.size, values.size))
     for i in range(x.size):
         for j in range(n):
-            columns[i, j] = by_parameters[i, course.which[j]]
+            columns[i, j] = by_parameters[i, data.which[j]]
     for k in range(problem.started.size):
         i = problem.started[k]
         x[i] = values[n + tuned + k]
         columns[i, :n] = 0.0
         columns[i, n + tuned + k] = 1.0
     steps = step_count(
-        code, p, problem.corners, problem.drives, problem.default_disturbances, course.period,
+        code, p, problem.corners, problem.drives, problem.default_disturbances, data.period,
         problem.rate_limit,
     )  # fmt: skip
     return Start(p, law, x, columns, steps)
@@ -369,7 +369,7 @@ def normal_at(
     start = start_at(code, problem, values)
     if start.steps > MAX_STEPS:
         return np.inf, np.zeros(n), np.zeros((n, n))
-    _, normal = run_with_tangents(code, start, problem.course, False, limit)
+    _, normal = run_with_tangents(code, start, problem.data, False, limit)
     cost, gradient, hessian = normal[n, n], normal[n, :n].copy(), normal[:n, :n].copy()
     for j in range(n):
         if problem.pull[j] > 0.0:

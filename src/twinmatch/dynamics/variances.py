@@ -11,7 +11,7 @@ from twinmatch.compiled import compiled
 from twinmatch.dynamics.filters import predict
 from twinmatch.dynamics.kernels import Code, advance
 from twinmatch.dynamics.laws import LawCode
-from twinmatch.dynamics.runs import Course, Start, Tangents, run, run_with_tangents
+from twinmatch.dynamics.runs import RunData, Start, Tangents, run, run_with_tangents
 from twinmatch.signals import FloatArray
 
 MEAN, BANDED = 1, 2
@@ -75,11 +75,11 @@ def foresee(
         for j in range(size):
             strays[j + 1, i] += (swift * (states[j + 1, i] - states[j, i])) ** 2
     predict(code, vector, x, joint, strays[0], u, disturbances[0], period, steps, which)
-    course = Course(
+    data = RunData(
         which[0], np.zeros(0, dtype=np.int64), memory, references, d, compared, compared, False, period
     )
     start = Start(vector, law, begun, np.eye(n, k + n, k), steps)
-    loop, _ = run_with_tangents(code, start, course, True, np.inf)
+    loop, _ = run_with_tangents(code, start, data, True, np.inf)
     of_outputs, of_inputs = _variances(joint, loop, noise, strays[1:])
     return outputs, inputs, of_outputs, of_inputs
 

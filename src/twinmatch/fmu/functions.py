@@ -203,8 +203,8 @@ def normal_at(
 
     `code` has no unknowns: no derivatives of single samples are needed.
     """
-    course, n, free, m = problem.course, values.size, problem.places.size, machine.head[0].n_parameters
-    size, signals = course.disturbances.shape[0], 1 if problem.law[KIND] == DRIVEN else 2
+    data, n, free, m = problem.data, values.size, problem.places.size, machine.head[0].n_parameters
+    size, signals = data.disturbances.shape[0], 1 if problem.law[KIND] == DRIVEN else 2
     nowhere = np.inf, np.zeros(n), np.zeros((n, n))
     still, never = np.zeros((size, 1)), np.zeros(size, dtype=np.bool_)
     simulated, ends = np.empty((1 + 2 * n, 2, size)), np.empty((n, 2))
@@ -217,18 +217,18 @@ def normal_at(
             moved[j] = ends[j, (i - 1) % 2]
         vector = problem.base.copy()
         vector[problem.places] = moved[:free]
-        x, _, _ = begin(code, vector, problem.first, problem.inputs_before, course.disturbances[0])
+        x, _, _ = begin(code, vector, problem.first, problem.inputs_before, data.disturbances[0])
         x[problem.started] = moved[free:]
         if i == 0:
             steps = step_count(
-                code, vector, problem.corners, problem.drives, problem.default_disturbances, course.period,
+                code, vector, problem.corners, problem.drives, problem.default_disturbances, data.period,
                 problem.rate_limit,
             )  # fmt: skip
             if steps > MAX_STEPS:
                 return nowhere
         y, u, _ = run(
-            code, vector, x, problem.law, course.memory, course.references, course.disturbances, still,
-            never, 0.0, course.period, steps,
+            code, vector, x, problem.law, data.memory, data.references, data.disturbances, still,
+            never, 0.0, data.period, steps,
         )  # fmt: skip
         simulated[i, 0], simulated[i, 1] = y[:, 0], u[:, 0]
         if i == 0 or i == 2 * n:
@@ -238,8 +238,8 @@ def normal_at(
                     for j in range(n):
                         rise = simulated[1 + 2 * j, s, k] - simulated[2 + 2 * j, s, k]
                         row[0, j] = rise / (ends[j, 0] - ends[j, 1]) if i > 0 else 0.0
-                    row[0, n] = simulated[0, s, k] - course.measured[s, k]
-                    add_row(normal, row, 0, course.weights[s, k], course.robust)
+                    row[0, n] = simulated[0, s, k] - data.measured[s, k]
+                    add_row(normal, row, 0, data.weights[s, k], data.robust)
         if i == 0 and normal[n, n] > limit:
             break
     if not np.isfinite(normal).all():

@@ -141,7 +141,7 @@ class Arx:
 
     def push(self, sample: Sample) -> None:
         """Take one sample; from one that was lost, or does not follow the last one, nothing is learned."""
-        if self._newest and sample.index != self._newest[-1].index + 1:
+        if self._newest and not sample.follows(self._newest[-1]):
             self._fit = self._fit_now()
             self._newest, self._learned = [], 0
         self._newest.append(sample)

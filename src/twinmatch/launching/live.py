@@ -77,7 +77,7 @@ class Live:
         """Put a sample on the spool; an index at or before the newest one starts a new spool."""
         spool = self.samples
         if not spool.continued_by(sample):
-            self.samples, self.received = SampleSpool(sample.shape), 0
+            self.samples, self.received = SampleSpool(), 0
             spool.close()
         self.received += 1
         for one in filter(attrgetter("usable"), self.door.take(sample)):

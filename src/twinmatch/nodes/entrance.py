@@ -23,7 +23,7 @@ from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
 
 from twinmatch.errors import TwinmatchError
-from twinmatch.nodes.expected import MESSAGES, Kind, check, check_readable
+from twinmatch.nodes.expected import MESSAGES, MessageRules, check, check_readable
 from twinmatch.nodes.fields import Expected, MessageError
 from twinmatch.nodes.health import Level, NodeHealth
 
@@ -79,7 +79,7 @@ class Entrance:
 
     def course(self, kind: Any, topic: str) -> Course | None:
         """What the messages of a topic have to follow, if anything."""
-        expected = MESSAGES.get(kind, Kind())
+        expected = MESSAGES.get(kind, MessageRules())
         if expected.departs is None:
             return None
         return Course(expected.departs, partial(self._publishers, topic), owned=expected.owned)
@@ -95,7 +95,7 @@ class Entrance:
         """
         if raw and kind not in MESSAGES:
             return take
-        expected = MESSAGES.get(kind, Kind())
+        expected = MESSAGES.get(kind, MessageRules())
 
         def receive(came: bytes) -> None:
             try:

@@ -357,7 +357,7 @@ def _clock_departs(before: Any, message: Any, elapsed: float) -> str:
     return ""
 
 
-class Kind(NamedTuple):
+class MessageRules(NamedTuple):
     """What is expected of the messages of a type."""
 
     check: Callable[[Any], object] = lambda _: None
@@ -370,29 +370,29 @@ class Kind(NamedTuple):
     """Whether the topic belongs to the publisher that began, however many others agree."""
 
 
-MESSAGES: Final[dict[Any, Kind]] = {
-    ours.LoopSample: Kind(_check_sample, sample_from, _sample_departs),
-    ours.TwinState: Kind(_check_state),
-    ours.Forecast: Kind(_check_forecast, converted.forecast_from),
-    ours.Match: Kind(_check_match, converted.record_of),
-    ours.MatchRequest: Kind(_check_request, _request),
-    ours.ModelScore: Kind(_check_verdict, converted.record_of),
-    ours.Candidate: Kind(_check_candidate),
-    ours.ForecastScore: Kind(_check_score, converted.record_of),
-    ours.PlantDescription: Kind(_check_description),
-    Clock: Kind(departs=_clock_departs, owned=True),
-    Image: Kind(_check_image),
-    DiagnosticArray: Kind(_check_health),
-    Past.Response: Kind(_check_past),
-    WhatIf.Response: Kind(_check_answer),
-    GetParameters.Request: Kind(_check_names),
-    GetParameters.Response: Kind(_check_values),
-    SetParameters.Request: Kind(_check_parameter_values),
-    SetParametersAtomically.Request: Kind(_check_parameter_values),
+MESSAGES: Final[dict[Any, MessageRules]] = {
+    ours.LoopSample: MessageRules(_check_sample, sample_from, _sample_departs),
+    ours.TwinState: MessageRules(_check_state),
+    ours.Forecast: MessageRules(_check_forecast, converted.forecast_from),
+    ours.Match: MessageRules(_check_match, converted.record_of),
+    ours.MatchRequest: MessageRules(_check_request, _request),
+    ours.ModelScore: MessageRules(_check_verdict, converted.record_of),
+    ours.Candidate: MessageRules(_check_candidate),
+    ours.ForecastScore: MessageRules(_check_score, converted.record_of),
+    ours.PlantDescription: MessageRules(_check_description),
+    Clock: MessageRules(departs=_clock_departs, owned=True),
+    Image: MessageRules(_check_image),
+    DiagnosticArray: MessageRules(_check_health),
+    Past.Response: MessageRules(_check_past),
+    WhatIf.Response: MessageRules(_check_answer),
+    GetParameters.Request: MessageRules(_check_names),
+    GetParameters.Response: MessageRules(_check_values),
+    SetParameters.Request: MessageRules(_check_parameter_values),
+    SetParametersAtomically.Request: MessageRules(_check_parameter_values),
     # A value that is out of range is a fault of the plant's, which the guard latches: it must see it.
-    **dict.fromkeys((ours.PlantReading, ours.PlantCommand, ours.PwmCommand, Temperature), Kind()),
+    **dict.fromkeys((ours.PlantReading, ours.PlantCommand, ours.PwmCommand, Temperature), MessageRules()),
     # Ranges are judged where the plant is known.
-    **dict.fromkeys((ours.PlantApplied, ours.PwmApplied, Float64), Kind()),
-    **dict.fromkeys((Past.Request, WhatIf.Request, ListParameters.Request), Kind()),
+    **dict.fromkeys((ours.PlantApplied, ours.PwmApplied, Float64), MessageRules()),
+    **dict.fromkeys((Past.Request, WhatIf.Request, ListParameters.Request), MessageRules()),
 }
 """All types that a node reads; others pass."""

@@ -44,12 +44,12 @@ TOPICS: Final = {
 """What is kept or, of the last two, counted."""
 
 
-class Store:
+class RunStore:
     """What is kept of one session, from its first sample on."""
 
-    def __init__(self, shape: tuple[int, int, int, int] = (1, 1, 1, 0)) -> None:
-        """Start empty; every sample has this shape."""
-        self.samples = SampleSpool(shape)
+    def __init__(self) -> None:
+        """Start empty."""
+        self.samples = SampleSpool()
         self.messages = {Match: MessageSpool(), ModelScore: MessageSpool()}
         self.counts = {Forecast: 0, TwinState: 0}
         """Numbers of messages that are not kept."""
@@ -100,7 +100,7 @@ class Keeper(TwinmatchNode):
 
     def open(self) -> None:
         """Subscribe and offer the service."""
-        self._store = Store()
+        self._store = RunStore()
         self._requested_at = -LINGER
         self.create_subscription(LoopSample, "plant/sample", self._on_sample, EVERYTHING)
         for kind, name in TOPICS.items():
@@ -131,7 +131,7 @@ class Keeper(TwinmatchNode):
     def _on_sample(self, sample: Sample) -> None:
         if not self._store.samples.continued_by(sample):
             self._store.close()
-            self._store = Store(sample.shape)
+            self._store = RunStore()
         self._store.samples.push(sample)
 
     def _on_said(self, kind: Any, data: bytes) -> None:

@@ -38,7 +38,7 @@ from twinmatch.sessions.metadata import (
     plant_of,
 )
 from twinmatch.sessions.scan import Scan, messages_of
-from twinmatch.signals import Sample, Window
+from twinmatch.signals import Sample, Window, joined
 
 SUFFIX = "plant/sample"
 MESSAGES_BETWEEN = 5000
@@ -200,9 +200,6 @@ def _joined(found: Sequence[Session], path: Path, notes: Sequence[str]) -> Sessi
     base = max(k for k, session in enumerate(found) if session.samples[0].index == begin)
     whole, later = found[base], found[base + 1 :]
     notes = [*notes, f"{whole.path.name} holds the run from its beginning"] if len(found) > 1 else [*notes]
-    samples = list(whole.samples)
-    for session in later:
-        samples += [sample for sample in session.samples if sample.index > samples[-1].index]
     source = _one_after_another([session.source for session in (whole, *later)]) if later else whole.source
     counts = Counter(message.topic.name for message in source()) if later else whole.counts
     topics = {topic.name: topic for session in (*later, whole) for topic in session.topics}
@@ -210,7 +207,7 @@ def _joined(found: Sequence[Session], path: Path, notes: Sequence[str]) -> Sessi
         whole,
         name=Path(os.path.realpath(path)).name,
         path=path,
-        samples=samples,
+        samples=joined(session.samples for session in (whole, *later)),
         topics=list(topics.values()),
         counts={name: counts[name] for name in topics},
         end=max(session.end for session in (whole, *later)),

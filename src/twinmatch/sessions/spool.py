@@ -19,37 +19,41 @@ from twinmatch.signals import SIGNALS, Sample, SignalError, Window
 Rows = NDArray[np.void]
 
 
+def _record_of(shape: Sequence[int]) -> np.dtype[np.void]:
+    """The record of a sample with these numbers of signals."""
+    signals = ((name, "<f8", (width,)) for name, width in zip(SIGNALS, shape, strict=True))
+    return np.dtype([("index", "<u8"), ("stamp", "<i8"), *signals, ("seen", "?")])
+
+
 class SampleSpool:
     """Samples by index."""
 
-    def __init__(self, shape: tuple[int, int, int, int] = (1, 1, 1, 0)) -> None:
-        """Start empty; every sample has this shape."""
-        self.shape = shape
-        self._row = np.dtype(
-            [
-                ("index", "<u8"),
-                ("stamp", "<i8"),
-                *((name, "<f8", (width,)) for name, width in zip(SIGNALS, shape, strict=True)),
-                ("seen", "?"),
-            ]
-        )
+    def __init__(self) -> None:
+        """Start empty; the first sample says how many signals there are."""
+        self.newest: Sample | None = None
+        self._row = _record_of((1, 1, 1, 0))
         self._file = tempfile.TemporaryFile(prefix="twinmatch-samples-")  # noqa: SIM115 - closed with the object
         self._count = 0
         # First index and first row of each unbroken run; there are few, since a new one needs a missed tick.
         self._firsts, self._rows = array("Q"), array("Q")
-        self.end = 0
-        """Index of the newest sample, plus one; 0 before the first."""
 
     def __len__(self) -> int:
         return self._count
 
+    @property
+    def end(self) -> int:
+        """Index of the newest sample, plus one; 0 before the first."""
+        return 0 if self.newest is None else self.newest.index + 1
+
     def continued_by(self, sample: Sample) -> bool:
-        """Whether a sample is a later one of the same session."""
-        return sample.index >= self.end and sample.shape == self.shape
+        """Whether a sample may be pushed: it is the first, or a later one of the same run."""
+        return self.newest is None or sample.continues(self.newest)
 
     def push(self, sample: Sample) -> None:
-        """Append a sample; its index must be greater than the previous one."""
-        if not self._count or sample.index != self.end:
+        """Append a sample, which has to continue the newest one."""
+        if self.newest is None:
+            self._row = _record_of(sample.shape)
+        if self.newest is None or not sample.follows(self.newest):
             self._firsts.append(sample.index)
             self._rows.append(self._count)
         row = np.zeros(1, self._row)
@@ -57,7 +61,7 @@ class SampleSpool:
         self._file.seek(0, 2)
         self._file.write(row.tobytes())
         self._count += 1
-        self.end = sample.index + 1
+        self.newest = sample
 
     def rows(self, first: int, count: int, most: int) -> Rows:
         """The samples among the `count` indices from `first` on, in order, at most `most` rows."""

@@ -146,7 +146,7 @@ def value_of(match: Match, name: str) -> float:
     return float(match.starts[name] if name in match.starts else match.parameters[name])
 
 
-class Column(NamedTuple):
+class FigureColumn(NamedTuple):
     """One figure of a candidate or an order, as every display heads, writes and explains it."""
 
     attribute: str
@@ -175,28 +175,38 @@ class Column(NamedTuple):
         return span_text(low, known[self.high], self.decimals) if self.high else number(low, self.decimals)
 
 
-GAIN: Final = Column("gain", "gain", "characters", 0, "l(t) − l(p): characters that the model saves", max)
+GAIN: Final = FigureColumn(
+    "gain", "gain", "characters", 0, "l(t) − l(p): characters that the model saves", max
+)
 CRITERIA: Final = (
-    Column("trivial_length", "l(t)", "characters", 0, "characters of the measured values as a plain table"),
-    Column("model_length", "l(p)", "characters", 0, "characters of the model and a table of its residuals"),
+    FigureColumn(
+        "trivial_length", "l(t)", "characters", 0, "characters of the measured values as a plain table"
+    ),
+    FigureColumn(
+        "model_length", "l(p)", "characters", 0, "characters of the model and a table of its residuals"
+    ),
     GAIN,
-    Column("explanation", "explained", "", 3, "gain / l(t), at best 1", max),
-    Column("naic", "nAIC", "", 3, "smaller is better", min),
-    Column("bic", "BIC", "", 1, "smaller is better", min),
-    Column("mdl", "MDL", "", 4, "smaller is better", min),
-    Column("two_part_length", "two-part", "characters", 0, "l(p) and the model's parameters", min),
+    FigureColumn("explanation", "explained", "", 3, "gain / l(t), at best 1", max),
+    FigureColumn("naic", "nAIC", "", 3, "smaller is better", min),
+    FigureColumn("bic", "BIC", "", 1, "smaller is better", min),
+    FigureColumn("mdl", "MDL", "", 4, "smaller is better", min),
+    FigureColumn("two_part_length", "two-part", "characters", 0, "l(p) and the model's parameters", min),
 )
 """Columns of an order, in the order of the paper's table; MDL has the squared unit of output or input."""
-GAP_SUM: Final = Column("nu_gap_sum", "Σ ν-gap", "", 3, "sum of the ν-gaps to the others; smallest: nominal")
-GAP_NOW: Final = Column("nu_gap_to_plant", "ν-gap now", "", 3, "ν-gap to the plant of the newest samples")
-_SUM_LOW: Final = Column(
+GAP_SUM: Final = FigureColumn(
+    "nu_gap_sum", "Σ ν-gap", "", 3, "sum of the ν-gaps to the others; smallest: nominal"
+)
+GAP_NOW: Final = FigureColumn(
+    "nu_gap_to_plant", "ν-gap now", "", 3, "ν-gap to the plant of the newest samples"
+)
+_SUM_LOW: Final = FigureColumn(
     "nu_gap_sum_low", "90 % of Σ", "", 3, "interval that contains this sum", high="nu_gap_sum_high"
 )
 _MARGIN: Final = "b(P, C): up to this ν-gap the controller in use stabilises every plant"
 FIGURES: Final = (
     *(GAP_SUM, _SUM_LOW),
-    Column("nominal_probability", "P(nominal)", "", 2, "probability of having the smallest sum"),
-    *(GAP_NOW, Column("margin", "margin", "", 3, _MARGIN)),
+    FigureColumn("nominal_probability", "P(nominal)", "", 2, "probability of having the smallest sum"),
+    *(GAP_NOW, FigureColumn("margin", "margin", "", 3, _MARGIN)),
 )
 """Columns of a candidate beside those of its orders."""
 
@@ -235,7 +245,7 @@ class CriterionRow(NamedTuple):
 
 
 def criterion_rows(
-    candidate: CandidateScore, criteria: Sequence[Column] = CRITERIA
+    candidate: CandidateScore, criteria: Sequence[FigureColumn] = CRITERIA
 ) -> tuple[CriterionRow, ...]:
     """The table of one candidate: a row per order, for y, for u and for both; for y alone in open loop."""
     orders, chosen = candidate.orders, candidate.chosen_order
@@ -253,13 +263,13 @@ def chosen_score(candidate: CandidateScore) -> OrderScore | None:
     return next((o for o in candidate.orders if o.order == candidate.chosen_order), None)
 
 
-def computed(candidates: Sequence[CandidateScore]) -> tuple[Column, ...]:
+def computed(candidates: Sequence[CandidateScore]) -> tuple[FigureColumn, ...]:
     """The criteria that have a value for at least one candidate."""
     orders = [order for candidate in candidates for order in candidate.orders]
     return tuple(c for c in CRITERIA if any(not math.isnan(_value(o, "total", c)) for o in orders))
 
 
-def for_both(candidate: CandidateScore, criteria: Sequence[Column]) -> list[Column]:
+def for_both(candidate: CandidateScore, criteria: Sequence[FigureColumn]) -> list[FigureColumn]:
     """The same, for output and input together: MDL then has the sum of their squared units."""
     plant = candidate.parameters.model.plant
     y, u = (declared.unit or declared.name for declared in (plant.output, plant.drive))
@@ -267,12 +277,14 @@ def for_both(candidate: CandidateScore, criteria: Sequence[Column]) -> list[Colu
     return [c._replace(unit=unit) if c.attribute == "mdl" else c for c in criteria]
 
 
-def _figure(orders: Sequence[OrderScore], order: OrderScore, output: str, column: Column) -> CriterionFigure:
+def _figure(
+    orders: Sequence[OrderScore], order: OrderScore, output: str, column: FigureColumn
+) -> CriterionFigure:
     value, text = _value(order, output, column), column.text(getattr(order, output))
     if column.best is None or math.isnan(value):
         return CriterionFigure(text, best=False)
     return CriterionFigure(text, best=value == column.best(_value(o, output, column) for o in orders))
 
 
-def _value(order: OrderScore, output: str, column: Column) -> float:
+def _value(order: OrderScore, output: str, column: FigureColumn) -> float:
     return float(getattr(getattr(order, output), column.attribute))

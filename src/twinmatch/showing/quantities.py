@@ -105,7 +105,7 @@ def percent(share: float, decimals: int = 1) -> str:
     return number(100 * share, decimals)
 
 
-class Signal(NamedTuple):
+class ShownSignal(NamedTuple):
     """A signal as it is shown."""
 
     name: str
@@ -130,18 +130,20 @@ class Signal(NamedTuple):
         return with_unit(self.name, self.unit)
 
 
-class Signals(NamedTuple):
+class ShownSignals(NamedTuple):
     """The output and the input of a plant."""
 
-    output: Signal
-    input: Signal
+    output: ShownSignal
+    input: ShownSignal
 
 
-def signal_names(plant: type[Plant]) -> Signals:
+def signal_names(plant: type[Plant]) -> ShownSignals:
     """Names and units from the plant's declarations."""
     y, u = plant.output, plant.drive
     driven = "control" if u.name.lower() == u.unit.lower() else u.name.replace("_", " ")
-    return Signals(Signal(y.name.replace("_", " "), y.unit, y.decimals), Signal(driven, u.unit, u.decimals))
+    return ShownSignals(
+        ShownSignal(y.name.replace("_", " "), y.unit, y.decimals), ShownSignal(driven, u.unit, u.decimals)
+    )
 
 
 def with_unit(name: str, unit: str) -> str:

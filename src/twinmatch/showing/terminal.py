@@ -22,7 +22,7 @@ from twinmatch.comparing import CandidateScore, TrustLevel, Verdict
 from twinmatch.dynamics import Plant
 from twinmatch.offline.summary import nominal_score
 from twinmatch.showing.console import Console
-from twinmatch.showing.family import CRITERIA, FIGURES, Column, chosen_score, for_both
+from twinmatch.showing.family import CRITERIA, FIGURES, FigureColumn, chosen_score, for_both
 from twinmatch.showing.lines import STYLES, Lines, redraws
 from twinmatch.showing.quantities import number, parameter_format, percent
 from twinmatch.showing.verdicts import (
@@ -260,7 +260,7 @@ def _family_columns(verdict: Verdict) -> list[FamilyColumn]:
         marks = ("▶" if c.name == verdict.leader else " ") + ("○" if c.name == verdict.nominal else " ")
         return f"{marks} {c.name}"
 
-    def of_both(column: Column) -> FamilyColumn:
+    def of_both(column: FigureColumn) -> FamilyColumn:
         return (
             column.name,
             column.unit,

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 from twinmatch.errors import TwinmatchError
-from twinmatch.showing.quantities import Signals, with_unit
+from twinmatch.showing.quantities import ShownSignals, with_unit
 from twinmatch.showing.style import PLANT, SET_POINT, rc
 from twinmatch.signals import FloatArray, Window
 
@@ -109,7 +109,7 @@ def time_axis(axes: Axes, period: float, first: int, last: int) -> None:
     axes.set_xlabel("time since the session began / s")
 
 
-def name_signals(axes: Sequence[Axes], signals: Signals, difference: str) -> None:
+def name_signals(axes: Sequence[Axes], signals: ShownSignals, difference: str) -> None:
     """Label output, input, and the differences of both, as far as there are axes."""
     labels = [signal.label for signal in signals] + [with_unit(difference, signal.unit) for signal in signals]
     for each, label in zip(axes, labels, strict=False):

@@ -237,7 +237,7 @@ class DashboardState:
         with self.lock:
             previous = self._previous
             self.nodes.begin(now)
-            if previous is not None and sample.index <= previous.index:
+            if previous is not None and not sample.continues(previous):
                 self._begin(previous.index, sample.index)
             elif previous is not None:
                 self._note_interval(sample, previous)

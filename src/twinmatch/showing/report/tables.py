@@ -14,7 +14,7 @@ from twinmatch.offline.backtest import Backtest
 from twinmatch.offline.backtest.scoring import LEADER, TWINS
 from twinmatch.showing.family import (
     FIGURES,
-    Column,
+    FigureColumn,
     Member,
     computed,
     criterion_rows,
@@ -241,10 +241,10 @@ def order_table(verdict: Verdict) -> ReportTable | None:
     return ReportTable("Akaike weights of the orders", called, tuple(rows))
 
 
-_TO_NOMINAL: Final = Column(
+_TO_NOMINAL: Final = FigureColumn(
     "plant_gap_to_nominal", "to the nominal, scaled like the margin", "", 3, "from input to output alone"
 )
-_IDENTIFIED: Final = Column(
+_IDENTIFIED: Final = FigureColumn(
     "identified_gap_to_plant", "to the newest window's model", "", 3, "as in the paper"
 )
 
@@ -272,7 +272,7 @@ def _distances(
     matrix: Sequence[Sequence[float]],
     *,
     sums: Sequence[float],
-    extra: Sequence[Column],
+    extra: Sequence[FigureColumn],
 ) -> ReportTable:
     """A matrix of distances with its column sums, followed by more columns."""
     rows = []

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from twinmatch.comparing import CandidateScore, TrustLevel, Verdict
 from twinmatch.offline.judging import Judgement
 from twinmatch.offline.summary import ShownTwin, nominal_score, shown_twin
-from twinmatch.showing.quantities import Signals, number, percent, signal_names
+from twinmatch.showing.quantities import ShownSignals, number, percent, signal_names
 from twinmatch.showing.series import compare, root_mean_square
 from twinmatch.showing.verdicts import admitted, last_verdict, level_stretches
 from twinmatch.signals import Sample
@@ -238,7 +238,7 @@ def _steps(samples: Sequence[Sample], settings: TwinSettings) -> str:
     return f"{count} of {least:g} {(settings.plant.drive if driven else settings.plant.output).unit} or more"
 
 
-def _signals(judgement: Judgement) -> Signals:
+def _signals(judgement: Judgement) -> ShownSignals:
     return signal_names(judgement.settings.plant)
 
 
