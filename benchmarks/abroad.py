@@ -15,8 +15,12 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import nullcontext
 from dataclasses import dataclass, field
+from itertools import islice
 from multiprocessing import get_context
+from multiprocessing.connection import Connection
 from typing import NamedTuple
 
 import numpy as np
@@ -52,77 +56,91 @@ BLINK = 120
 class Watched:
     """What was said of one run."""
 
-    seed: int
+    mishap: str
     lacks: tuple[str, ...]
-    samples: int = 0
-    hours: float = 0.0
     alarms: list[Alarm] = field(default_factory=list)
     in_alarm: int = 0
     """Samples."""
     trusted: list[bool] = field(default_factory=list)
-    """Whether the newest verdict of a sample trusts the leader."""
+    """For every sample, whether the newest verdict trusts the leader."""
     verdicts: int = 0
     trusting: int = 0
+    """Verdicts that trust the leader."""
     took: float = 0.0
+    """Seconds."""
+    broke: str = ""
+    """The error that ended the run, if one did."""
 
 
-def watch(plant: AbroadPlant, samples: Iterable[Sample], *, alone: bool) -> Watched:
-    """Judge samples as `replay` does with default settings, or by the monitor alone."""
-    kind, told = plant.kind, Watched(plant.seed, plant.lacks or ())
-    began, push, monitor_of = time.perf_counter(), *_judge(plant, alone=alone)
-    trusted, newest = False, None
-    for sample in samples:
-        for level in push(sample):
-            told.verdicts += 1
-            trusted = level is TrustLevel.TRUSTED
-            told.trusting += trusted
-        alarms = monitor_of().alarms
-        if alarms and (newest is None or alarms[-1].flagged > newest):
-            newest = alarms[-1].flagged
+class Watcher:
+    """Judges samples as `replay` does with default settings, or by the monitor alone."""
+
+    def __init__(self, plant: AbroadPlant, *, alone: bool) -> None:
+        kind, self.told = plant.kind, Watched("", plant.lacks or ())
+        self._trusted = False
+        if alone:
+            self._monitor = Monitor(HealthSettings.of(kind.plant, kind.period))
+            refusals = Refusals(self._monitor.settings, ScheduleSettings.of(kind.plant, kind.period).gap)
+            self._twin = None
+            self._settle = refusals.settle
+        else:
+            self._twin = Twin(TwinSettings.of(kind.plant, period=kind.period, law=plant.gains))
+            self._monitor = self._twin.discriminator.monitor
+
+    def take(self, samples: Iterable[Sample]) -> Watched:
+        """Judge these samples, too."""
+        began = time.perf_counter()
+        for sample in samples:
+            try:
+                self._push(sample)
+            except Exception as error:  # what ends one run is counted
+                self.told.broke = f"sample {sample.index}: {type(error).__name__}: {error}"
+                break
+        self.told.took += time.perf_counter() - began
+        return self.told
+
+    def _push(self, sample: Sample) -> None:
+        told = self.told
+        if self._twin is None:
+            self._monitor.push(self._settle(sample))
+        else:
+            for verdict in self._twin.push(sample).verdicts:
+                self._trusted = verdict.level is TrustLevel.TRUSTED
+                told.verdicts += 1
+                told.trusting += self._trusted
+        alarms = self._monitor.alarms
+        if alarms and (not told.alarms or alarms[-1].flagged > told.alarms[-1].flagged):
             told.alarms.append(alarms[-1])
         elif alarms:
             told.alarms[-1] = alarms[-1]
         told.in_alarm += bool(alarms) and alarms[-1].last is None
-        told.trusted.append(trusted)
-        told.samples += 1
-    told.took = time.perf_counter() - began
-    told.hours = told.samples * kind.period / kind.second / 3600.0
-    return told
-
-
-def _judge(
-    plant: AbroadPlant, *, alone: bool
-) -> tuple[Callable[[Sample], Iterator[TrustLevel]], Callable[[], Monitor]]:
-    kind = plant.kind
-    if not alone:
-        twin = Twin(TwinSettings.of(kind.plant, period=kind.period, law=plant.gains))
-
-        def judged(sample: Sample) -> Iterator[TrustLevel]:
-            for verdict in twin.push(sample).verdicts:
-                yield verdict.level
-
-        return judged, lambda: twin.discriminator.monitor
-    monitor = Monitor(HealthSettings.of(kind.plant, kind.period))
-    refusals = Refusals(monitor.settings, ScheduleSettings.of(kind.plant, kind.period).gap)
-
-    def watched(sample: Sample) -> Iterator[TrustLevel]:
-        monitor.push(refusals.settle(sample))
-        yield from ()
-
-    return watched, lambda: monitor
+        told.trusted.append(self._trusted)
 
 
 class Order(NamedTuple):
-    """One run to be made."""
+    """Runs of one plant to be made."""
 
     kind: str
     seed: int
     hours: float
-    mishap: str
+    mishaps: tuple[str, ...]
     alone: bool
+
+    @property
+    def samples_per_second(self) -> float:
+        """Samples in a second of the kind."""
+        return KINDS[self.kind].second / KINDS[self.kind].period
+
+    def onset(self, mishap: str) -> Mishap:
+        """When it happens, in samples; the same for all mishaps of a plant."""
+        start = STARTS + int(np.random.default_rng(self.seed).integers(0, 300))
+        share = self.samples_per_second
+        return Mishap(mishap, round(start * share), round(start * share) + round(LASTS * share))
 
 
 def _lines(told: Watched, kind: str) -> Iterator[str]:
+    if told.broke:
+        yield f"  {kind} ({', '.join(told.lacks) or 'nothing'}) ended by an error at {told.broke}"
     for alarm in told.alarms:
         last = "on" if alarm.last is None else str(alarm.last)
         yield (
@@ -131,41 +149,41 @@ def _lines(told: Watched, kind: str) -> Iterator[str]:
         )
 
 
-def _healthy(order: Order) -> Watched:
-    kind = KINDS[order.kind]
-    plant = AbroadPlant(kind, order.seed)
-    size = round(order.hours * 3600.0 * kind.second / kind.period)
-    return watch(plant, plant.run(size), alone=order.alone)
+def _healthy(order: Order) -> list[Watched]:
+    plant = AbroadPlant(KINDS[order.kind], order.seed)
+    size = round(order.hours * 3600.0 * order.samples_per_second)
+    return [Watcher(plant, alone=order.alone).take(plant.run(size))]
 
 
-def _row(name: str, found: Sequence[Watched]) -> str:
-    hours, samples = sum(w.hours for w in found), sum(w.samples for w in found)
-    names = Counter(a.fault.value for w in found for a in w.alarms)
-    alarms = ", ".join(f"{100 * n / hours:.0f} {name}" for name, n in names.most_common()) or "none"
-    verdicts = sum(w.verdicts for w in found)
-    trusting = f"{sum(w.trusting for w in found) / verdicts:5.0%}" if verdicts else "    –"
+def _row(name: str, found: Sequence[tuple[Order, Watched]]) -> str:
+    watched = [w for _, w in found]
+    hours, samples = sum(order.hours for order, _ in found), sum(len(w.trusted) for w in watched)
+    names = Counter(a.fault.value for w in watched for a in w.alarms)
+    alarms = ", ".join(f"{100 * n / hours:.0f} {fault}" for fault, n in names.most_common()) or "none"
+    verdicts = sum(w.verdicts for w in watched)
+    trusting = f"{sum(w.trusting for w in watched) / verdicts:5.0%}" if verdicts else "    –"
     return (
-        f"{name:9s} {hours:6.1f} {samples / 3600:6.1f} | {100 * sum(names.values()) / hours:5.0f} "
-        f"{sum(bool(w.alarms) for w in found):3d}/{len(found):<3d} "
-        f"{sum(w.in_alarm for w in found) / samples:5.0%} {trusting} {sum(w.took for w in found):5.0f} s | "
-        f"{alarms}"
+        f"{name:10s} {hours:6.1f} {samples / 3600:6.1f} | {100 * sum(names.values()) / hours:5.0f} "
+        f"{sum(bool(w.alarms) for w in watched):3d}/{len(found):<3d} "
+        f"{sum(w.in_alarm for w in watched) / samples:5.0%} {trusting} "
+        f"{sum(w.took for w in watched):5.0f} s | {alarms}"
     )
 
 
 def healthy(kinds: Sequence[str], plants: int, hours: float, options: argparse.Namespace) -> None:
     """Plants to which nothing happens."""
-    orders = [Order(k, seed, hours, "", options.monitor) for k in kinds for seed in _seeds(plants, options)]
+    orders = [Order(k, seed, hours, (), options.monitor) for k in kinds for seed in _seeds(plants, options)]
     print(
-        "kind       hours, of 3600 samples | alarms in 100 h, plants with one, time in alarm, verdicts "
+        "kind        hours, of 3600 samples | alarms in 100 h, plants with one, time in alarm, verdicts "
         "trusted, took | in 100 h by name"
     )
-    found = dict(_each(_healthy, orders, options))
+    found = [(order, told) for order, [told] in _each(_healthy, orders, options)]
     for name in kinds:
-        print(_row(name, [found[order] for order in orders if order.kind == name]), flush=True)
-    whole = list(found.values())
-    print(_row("all", whole), flush=True)
-    lacks = Counter(lack for w in whole for lack in w.lacks)
-    blamed = Counter(lack for w in whole for lack in w.lacks for _ in w.alarms)
+        print(_row(name, [(order, told) for order, told in found if order.kind == name]), flush=True)
+    print(_row("all", found), flush=True)
+    _print_broken(found)
+    lacks = Counter(lack for _, w in found for lack in w.lacks)
+    blamed = Counter(lack for _, w in found for lack in w.lacks for _ in w.alarms)
     print("alarms a plant, by what its file lacks: ", end="")
     print(", ".join(f"{lack} {blamed[lack] / n:.1f} ({n})" for lack, n in lacks.most_common()))
 
@@ -174,20 +192,28 @@ def _seeds(plants: int, options: argparse.Namespace) -> range:
     return range(options.seed, options.seed + plants)
 
 
-def _onset(order: Order) -> Mishap:
-    """When it happens, in samples."""
-    kind = KINDS[order.kind]
-    a_second = kind.second / kind.period
-    start = round((STARTS + int(np.random.default_rng(order.seed).integers(0, 300))) * a_second)
-    return Mishap(order.mishap, start, start + round(LASTS * a_second))
+def _faulty(order: Order) -> list[Watched]:
+    """One plant in two has something that its file lacks. Until something happens, all runs are the same."""
+    plant = AbroadPlant(
+        KINDS[order.kind], order.seed, None if order.seed % 2 else (), (150.0, 400.0), closed=True
+    )
+    watcher, when = Watcher(plant, alone=order.alone), order.onset("nothing")
+    samples = plant.run(when.stop + round(AFTER * order.samples_per_second))
+    watcher.take(islice(samples, when.start))
 
+    def on(sender: Connection, mishap: str) -> None:
+        watcher.told.mishap, watcher.told.took, plant.mishap = mishap, 0.0, order.onset(mishap)
+        sender.send(watcher.take(samples))
 
-def _faulty(order: Order) -> Watched:
-    """One plant in two has something that its file lacks."""
-    kind, mishap = KINDS[order.kind], _onset(order)
-    plant = AbroadPlant(kind, order.seed, None if order.seed % 2 else (), (150.0, 400.0), closed=True)
-    size = mishap.stop + round(AFTER * kind.second / kind.period)
-    return watch(plant, plant.run(size, mishap), alone=order.alone)
+    found, forking = list[Watched](), get_context("fork")
+    for mishap in order.mishaps:
+        receiver, sender = forking.Pipe(duplex=False)
+        process = forking.Process(target=on, args=(sender, mishap))
+        process.start()
+        sender.close()
+        found.append(receiver.recv())
+        process.join()
+    return found
 
 
 def right_name(mishap: str) -> str:
@@ -196,80 +222,73 @@ def right_name(mishap: str) -> str:
 
 
 def _case(mishap: str, found: Sequence[tuple[Order, Watched]]) -> str:
-    right, delays, names, later, before, held = right_name(mishap), [], Counter[str](), 0, 0, list[float]()
-    blind = seen = other = 0
+    right, delays, names, held = right_name(mishap), list[float](), Counter[str](), list[float]()
+    before = later = other = blind = seen = 0
     for order, told in found:
-        kind, when = KINDS[order.kind], _onset(order)
-        a_sample = kind.period / kind.second
+        when, seconds = order.onset(mishap), 1.0 / order.samples_per_second
         during = [a for a in told.alarms if when.start <= a.flagged < when.stop]
-        before += sum(a.flagged < when.start for a in told.alarms)
-        sharp = [a for a in during if a.fault.value != VAGUE] or during
-        name = sharp[0].fault.value if sharp else "nothing"
-        names[name] += 1
-        if name == right:
-            delays.append((sharp[0].flagged - when.start) * a_sample)
+        first = next((a for a in during if a.fault.value != VAGUE), during[0] if during else None)
+        names[first.fault.value if first else "nothing"] += 1
+        if first and first.fault.value == right:
+            delays.append((first.flagged - when.start) * seconds)
         other += sum(a.fault.value not in {right, VAGUE} for a in during)
         held += [
-            (a.last - when.stop) * a_sample
+            (a.last - when.stop) * seconds
             for a in told.alarms
             if a.flagged < when.stop and a.last is not None and a.last > when.stop
         ]
+        before += sum(a.flagged < when.start for a in told.alarms)
         later += sum(a.flagged >= when.stop and a.fault.value != right for a in told.alarms)
-        part = told.trusted[when.start + round(BLINK / a_sample) : when.stop]
+        part = told.trusted[when.start + round(BLINK / seconds) : when.stop]
         blind, seen = blind + sum(part), seen + len(part)
-    number = len(found)
-    told_right, none = names[right], names["nothing"] + names[VAGUE]
+    none = names["nothing"] + names[VAGUE]
     spread = f"{np.median(delays):6.0f} {max(delays):5.0f}" if delays else "     –     –"
-    trusted = f"{blind / seen:4.0%}" if seen else "   –"
-    over = f"{max(held):5.0f}" if held else "    –"
     words = ", ".join(f"{n} {name}" for name, n in names.most_common())
+    over = f"{max(held):4.0f}" if held else "   –"
     return (
-        f"{mishap:13s} {told_right:5d} {number - told_right - none:5d} {none:4d} {other:5d} | {spread} | "
-        f"{trusted:>7s} | {over} | {before:6d} {later:5d} | {words}"
+        f"{mishap:13s} {names[right]:5d} {len(found) - names[right] - none:5d} {none:4d} {other:5d} | "
+        f"{spread} | {blind / max(seen, 1):7.0%} | {over} | {before:6d} {later:5d} | {words}"
     )
 
 
 def faults(kinds: Sequence[str], plants: int, options: argparse.Namespace) -> None:
     """Plants to which something happens, in the loop."""
-    chosen = options.only or MISHAPS
+    chosen = tuple(options.only or MISHAPS)
     for name in kinds:
-        orders = [
-            Order(name, seed, 0.0, mishap, options.monitor)
-            for mishap in chosen
-            for seed in _seeds(plants, options)
-        ]
-        found = list(_each(_faulty, orders, options))
+        orders = [Order(name, seed, 0.0, chosen, options.monitor) for seed in _seeds(plants, options)]
+        found = [(order, told) for order, each in _each(_faulty, orders, options) for told in each]
         print(f"\n{name}: {plants} plants each; times in seconds of the kind")
         print("mishap        right wrong none other | median worst | trusted | held | before after | first")
         for mishap in chosen:
-            print(_case(mishap, [(o, w) for o, w in found if o.mishap == mishap]), flush=True)
+            print(_case(mishap, [(o, w) for o, w in found if w.mishap == mishap]), flush=True)
+        _print_broken(found)
+
+
+def _print_broken(found: Sequence[tuple[Order, Watched]]) -> None:
+    for order, told in found:
+        if told.broke:
+            what = f"{order.kind} {order.seed} {told.mishap}".rstrip()
+            print(f"{what}: ended by an error at {told.broke}", flush=True)
 
 
 def _each(
-    call: Callable[[Order], Watched], orders: Sequence[Order], options: argparse.Namespace
-) -> Iterator[tuple[Order, Watched]]:
+    call: Callable[[Order], list[Watched]], orders: Sequence[Order], options: argparse.Namespace
+) -> Iterator[tuple[Order, list[Watched]]]:
     """Orders in sequence with their results; progress goes to standard error."""
-    with get_context("spawn").Pool(options.jobs) if options.jobs > 1 else _Here() as pool:
-        for done, (order, told) in enumerate(zip(orders, pool.imap(call, orders), strict=True), 1):
-            what = f"{order.kind} {order.seed} {order.mishap}".rstrip()
-            news = f"[{done}/{len(orders)}] {what}: {len(told.alarms)} alarms, {told.took:.0f} s"
-            print(news, file=sys.stderr)
-            if options.verbose:
-                print(*_lines(told, what), sep="\n", end="\n" if told.alarms else "", flush=True)
-            yield order, told
-
-
-class _Here:
-    """The same in this process."""
-
-    def __enter__(self) -> _Here:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Nothing to end."""
-
-    def imap(self, call: Callable[[Order], Watched], orders: Sequence[Order]) -> Iterator[Watched]:
-        return map(call, orders)
+    pool = ProcessPoolExecutor(options.jobs, get_context("spawn")) if options.jobs > 1 else None
+    with pool or nullcontext():
+        results = map(call, orders) if pool is None else pool.map(call, orders)
+        for done, (order, found) in enumerate(zip(orders, results, strict=True), 1):
+            took, alarms = sum(told.took for told in found), sum(len(told.alarms) for told in found)
+            print(
+                f"[{done}/{len(orders)}] {order.kind} {order.seed}: {alarms} alarms, {took:.0f} s",
+                file=sys.stderr,
+            )
+            for told in found if options.verbose else ():
+                what = f"{order.kind} {order.seed} {told.mishap}".rstrip()
+                for line in _lines(told, what):
+                    print(line, flush=True)
+            yield order, found
 
 
 def main() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Callable, Mapping
 
@@ -10,8 +11,11 @@ import pytest
 
 from tests.support.abroad import KINDS, AbroadPlant, Mishap
 from tests.support.places import PROJECT
-from twinmatch.signals import KELVIN
+from twinmatch.dynamics import begin, simulate_driven
+from twinmatch.signals import KELVIN, Sample
 
+OWN = ("rig", "kit", "incubator", "motor", "tanks")
+"""Kinds with equations of their own."""
 LONG = {"rig": 3000, "kit": 3000, "incubator": 30_000, "motor": 10, "tanks": 2000}
 """Seconds after which each kind is at rest."""
 
@@ -53,7 +57,7 @@ CASES: dict[str, tuple[float, Callable[..., float]]] = {
 """Input, and what enters less what leaves at rest, in about the share of a percent."""
 
 
-@pytest.mark.parametrize("name", KINDS)
+@pytest.mark.parametrize("name", OWN)
 def test_at_rest_as_much_enters_a_plant_as_leaves_it(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     (u, out_of_balance), kind = CASES[name], KINDS[name]
     plant = AbroadPlant(kind, 3, (), closed=False)
@@ -77,12 +81,57 @@ def test_a_controller_holds_a_plant_at_its_level(name: str) -> None:
         assert np.median(np.abs(outputs - references)) < 2 * kind.kelvin
 
 
+STRUCTURES = {
+    "rig": "sink with mass",
+    "kit": "sensor lag, radiation",
+    "incubator": "box with mass, sensor lag",
+    "motor": "without friction",
+    "tanks": "two tanks",
+}
+RENAMED = {
+    "convection": "sink_convection",
+    "sink_capacity": "sink_heat_capacity",
+    "capacity": "heat_capacity",
+    "air_capacity": "air_heat_capacity",
+    "bed_capacity": "bed_heat_capacity",
+    "box_capacity": "box_heat_capacity",
+    "lag": "sensor_lag",
+    "resistance": "r",
+    "inertia": "j",
+    "viscous": "b",
+}
+"""Names of parameters in the plants' files, where they differ."""
+
+
+@pytest.mark.parametrize("name", OWN)
+def test_a_plant_that_has_nothing_special_is_what_its_file_says(name: str) -> None:
+    kind = KINDS[name]
+    plant = AbroadPlant(kind, 7, (), closed=False)
+    plant.parameters |= {"dry": 0.0} if name == "motor" else {}
+    truth, samples = list[float](), list[Sample]()
+    for sample in plant.run(600):
+        truth.append(plant.output)
+        samples.append(sample)
+    model = kind.plant.model(STRUCTURES[name])
+    known = {RENAMED.get(n, n): v for n, v in plant.parameters.items()}
+    known = {n: v for n, v in known.items() if n in model.declared}
+    if "ambient" in model.declared:
+        known["ambient"] = plant.room + KELVIN
+    twin = model.parameters(**known)
+    rows = np.full((600, 1), plant.room) if name == "incubator" else None
+    inputs = np.array([sample.input for sample in samples])
+    run = simulate_driven(twin, inputs, states=begin(twin, truth[0]), period=kind.period, disturbances=rows)
+    # The file's tanks bend the square root near zero, which the true ones do not.
+    allowed = 1.0 if name == "tanks" else 0.05
+    assert np.max(np.abs(run.output - truth)) < allowed * kind.kelvin
+
+
 def test_the_loop_reacts_to_what_a_faulty_sensor_shows() -> None:
     kind = KINDS["kit"]
     whole = AbroadPlant(kind, 4, (), closed=True)
-    lied = AbroadPlant(kind, 4, (), closed=True)
+    lied = AbroadPlant(kind, 4, (), closed=True, mishap=Mishap("reading+5", 600, 900))
     list(whole.run(900))
-    told = list(lied.run(900, Mishap("reading+5", 600, 900)))
+    told = list(lied.run(900))
     assert whole.output - lied.output == pytest.approx(5.0, abs=0.7)
     assert abs(told[-1].output - whole.output) < 0.7
 
@@ -95,7 +144,7 @@ def test_the_benchmark_prints_a_row_for_a_kind(
 
     monkeypatch.setattr(sys, "argv", ["abroad", "healthy", "1", "0.1", "--kind", "kit", "--monitor"])
     abroad.main()
-    assert "kit          0.1" in capsys.readouterr().out
+    assert re.search(r"^kit +0\.1 ", capsys.readouterr().out, re.MULTILINE)
     assert abroad.right_name("drive*0.62") == "drive-weak"
     assert abroad.right_name("drive*0 twice") == "drive-lost"
     assert abroad.right_name("reading late") == "sensor-late"

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 from zlib import crc32
 
@@ -160,7 +160,7 @@ class AbroadKind:
     second: float = 1.0
     """What counts as a second of a thermal plant, s."""
     dead: tuple[float, float] = (3.0, 12.0)
-    """Dead times, and lags, of closed loops, s."""
+    """Dead times, and lags, of closed loops, s; in open loop they may be longer."""
     load: float = 0.0
     """Constant load of the kind's usual size."""
     push: float = 0.0
@@ -171,9 +171,13 @@ class AbroadKind:
     """Step of a healthy display."""
     noise: float = 0.0
     """Standard deviation of the noise of a healthy reading."""
+    known: bool = True
+    """Whether a twin may know the controller."""
+    always: tuple[str, ...] = ()
+    """What every plant of the kind has that its file lacks."""
 
 
-KINDS: Final = {
+KINDS: Final[dict[str, AbroadKind]] = {
     "rig": AbroadKind(
         Peltier,
         _rig,
@@ -227,6 +231,14 @@ KINDS: Final = {
     ),
 }  # fmt: skip
 
+KINDS["slow kit"] = replace(  # rows every 5 s that hold the input too early, and a controller that hurries
+    KINDS["kit"], period=5.0, gains=PidGains(30.0, 0.2, 0.0, 0.2, 0.0, 100.0, period=5.0),
+    known=False, always=("dead time",), dead=(5.0, 12.0), noise=0.3, levels=(35.0, 65.0),
+)  # fmt: skip
+KINDS["other box"] = replace(  # an incubator with a seventh of the heater
+    KINDS["incubator"], typical={**KINDS["incubator"].typical, "power": 18.7}, levels=(24.0, 30.0),
+    inputs=(0.0, 1.0), load=2.0,
+)  # fmt: skip
 LACKS: Final = (
     "dead time", "input lag", "sensor lag", "drift", "dead band", "display", "load", "scale", "noise",
 )  # fmt: skip
@@ -283,6 +295,8 @@ class AbroadPlant:
     """Least and greatest time for which a level is held, in seconds of the kind."""
     closed: bool | None = None
     """Whether a controller runs it; None: drawn."""
+    mishap: Mishap = NOTHING
+    """What happens to it; may be set while it runs."""
     parameters: dict[str, float] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -294,10 +308,10 @@ class AbroadPlant:
         self.closed = drawn_closed if self.closed is None else self.closed
         possible = [lack for lack in LACKS if lack != "dead band" or self.kind.dead_band]
         drawn = draw.choice(possible, size=int(draw.integers(1, 3)), replace=False)
-        self.lacks = tuple(drawn.tolist()) if self.lacks is None else self.lacks
-        longest = self.kind.dead if self.closed else (self.kind.dead[0], 2.0 * self.kind.dead[1])
-        if self.kind.dead[1] == 12.0:
-            longest = self.kind.dead
+        if self.lacks is None:
+            self.lacks = tuple(dict.fromkeys([*self.kind.always, *drawn.tolist()]))
+        least, most = self.kind.dead
+        longest = (least, most if self.closed else min(2.0 * most, 12.0))
         self._sizes = {
             "dead time": float(draw.uniform(*longest)),
             "input lag": float(draw.uniform(*longest)),
@@ -337,13 +351,13 @@ class AbroadPlant:
     @property
     def gains(self) -> PidGains | None:
         """The controller's, if a twin may know them."""
-        return self.kind.gains if self.closed else None
+        return self.kind.gains if self.closed and self.kind.known else None
 
     def has(self, lack: str, otherwise: float = 0.0) -> float:
         """Size of what the file lacks."""
         return self._sizes[lack] if lack in (self.lacks or ()) else otherwise
 
-    def run(self, size: int, mishap: Mishap = NOTHING) -> Iterator[Sample]:
+    def run(self, size: int) -> Iterator[Sample]:
         """So many samples."""
         kind, period = self.kind, self.kind.period
         gains = kind.gains
@@ -354,8 +368,8 @@ class AbroadPlant:
         heating = True
         last = math.nan
         for k in range(size):
-            level = self._level(k)
-            reading = self._read(k, mishap)
+            mishap, level = self.mishap, self._level(k)
+            reading = self._read(k)
             shown.append(reading)
             if mishap.kind == "frozen" and mishap.on(k):
                 reading = last
@@ -371,10 +385,10 @@ class AbroadPlant:
                 u = float(heating and k % 8 < 3)
             given.append(u)
             recorded = given[0] if mishap.kind == "input late" and mishap.on(k) else u
-            reference = level if self.closed and pid is not None else reading
+            reference = level if self.gains is not None else reading
             disturbances = (round(self._now.room / 0.0625) * 0.0625,) if kind.plant is Incubator else ()
             yield Sample(k, round(k * period * 1e9), reference, reading, recorded, disturbances)
-            self._advance(k, u, mishap)
+            self._advance(k, u)
 
     def _level(self, k: int) -> float:
         """Set-point, or input in open loop."""
@@ -386,8 +400,8 @@ class AbroadPlant:
             self._until = k + max(10, round(hold / self.kind.period))
         return self._chosen
 
-    def _read(self, k: int, mishap: Mishap) -> float:
-        kind = self.kind
+    def _read(self, k: int) -> float:
+        kind, mishap = self.kind, self.mishap
         noise = kind.noise * self.has("noise", 1.0) * float(self._draw.standard_normal())
         value = self._seen + noise
         if mishap.on(k):
@@ -401,9 +415,9 @@ class AbroadPlant:
         step = max(kind.resolution, self.has("display"))
         return round(round(value / step) * step, 6) if step else value
 
-    def _advance(self, k: int, command: float, mishap: Mishap) -> None:
+    def _advance(self, k: int, command: float) -> None:
         """One period."""
-        kind, on = self.kind, mishap.on(k)
+        kind, mishap, on = self.kind, self.mishap, self.mishap.on(k)
         band = self.has("dead band")
         if abs(command - self._held) > band or (band and abs(command) <= 1e-9):
             self._held = command - math.copysign(band, command - self._held) if band else command
