@@ -104,7 +104,7 @@ def compiled(
     if innermost:
         options["forceinline"] = True
     kernel = numba.njit(nogil=True, error_model="numpy", **options)(function)
-    kernel._compiler.compile = functools.partial(_vectorised, kernel._compiler.compile)
+    kernel._compiler.compile = functools.partial(_compile_vectorised, kernel._compiler.compile)
     kernel.get_call_template = functools.partial(_of_kinds, kernel.get_call_template)
     if not (inside or inlined):
         kernel._cache = _Cache(function)
@@ -116,7 +116,7 @@ def _of_kinds(template: Callable[..., Any], args: Any, kws: Any) -> Any:
     return template(tuple(map(types.unliteral, args)), {k: types.unliteral(v) for k, v in kws.items()})
 
 
-def _vectorised(compile_: Callable[..., Any], *args: Any) -> Any:
+def _compile_vectorised(compile_: Callable[..., Any], *args: Any) -> Any:
     """Compile with parallel sums combined into vector instructions; each sum still has a fixed order."""
     before = numba.config.SLP_VECTORIZE
     numba.config.SLP_VECTORIZE = 1

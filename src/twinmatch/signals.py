@@ -408,13 +408,13 @@ def joined(pieces: Iterable[Sequence[Sample]]) -> list[Sample]:
 
 def unbroken(samples: Sequence[Sample]) -> list[Sequence[Sample]]:
     """Stretches of samples that follow one another, in order."""
-    found = []
+    parts = []
     begin = 0
     for k in range(1, len(samples) + 1):
         if k == len(samples) or not samples[k].follows(samples[k - 1]):
-            found.append(samples[begin:k])
+            parts.append(samples[begin:k])
             begin = k
-    return found
+    return parts
 
 
 def stretches(samples: Sequence[Sample], period: float) -> tuple[Window, ...]:

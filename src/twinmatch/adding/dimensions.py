@@ -51,7 +51,7 @@ class Dimensions:
     @property
     def unknown_units(self) -> list[str]:
         """Declared units that are not known."""
-        return sorted({self._symbols[s].unit for s, found in self._units.items() if not found.known})
+        return sorted({self._symbols[s].unit for s, unit in self._units.items() if not unit.known})
 
     def check(self, parts: frozenset[str]) -> None:
         """Check the equations with these parts."""
@@ -74,14 +74,14 @@ class Dimensions:
             self._zeros(place, [(symbol, -1), *_terms(shown)], numbers=_has_number(shown))
 
     def _compare(self, place: str, expression: Any, wanted: _Unit, words: str) -> None:
-        found = self._unit(place, expression)
-        if found is None or not expression.free_symbols:
+        unit = self._unit(place, expression)
+        if unit is None or not expression.free_symbols:
             return
-        if not _alike(found, wanted):
-            what = f"{place}: has the unit {_words(found)}, but needs {words}"
+        if not _alike(unit, wanted):
+            what = f"{place}: has the unit {_words(unit)}, but needs {words}"
             todo = "look for a missing or duplicate factor, and for a wrong unit in a declaration"
             self._add(what, todo)
-        elif ratio := _ratio(found, wanted):
+        elif ratio := _ratio(unit, wanted):
             what = f"{place}: has {ratio:g} times the unit {words}"
             self._add(what, "declare units of one scale (s, not min; W, not kW), or multiply")
 
@@ -107,9 +107,9 @@ class Dimensions:
         if isinstance(expression, sympy.Piecewise):
             return self._equal(place, [value for value, _ in expression.args])
         for argument in expression.args:
-            found = self._unit(place, argument)
-            if found is not None and found.powers:
-                what = f"{place}: the argument of {_short(expression)} has the unit {_words(found)}"
+            unit = self._unit(place, argument)
+            if unit is not None and unit.powers:
+                what = f"{place}: the argument of {_short(expression)} has the unit {_words(unit)}"
                 self._add(what, "divide by a quantity of that unit: the argument must be a plain number")
         return _Unit({}, 1.0)
 
@@ -121,13 +121,13 @@ class Dimensions:
                     self.unchecked.add(f"{float(factor):.6g}")
                     total = None
                 continue
-            found = self._unit(place, factor)
-            total = None if total is None or found is None else _times(total, found, Fraction(1))
+            unit = self._unit(place, factor)
+            total = None if total is None or unit is None else _times(total, unit, Fraction(1))
         return total
 
     def _power(self, place: str, expression: Any) -> _Known:
         base, exponent = expression.args
-        found = self._unit(place, base)
+        base_unit = self._unit(place, base)
         if not exponent.is_number:
             for part in (base, exponent):
                 unit = self._unit(place, part)
@@ -141,10 +141,10 @@ class Dimensions:
             declared = self._symbols[base].unit
             what = f"{place}: {_short(expression)} takes a power of {base}, which is in {declared}"
             self._add(what, f"convert it to absolute temperature first: ({base} + 273.15) in kelvin")
-        if found is None:
+        if base_unit is None:
             return None
         power = Fraction(float(exponent)).limit_denominator(1000)
-        return _times(_Unit({}, 1.0), found, Fraction(str(exponent)) if exponent.is_Rational else power)
+        return _times(_Unit({}, 1.0), base_unit, Fraction(str(exponent)) if exponent.is_Rational else power)
 
     def _equal(self, place: str, parts: Any) -> _Known:
         known = [(part, unit) for part in parts if (unit := self._unit(place, part)) is not None]
@@ -168,19 +168,19 @@ class Dimensions:
         counted = {True: 0, False: 0}
         named: dict[bool, Any] = {}
         for symbol, sign in terms:
-            found = self._units.get(symbol)
-            if found is not None and found.dimension == (("[temperature]", 1.0),):
-                counted[found.offset] += sign
-                named[found.offset] = symbol
+            unit = self._units.get(symbol)
+            if unit is not None and unit.dimension == (("[temperature]", 1.0),):
+                counted[unit.offset] += sign
+                named[unit.offset] = symbol
         if counted[True] and counted[False]:
             one, other = (f"in {self._symbols[s].unit}" for s in (named[True], named[False]))
             what = f"{place}: {named[True]} is {one} and {named[False]} {other}, in one sum"
             self._add(what, "convert them to one zero: °C + 273.15 is K")
 
 
-def _unit_of(found: Measure) -> _Unit:
-    powers = {name: Fraction(power).limit_denominator(1000) for name, power in found.dimension}
-    return _Unit(powers, found.factor)
+def _unit_of(measured: Measure) -> _Unit:
+    powers = {name: Fraction(power).limit_denominator(1000) for name, power in measured.dimension}
+    return _Unit(powers, measured.factor)
 
 
 def _times(one: _Unit, other: _Unit, power: Fraction) -> _Unit:

@@ -179,12 +179,12 @@ def _points(model: Model, free: tuple[str, ...]) -> list[Parameters]:
     points = [model.parameters()]
     for _ in range(_POINTS - 1):
         by = {name: float(random.uniform(-1.0, 1.0)) for name in free}
-        moved = {name: _moved(model.declared[name], model.defaults[name], by[name]) for name in free}
+        moved = {name: _move(model.declared[name], model.defaults[name], by[name]) for name in free}
         points.append(model.parameters(**moved))
     return points
 
 
-def _moved(declared: Parameter, value: float, by: float) -> float:
+def _move(declared: Parameter, value: float, by: float) -> float:
     low, high = declared.bounds
     if declared.relative and value:
         moved = value * _AWAY**by
@@ -218,7 +218,7 @@ def _combinations(parameters: Parameters, free: tuple[str, ...]) -> list[_Combin
         if length <= least:
             found.append(_Combination((names[j],), (1.0,)))
             continue
-        shares, rest = _projected(columns[:, basis], columns[:, j])
+        shares, rest = _project(columns[:, basis], columns[:, j])
         if rest > _FLAT * length:
             basis.append(j)
             continue
@@ -228,7 +228,7 @@ def _combinations(parameters: Parameters, free: tuple[str, ...]) -> list[_Combin
     return found
 
 
-def _projected(basis: FloatArray, column: FloatArray) -> tuple[FloatArray, float]:
+def _project(basis: FloatArray, column: FloatArray) -> tuple[FloatArray, float]:
     """Least-squares coefficients of a column in a basis, and the length of the residual."""
     if not basis.shape[1]:
         return np.empty(0), float(np.linalg.norm(column))

@@ -33,7 +33,7 @@ def files_of(name: str, held: Proposal) -> dict[str, str]:
     pages = Environment(  # noqa: S701
         loader=FileSystemLoader(Path(__file__).parent), undefined=StrictUndefined, keep_trailing_newline=True
     )
-    pages.filters["text"] = _quoted
+    pages.filters["text"] = _quote
     table = re.sub(r"[^\w .()+-]", "_", held.table)  # stands in comments
     words = {"name": name, "table": table, **_plant(name, held)}
     files = {
@@ -98,10 +98,10 @@ def _test(held: Proposal) -> dict[str, Any]:
 
 def _key(signal: str) -> str:
     """A name as a key in YAML, where `on` would be a truth value."""
-    return signal if yaml.safe_load(signal) == signal else _quoted(signal)
+    return signal if yaml.safe_load(signal) == signal else _quote(signal)
 
 
-def _quoted(value: Any) -> str:
+def _quote(value: Any) -> str:
     """A text, or a list or table of texts, as Python, JSON and YAML write it."""
     text = json.dumps(value, ensure_ascii=False)
     return "".join(c if c.isprintable() else f"\\U{ord(c):08x}" for c in text)
@@ -113,7 +113,7 @@ def _source(source: SignalSource) -> str:
     entry: dict[str, Any] = {"column": columns}
     more = {"unit": (source.unit, ""), "scale": (source.scale, 1.0), "offset": (source.offset, 0.0)}
     entry |= {name: value for name, (value, usual) in more.items() if value != usual}
-    return _quoted(entry if len(entry) > 1 else columns)
+    return _quote(entry if len(entry) > 1 else columns)
 
 
 def _per(above: str, below: str) -> str:

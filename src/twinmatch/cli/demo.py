@@ -26,7 +26,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the demonstration; returns the exit code."""
     with page_of(options, options.parser) as page:
-        code = _live(options.speed, options.config) if options.session is None else _recorded(options.session)
+        code = (
+            _live(options.speed, options.config)
+            if options.session is None
+            else _play_session(options.session)
+        )
         if code == 0:
             page.stay()
         return code
@@ -64,7 +68,7 @@ def _look_back(session: Path) -> int:
     return 0 if judged.identical else 1
 
 
-def _recorded(session: Path) -> int:
+def _play_session(session: Path) -> int:
     """Play a session within `LONGEST`, then write the report; returns the exit code."""
     from twinmatch.importing import open_any  # noqa: PLC0415
     from twinmatch.launching.replay import Replay, play  # noqa: PLC0415 — needs ROS

@@ -87,22 +87,22 @@ def _import_mapped(options: argparse.Namespace) -> int:
     plant = find_plant(given.plant)
     if is_bag(options.recording):
         with Progress("reading") as progress:
-            found = map_bag(options.recording, given, plant, progress=progress.advance, **limits)
+            imported = map_bag(options.recording, given, plant, progress=progress.advance, **limits)
     else:
         table = read_table(options.recording)
-        found = map_samples(table, with_plant_names(table, plant, given), plant, **limits)
-    columns = "; ".join(f"{signal} = {source.text}" for signal, source in found.sources.items())
+        imported = map_samples(table, with_plant_names(table, plant, given), plant, **limits)
+    columns = "; ".join(f"{signal} = {source.text}" for signal, source in imported.sources.items())
     record = {"plant": plant.name, "source": options.recording.name, "map": columns}
-    record["reference"] = "recorded" if found.has_reference else NO_REFERENCE
-    topics = plant_topics([y.unit for y in plant.outputs.values()], has_reference=found.has_reference)
+    record["reference"] = "recorded" if imported.has_reference else NO_REFERENCE
+    topics = plant_topics([y.unit for y in plant.outputs.values()], has_reference=imported.has_reference)
     split = options.gaps == "split"
-    _write(options, found.samples, records={PLANT: record}, gaps=split, topics=topics)
-    seconds = len(found.samples) * found.period
+    _write(options, imported.samples, records={PLANT: record}, gaps=split, topics=topics)
+    seconds = len(imported.samples) * imported.period
     print(
-        f"{options.output}: {len(found.samples)} samples, one every {found.period:g} s, {seconds:.0f} s of "
-        f"{plant.title}, from {options.recording.name} ({columns})"
+        f"{options.output}: {len(imported.samples)} samples, one every {imported.period:g} s, "
+        f"{seconds:.0f} s of {plant.title}, from {options.recording.name} ({columns})"
     )
-    for note in found.notes:
+    for note in imported.notes:
         print(f"Note: {note}")
     return 0
 
@@ -124,18 +124,18 @@ def _list(path: Path) -> int:
             rate = f"{topic.messages / seconds:.3g}" if seconds else ""
             numbers = ", ".join(topic.numbers[:8]) + (" …" if len(topic.numbers) > 8 else "")
             shown.add_row(topic.name, topic.kind, str(topic.messages), rate, numbers)
-        found = {name: source for name, source in proposed(columns).items() if name != "time"}
+        sources = {name: source for name, source in proposed(columns).items() if name != "time"}
     else:
         columns = columns_of(read_table(path))
         shown = Table("column", "unit", "from", "to", "values", "empty", "looks like")
         for c in columns:
             ends = ("", "") if c.kind == "text" else (f"{c.low:.10g}", f"{c.high:.10g}")
             shown.add_row(c.title, c.unit, *ends, str(c.different), str(c.empty), c.kind)
-        found = proposed(columns)
+        sources = proposed(columns)
     console_for(140).print(shown)
-    if found:
-        entries = [f"{signal}={source.text}" for signal, source in found.items()]
+    if sources:
+        entries = [f"{signal}={source.text}" for signal, source in sources.items()]
         print(f"A guess, please check: --map {shlex.join(entries)}")
-    if "room" in found:
+    if "room" in sources:
         print("room stands for a measured disturbance of your plant; use the names in your plant's file.")
     return 0

@@ -76,7 +76,7 @@ def code_length(values: ArrayLike, decimals: int) -> int:
             f"code length: entry {bad[0]} of the table is {table[bad[0]]}; only finite values can be written"
         )
     plain, others = _characters(table, decimals, 10.0**decimals)
-    return plain + sum(len(_written(table[place], decimals)) for place in others)
+    return plain + sum(len(_text_of(table[place], decimals)) for place in others)
 
 
 def information_gain(
@@ -168,7 +168,7 @@ def _characters(table: FloatArray, decimals: int, scale: float) -> tuple[int, li
     return total, others
 
 
-def _written(value: float, decimals: int) -> str:
+def _text_of(value: float, decimals: int) -> str:
     """Format one number as in the table; exact where integer arithmetic is not."""
     whole, _, fraction = f"{abs(value):.{decimals}f}".partition(".")
     text = (whole + fraction.rstrip("0")).lstrip("0") or "0"

@@ -104,7 +104,7 @@ class GraphSymbol:
         for pair in fractions:
             b, f = (np.atleast_1d(np.asarray(p, dtype=np.float64)) for p in pair)
             width = max(b.size, f.size)
-            padded.append((_padded(b, width), _padded(f, width)))
+            padded.append((_pad(b, width), _pad(f, width)))
         return cls.of_transfer_functions(padded, period)
 
     @classmethod
@@ -160,7 +160,7 @@ def _ascending(coefficients: ArrayLike) -> FloatArray:
     return descending[::-1]
 
 
-def _padded(coefficients: FloatArray, width: int) -> FloatArray:
+def _pad(coefficients: FloatArray, width: int) -> FloatArray:
     """Pad with zeros to this width; `np.pad` takes longer than all the arithmetic."""
     filled = np.zeros(width)
     filled[: coefficients.size] = coefficients

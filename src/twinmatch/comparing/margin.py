@@ -60,7 +60,7 @@ def stability_margin(plant: Any, controller: Any) -> float:
             is not a valid model.
     """
     g = graph_symbol(plant)
-    k = controller if isinstance(controller, GraphSymbol) else graph_symbol(_transposed(controller))
+    k = controller if isinstance(controller, GraphSymbol) else graph_symbol(_transpose(controller))
     if g.outputs != k.outputs:
         raise DiscriminationError(
             f"stability margin: the plant has {g.outputs} outputs, the controller {k.outputs} inputs; "
@@ -75,7 +75,7 @@ def stability_margin(plant: Any, controller: Any) -> float:
     return _smallest(g.coefficients, k.coefficients, inner, spectral_roots([characteristic]))
 
 
-def _transposed(controller: Any) -> Any:
+def _transpose(controller: Any) -> Any:
     """Transpose a controller with one output into a model with one input."""
     if getattr(controller, "noutputs", None) != 1 or controller.ninputs == 1:
         return controller

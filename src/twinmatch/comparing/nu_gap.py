@@ -201,14 +201,14 @@ def _compare(  # noqa: PLR0917
     if -math.inf < place < math.inf:
         # the phase of c can turn fastest where c is smallest
         grid = np.sort(np.append(grid, place))
-        kappa = _polished(signed1, signed2, (high, low), grid, place)
+        kappa = _refine_largest(signed1, signed2, (high, low), grid, place)
     else:
         kappa = chordal.exact_distance(signed1, signed2, (high, low), place)
     return kappa, turns(signed1[0], signed2[0], roots1, roots2, grid)
 
 
 @compiled
-def _polished(
+def _refine_largest(
     signed1: tuple[FloatArray, FloatArray],
     signed2: tuple[FloatArray, FloatArray],
     pair_minors: tuple[FloatArray, FloatArray],

@@ -162,11 +162,11 @@ def roots_of_even_part(polynomial: Polynomial) -> NDArray[np.complex128]:
     high, _ = split([polynomial])
     roots: NDArray[np.complex128] = np.asarray(np.roots(high[0, ::-1]), dtype=np.complex128)
     if np.any((roots.real > 0) & (np.abs(roots.imag) < NEAR * np.abs(roots))):
-        return _refined_roots(polynomial)
+        return _refine_roots(polynomial)
     return roots
 
 
-def _refined_roots(polynomial: Polynomial) -> NDArray[np.complex128]:
+def _refine_roots(polynomial: Polynomial) -> NDArray[np.complex128]:
     """Roots with 50 digits; those of a power of a factor are computed once, as they would not converge."""
     from sympy import Poly, Symbol  # noqa: PLC0415 — slow, and few models need it
 
@@ -277,13 +277,13 @@ def _cofactors(rows: FloatArray) -> FloatArray | None:
     common = rows.shape[0] * degree - int(np.sum(singular > NEARLY_SINGULAR * singular[0]))
     for count in range(min(common, degree), 0, -1):
         _, _, right = np.linalg.svd(_proportionality(rows, degree - count))
-        quotients, residual = _refined_quotients(rows, right[-1].reshape(rows.shape[0], -1))
+        quotients, residual = _refine_quotients(rows, right[-1].reshape(rows.shape[0], -1))
         if residual <= ROUNDING:
             return quotients
     return None
 
 
-def _refined_quotients(rows: FloatArray, quotients: FloatArray) -> tuple[FloatArray, float]:
+def _refine_quotients(rows: FloatArray, quotients: FloatArray) -> tuple[FloatArray, float]:
     """Quotients after Gauss–Newton steps on rows = factor·quotients, and the largest residual."""
     from scipy.linalg import block_diag  # noqa: PLC0415 — a tenth of a second that few models need
 

@@ -149,7 +149,7 @@ def estimates(
 
 
 @compiled
-def _halved(  # noqa: PLR0917
+def _bisect_scale(  # noqa: PLR0917
     which: NDArray[np.int64], a: FloatArray, b: FloatArray, c: FloatArray, seen: float, most: int,
     low: float, high: float,
 ) -> tuple[float, float]:  # fmt: skip
@@ -182,8 +182,8 @@ def fitting_scales(
     low, high = max(0.0, 1.0 - widest), 1.0
     if low == 0.0 and np.sum(estimates(which, a, b, c, 0.0) >= seen) > rare:
         high = 0.0
-    least, _ = _halved(which, a, b, c, seen, rare, low, high)
-    _, largest = _halved(which, a, b, c, seen, draws - rare - 1, 1.0, 1.0 + widest)
+    least, _ = _bisect_scale(which, a, b, c, seen, rare, low, high)
+    _, largest = _bisect_scale(which, a, b, c, seen, draws - rare - 1, 1.0, 1.0 + widest)
     return least, largest
 
 
@@ -323,13 +323,13 @@ class _Family:
             total = float(self.gaps[rest].sum())
             least, most = fitting_scales(rest, self.a, self.b, self.c, TAIL)
             low, high = low + least * total, high + min(float(rest.size), most * total)
-            draws += _recentred(self._estimates(rest), total)
+            draws += _recentre(self._estimates(rest), total)
         return low, high, draws
 
     def distance(self, pair: int) -> FloatArray:
         """Draws of one ν-gap, shape (draws,)."""
         gap = float(self.gaps[pair])
-        return self._whole(pair) if gap == 1 else _recentred(self._whole(pair), gap)
+        return self._whole(pair) if gap == 1 else _recentre(self._whole(pair), gap)
 
     def _estimates(self, pairs: ArrayLike) -> FloatArray:
         return np.asarray(estimates(np.asarray(pairs), self.a, self.b, self.c, 1.0))
@@ -339,7 +339,7 @@ class _Family:
         return np.where(self.fails[pair], 1.0, self._estimates([pair]))
 
 
-def _recentred(draws: FloatArray, estimate: float) -> FloatArray:
+def _recentre(draws: FloatArray, estimate: float) -> FloatArray:
     """Shift draws so that their median is the estimate: noise biases distances upwards."""
     return draws + (estimate - float(np.median(draws)))
 

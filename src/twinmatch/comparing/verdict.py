@@ -42,14 +42,14 @@ def beaten_words(beaten: Mapping[float, tuple[str, float]]) -> str:
     for baseline, words in BASELINES.items():
         held = {horizon: times for horizon, (name, times) in beaten.items() if name == baseline}
         if held:
-            ahead, times = _listed(held, "g"), _listed(held.values(), ".2f")
+            ahead, times = _number_list(held, "g"), _number_list(held.values(), ".2f")
             found.append(
                 f"{ahead} s ahead its forecasts are worse than {words}, with {times} times the error"
             )
     return ", and ".join(found)
 
 
-def _listed(numbers: Iterable[float], digits: str) -> str:
+def _number_list(numbers: Iterable[float], digits: str) -> str:
     *first, last = (format(number, digits) for number in numbers)
     return f"{', '.join(first)} and {last}" if first else last
 

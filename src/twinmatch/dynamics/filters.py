@@ -345,7 +345,7 @@ def track(
             slope[n + j] = by * vector[fixed.places[j]] if fixed.logged[j] else by
         innovation = y[k + 2] - work.seen[0] - at[offset] - at[passing]
         expected = _expected(covariance, slope, reach)
-        variance, own = _weighed(y, k, innovation, expected, readings.noise[k], passing, covariance, reach)
+        variance, own = _weigh(y, k, innovation, expected, readings.noise[k], passing, covariance, reach)
         if own < STALE:
             cost += 0.5 * math.log(variance) + 0.5 * innovation**2 / variance
         _take(covariance, slope, reach, innovation, variance, own, math.inf, at, gain)
@@ -374,7 +374,7 @@ def track(
 
 
 @compiled(inside=True)
-def _weighed(
+def _weigh(
     y: FloatArray, k: int, innovation: float, expected: float, noise: float, passing: int,
     covariance: FloatArray, reach: FloatArray,
 ) -> tuple[float, float]:  # fmt: skip

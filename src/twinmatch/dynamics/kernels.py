@@ -203,10 +203,10 @@ def begin(
     the unknowns, (n, q)."""
     n, o, q = code[N], code[N_OUTPUTS], code[N_UNKNOWN]
     work = work_for(code, vector)
-    found = np.empty(n * (1 + o + q))
-    call(code[START], y, u, d, work.p, work.b, found)
-    by_y, by_unknown = found[n : n * (1 + o)].copy(), found[n * (1 + o) :].copy()
-    return found[:n].copy(), by_y.reshape((n, o)), by_unknown.reshape((n, q))
+    start = np.empty(n * (1 + o + q))
+    call(code[START], y, u, d, work.p, work.b, start)
+    by_y, by_unknown = start[n : n * (1 + o)].copy(), start[n * (1 + o) :].copy()
+    return start[:n].copy(), by_y.reshape((n, o)), by_unknown.reshape((n, q))
 
 
 @compiled
@@ -214,11 +214,11 @@ def outputs_at(
     code: Code, vector: FloatArray, x: FloatArray, u: FloatArray, d: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """The outputs, shape (o,), and the plant's other quantities."""
-    work, found = work_for(code, vector), np.zeros(code[N_QUANTITIES])
+    work, quantities = work_for(code, vector), np.zeros(code[N_QUANTITIES])
     call(code[SWITCHES], x, u, d, work.p, work.b, work.b)
-    call(code[QUANTITIES], x, u, d, work.p, work.b, found)
+    call(code[QUANTITIES], x, u, d, work.p, work.b, quantities)
     call(code[OUTPUTS], x, u, d, work.p, work.b, work.seen)
-    return work.seen, found
+    return work.seen, quantities
 
 
 @compiled
@@ -259,14 +259,14 @@ def slopes_at(
     """Rates, their derivatives by states, shape (n, n), inputs, (n, m), and parameters, (n, q); and those of
     the outputs by states, shape (o, n), and parameters, (o, q)."""
     n, q, m, o = code[N], code[N_UNKNOWN], code[N_INPUTS], code[N_OUTPUTS]
-    work, found = work_for(code, vector), np.empty(n * (q + 1 + n + m))
+    work, slopes = work_for(code, vector), np.empty(n * (q + 1 + n + m))
     call(code[SWITCHES], x, u, d, work.p, work.b, work.b)
-    call(code[SLOPES], x, u, d, work.p, work.b, found)
+    call(code[SLOPES], x, u, d, work.p, work.b, slopes)
     call(code[OUTPUT_SLOPES], x, u, d, work.p, work.b, work.shown)
-    rates, rest = found[n * q : n * q + n].copy(), found[n * q + n :]
+    rates, rest = slopes[n * q : n * q + n].copy(), slopes[n * q + n :]
     return (
         rates, rest[: n * n].copy().reshape((n, n)), rest[n * n :].copy().reshape((n, m)),
-        found[: n * q].copy().reshape((n, q)), work.shown[: o * n].copy().reshape((o, n)),
+        slopes[: n * q].copy().reshape((n, q)), work.shown[: o * n].copy().reshape((o, n)),
         work.shown[o * n :].copy().reshape((o, q)),
     )  # fmt: skip
 
@@ -311,14 +311,14 @@ def step_count(
     (k, m), and all branches of the kinks, of a bound on the eigenvalues of df/dx.
     """
     n, q, switched, fastest = code[N], code[N_UNKNOWN], code[N_SWITCHES], 0.0
-    work, found = work_for(code, vector), np.empty(n * (q + 1 + n + code[N_INPUTS]))
+    work, slopes = work_for(code, vector), np.empty(n * (q + 1 + n + code[N_INPUTS]))
     for k in range(corners.shape[0]):
         for given in range(drives.shape[0]):
             for branch in range(2 ** min(switched, MAX_SWITCHES)):
                 for i in range(switched):
                     work.b[i] = float(branch >> i & 1)
-                call(code[SLOPES], corners[k], drives[given], d, work.p, work.b, found)
-                fx = found[n * q + n : n * q + n + n * n].reshape(n, n)
+                call(code[SLOPES], corners[k], drives[given], d, work.p, work.b, slopes)
+                fx = slopes[n * q + n : n * q + n + n * n].reshape(n, n)
                 fastest = max(fastest, spectral_bound(fx))
     count = np.ceil(period * fastest / limit)
     return int(max(count, 1.0)) if count <= MAX_STEPS else MAX_STEPS + 1

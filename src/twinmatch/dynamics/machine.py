@@ -132,9 +132,9 @@ def _write_tangents(module: ir.Module, f: PlantFormulas) -> None:
     begun = _named("b", function.switches({}))
 
     def rates(values: Values) -> list[Any]:
-        found = function.results(f.slopes, values | begun)
-        by.append(found)
-        return found[n * q : n * q + n]
+        slopes = function.results(f.slopes, values | begun)
+        by.append(slopes)
+        return slopes[n * q : n * q + n]
 
     at, there = function.runge_kutta(rates)
     place = builder.gep(function.llvm.args[5], [_int(n)])
@@ -153,11 +153,11 @@ def _write_tangents(module: ir.Module, f: PlantFormulas) -> None:
     def rate(i: int, stage: int, at: Sequence[Any], of_u: Sequence[Any], unknown: Any) -> Any:
         terms = [(x_slopes[stage][i * n + k], at[k]) for k in range(n)]
         terms += [(u_slopes[stage][i * m + k], of_u[k]) for k in range(m)]
-        found = [builder.fmul(slope, value) for slope, value in terms if not _is_zero(slope)]
+        products = [builder.fmul(slope, value) for slope, value in terms if not _is_zero(slope)]
         if unknown is not None and not all(_is_zero(v) for v in by[stage][i * q : i * q + q]):
             place = builder.add(unknown, _int((stage * n + i) * q))
-            found.append(builder.load(builder.gep(by_unknown, [place])))
-        return functools.reduce(builder.fadd, found) if found else _number(0.0)
+            products.append(builder.load(builder.gep(by_unknown, [place])))
+        return functools.reduce(builder.fadd, products) if products else _number(0.0)
 
     def column(j: Any, unknown: Any) -> None:
         places = [builder.gep(columns, [builder.add(builder.mul(_int(i), size), j)]) for i in range(n)]
@@ -210,26 +210,26 @@ class _Function:
         """The results of formulas; `values` are those that are not in the given arrays."""
         known = dict(values)
         for name, tree in formulas.common:
-            known[name] = self._evaluated(tree, known)
-        return [self._evaluated(tree, known) for tree in formulas.results]
+            known[name] = self._evaluate(tree, known)
+        return [self._evaluate(tree, known) for tree in formulas.results]
 
     def switches(self, values: Values) -> list[Any]:
         """The switches in order: a condition may use earlier ones."""
-        known, found = dict(values), []
+        known, states = dict(values), []
         for i, tree in enumerate(self._formulas.switches.results):
-            on = self.builder.fcmp_ordered(">", self._evaluated(tree, known), _number(0.0))
-            found.append(self.builder.select(on, _number(1.0), _number(0.0)))
-            known[f"b{i}"] = found[-1]
-        return found
+            on = self.builder.fcmp_ordered(">", self._evaluate(tree, known), _number(0.0))
+            states.append(self.builder.select(on, _number(1.0), _number(0.0)))
+            known[f"b{i}"] = states[-1]
+        return states
 
     def crossed(self, begun: Values, at: Sequence[Sequence[Any]], there: Sequence[Any]) -> Any:
         """Whether a switch is not as at the step's begin, at one of its stages or after it."""
-        found: Any = ir.Constant(ir.IntType(1), 0)
+        differs: Any = ir.Constant(ir.IntType(1), 0)
         for states in (there, *reversed(at[1:])):
             for i, side in enumerate(self.switches(_named("x", states))):
                 other = self.builder.fcmp_ordered("!=", side, begun[f"b{i}"])
-                found = self.builder.or_(found, other)
-        return found
+                differs = self.builder.or_(differs, other)
+        return differs
 
     def runge_kutta(self, rates: Callable[[Values], list[Any]]) -> tuple[list[list[Any]], list[Any]]:
         """The states at the four stages of a step, and after it."""
@@ -250,11 +250,11 @@ class _Function:
 
     def combined(self, begun: Sequence[Any], slopes: Sequence[Sequence[Any]], sixth: Any) -> list[Any]:
         """Values after a Runge–Kutta step with the slopes of its stages."""
-        b, found = self.builder, []
+        b, ends = self.builder, []
         for x, k1, k2, k3, k4 in zip(begun, *slopes, strict=True):
             total = b.fadd(b.fadd(k1, b.fmul(_number(2.0), k2)), b.fmul(_number(2.0), k3))
-            found.append(b.fadd(x, b.fmul(sixth, b.fadd(total, k4))))
-        return found
+            ends.append(b.fadd(x, b.fmul(sixth, b.fadd(total, k4))))
+        return ends
 
     def store(self, values: Sequence[Any]) -> None:
         """Write the function's results."""
@@ -281,12 +281,12 @@ class _Function:
         b.branch(head)
         b.position_at_end(after)
 
-    def _evaluated(self, tree: ast.expr, known: Values) -> Any:  # noqa: PLR0911 (a case for each kind)
+    def _evaluate(self, tree: ast.expr, known: Values) -> Any:  # noqa: PLR0911 (a case for each kind)
         """The value of an expression; kinks are switches by now, so there are no conditions."""
         b = self.builder
 
         def of(part: ast.expr) -> Any:
-            return self._evaluated(part, known)
+            return self._evaluate(part, known)
 
         match tree:
             case ast.Constant(value=int() | float() as value):
@@ -296,11 +296,11 @@ class _Function:
             case ast.Name(id=name):
                 return known[name] if name in known else self.value(name)
             case ast.UnaryOp(op=ast.USub(), operand=operand):
-                return _negated(b, of(operand))
+                return _negative(b, of(operand))
             case ast.BinOp(left=left, op=ast.Pow(), right=right):
                 return self._power(of(left), of(right))
             case ast.BinOp(left=left, op=op, right=right) if type(op) in _OPERATIONS:
-                return _folded(b, op, of(left), of(right))
+                return _fold(b, op, of(left), of(right))
             case ast.Call(func=function, args=arguments):
                 name = function.attr if isinstance(function, ast.Attribute) else ast.unparse(function)
                 return self._call({"abs": "fabs"}.get(name, name), [of(a) for a in arguments])
@@ -333,7 +333,7 @@ class _Function:
         return self.builder.call(function, arguments)
 
 
-def _folded(b: ir.IRBuilder, op: ast.operator, left: Any, right: Any) -> Any:
+def _fold(b: ir.IRBuilder, op: ast.operator, left: Any, right: Any) -> Any:
     """A sum, difference, product or quotient; of two constants a constant."""
     of_numbers, of_values = _OPERATIONS[type(op)]
     if isinstance(left, ir.Constant) and isinstance(right, ir.Constant):
@@ -341,7 +341,7 @@ def _folded(b: ir.IRBuilder, op: ast.operator, left: Any, right: Any) -> Any:
     return of_values(b, left, right)
 
 
-def _negated(b: ir.IRBuilder, value: Any) -> Any:
+def _negative(b: ir.IRBuilder, value: Any) -> Any:
     return _number(-value.constant) if isinstance(value, ir.Constant) else b.fneg(value)
 
 

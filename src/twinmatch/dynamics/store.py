@@ -98,7 +98,7 @@ def kernels_of(plant: type[PlantDefinition], parts: frozenset[str], unknown: fro
         path = cache_folder() / f"{plant.name}_{_fingerprint(plant, parts, unknown)}.code"
         content = _whole(path)
         if content is None:
-            content = _compiled(plant, parts, unknown)
+            content = _compile_plant(plant, parts, unknown)
             _write_atomically(path, hashlib.sha256(content).digest() + content)
         head, _, machine_code = content.partition(b"\n")
         _LOADED[key] = Kernels(machine_code, **json.loads(head))
@@ -117,7 +117,7 @@ def _whole(path: Path) -> bytes | None:
     return content[32:] if hashlib.sha256(content[32:]).digest() == content[:32] else None
 
 
-def _compiled(plant: type[PlantDefinition], parts: frozenset[str], unknown: frozenset[str]) -> bytes:
+def _compile_plant(plant: type[PlantDefinition], parts: frozenset[str], unknown: frozenset[str]) -> bytes:
     """A line with all names and sizes, and the machine code."""
     derived = derive(plant(), parts, unknown)
     formulas = plant_formulas(derived)

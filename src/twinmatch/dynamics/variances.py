@@ -211,7 +211,7 @@ def _earlier(
     """The gradients of the sums by the state at sample k, from those one sample later."""
     m, n = ahead.shape
     outputs, nx = seen.shape[1:]
-    found = np.zeros((m, n))
+    sums = np.zeros((m, n))
     for p in range(n):
         for j in range(m):
             total = 0.0
@@ -222,8 +222,8 @@ def _earlier(
                     total += w[o] * weighed[o, k, p] * seen[k, o, j]
             for i in range(m):
                 total += a[i, j] * ahead[i, p]
-            found[j, p] = total
-    return found
+            sums[j, p] = total
+    return sums
 
 
 @compiled(innermost=True)
@@ -278,7 +278,7 @@ def _power_form(power: FloatArray, b: FloatArray) -> float:
 def _congruent(power: FloatArray, a: FloatArray) -> FloatArray:
     """aᵀ·power·a."""
     m = power.shape[0]
-    way, found = np.zeros((m, m)), np.zeros((m, m))
+    way, product = np.zeros((m, m)), np.zeros((m, m))
     for i in range(m):
         for j in range(m):
             for q in range(m):
@@ -286,5 +286,5 @@ def _congruent(power: FloatArray, a: FloatArray) -> FloatArray:
     for i in range(m):
         for j in range(m):
             for q in range(m):
-                found[i, j] += a[q, i] * way[q, j]
-    return found
+                product[i, j] += a[q, i] * way[q, j]
+    return product

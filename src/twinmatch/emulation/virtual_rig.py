@@ -97,8 +97,8 @@ class VirtualPlant:
 
     def advance(self, drive: PinDrive, seconds: float) -> None:
         """Advance under a drive. If the driver is off or the wire broken, the circuit is open."""
-        found = self._under(enabled=drive.enabled and not self.wire_broken)
-        self.states = advance(found, self.states, drive.pwm, seconds)
+        parameters = self._under(enabled=drive.enabled and not self.wire_broken)
+        self.states = advance(parameters, self.states, drive.pwm, seconds)
 
     def feedback(self, drive: PinDrive) -> float:
         """Mean current at the driver's feedback pin, A.
@@ -120,12 +120,12 @@ class VirtualPlant:
         """Parameters under the active faults, with a closed or an open circuit; cached."""
         case = (self.fan_failed, self.warm_room, enabled)
         if case not in self._made:
-            found = self._parameters
-            if self.fan_failed and "sink_convection" in found:
-                found = found.replace(sink_convection=_STILL_AIR * found["sink_convection"])
+            parameters = self._parameters
+            if self.fan_failed and "sink_convection" in parameters:
+                parameters = parameters.replace(sink_convection=_STILL_AIR * parameters["sink_convection"])
             if self.warm_room:
-                found = found.replace(ambient=found["ambient"] + _AMBIENT_STEP)
-            self._made[case] = found if enabled else found.replace(current_limit=_OPEN)
+                parameters = parameters.replace(ambient=parameters["ambient"] + _AMBIENT_STEP)
+            self._made[case] = parameters if enabled else parameters.replace(current_limit=_OPEN)
         return self._made[case]
 
 

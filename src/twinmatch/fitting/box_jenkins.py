@@ -287,7 +287,7 @@ def estimate(
                 f"start: a model of order {start.order} cannot start one of order {parsed}; give a lower one"
             )
         # Inserted first: the lower the cost to beat, the sooner the other starts are abandoned.
-        thetas.insert(0, _padded(start, parsed))
+        thetas.insert(0, _pad(start, parsed))
     return _model(task, parsed, _best(task, parsed, thetas, hops), period)
 
 
@@ -327,7 +327,7 @@ def _task(u: FloatArray, y: FloatArray, order: Order, initial: str) -> Task:
     return task
 
 
-def _padded(model: BoxJenkins, order: Order) -> FloatArray:
+def _pad(model: BoxJenkins, order: Order) -> FloatArray:
     """θ of a lower-order model, its missing coefficients zero."""
     theta = np.zeros(order.nc + order.nd + order.nf)
     theta[: model.order.nc] = model.C[1:]

@@ -132,20 +132,20 @@ def quadratic_at(task: Task, place: Place, newton: bool, exact: bool) -> Quadrat
 def slide(basis: FloatArray, normals: FloatArray, step: FloatArray) -> bool:
     """Restrict `basis` to directions along the boundary if `step` would cross it; return whether it would."""
     leaving = np.empty(normals.shape)
-    found = 0
+    count = 0
     for k in range(normals.shape[0]):
         if inner(normals[k], step) > 0.0:
             for j in range(step.size):  # by the axes of the basis
                 total = 0.0
                 for i in range(step.size):
                     total += normals[k, i] * basis[i, j]
-                leaving[found, j] = total
-            found += 1
+                leaving[count, j] = total
+            count += 1
     largest = 0.0
     for i in range(step.size):
         for j in range(step.size):
             largest = max(largest, abs(basis[i, j]))
-    for k in range(found):
+    for k in range(count):
         row = leaving[k]
         for j in range(k):
             project_out(leaving[j], row)
@@ -154,7 +154,7 @@ def slide(basis: FloatArray, normals: FloatArray, step: FloatArray) -> bool:
             row[j] = row[j] / size if size > 1e-10 * largest else 0.0
         for i in range(step.size):
             project_out(row, basis[i])
-    return found > 0
+    return count > 0
 
 
 @compiled(inside=True)
@@ -178,15 +178,15 @@ def project_out(unit: FloatArray, row: FloatArray) -> None:
 def outward(task: Task, place: Place) -> FloatArray:
     """Outward normals of the stable region where roots touch its boundary, as rows."""
     rows = np.zeros((place.theta.size, place.theta.size))
-    first = found = 0
+    first = count = 0
     for k in range(3):
         polynomial = place.model.C if k == 0 else place.model.D if k == 1 else place.model.F
         normals = boundary_normals(polynomial, task.radii[k])
         for i in range(normals.shape[0]):
-            copy_into(normals[i], rows[found, first:])
-            found += 1
+            copy_into(normals[i], rows[count, first:])
+            count += 1
         first += polynomial.size - 1
-    return rows[:found]
+    return rows[:count]
 
 
 @compiled

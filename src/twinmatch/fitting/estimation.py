@@ -106,7 +106,7 @@ class Uncertainty:
     def given(self, places: Sequence[int]) -> Uncertainty:
         """The uncertainty of the parameters at these places if the others are known."""
         block = np.ix_(places, places)
-        return _known(self.fisher[block], self.scores[block], self.scales[list(places)])
+        return _uncertainty_of(self.fisher[block], self.scores[block], self.scales[list(places)])
 
 
 def uncertainty(problem: Problem, estimate: Estimate) -> Uncertainty:
@@ -122,10 +122,10 @@ def uncertainty(problem: Problem, estimate: Estimate) -> Uncertainty:
     sums, expected = problem.noise_scores(estimate.values)
     free_samples = 1.0 - len(problem.names) / estimate.residuals.size
     scores = sums.T @ sums * (estimate.chi2 / free_samples / expected)
-    return _known(fisher, scores, problem.scales)
+    return _uncertainty_of(fisher, scores, problem.scales)
 
 
-def _known(fisher: FloatArray, scores: FloatArray, scales: FloatArray) -> Uncertainty:
+def _uncertainty_of(fisher: FloatArray, scores: FloatArray, scales: FloatArray) -> Uncertainty:
     scaling = np.outer(scales, scales)
     eigenvalues, directions = np.linalg.eigh(fisher * scaling)
     eigenvalues = np.maximum(eigenvalues, 0.0)
@@ -202,10 +202,10 @@ def profile_end(problem: Problem, start: Evaluation, i: int, sign: int, rise: fl
         else:
             break
         point = there
-    return _bracketed(problem, inside, i, bound, limit, rise)
+    return _find_end(problem, inside, i, bound, limit, rise)
 
 
-def _bracketed(
+def _find_end(
     problem: Problem, inside: Evaluation, i: int, bound: float, limit: float, rise: float
 ) -> FloatArray | None:
     """Find the end between a value inside and one outside, refitting the others at each."""

@@ -167,7 +167,7 @@ def identify(
         kept=kept,
         intervals=intervals,
         believed=believed,
-        determined=_determined(problem, final.values, known.covariance, intervals, believed),
+        determined=_sentence_on(problem, final.values, known.covariance, intervals, believed),
         suggestion=suggestion,
     )
 
@@ -207,7 +207,7 @@ def _keep(problem: Problem, found: Estimate, name: str, interval: FloatArray, st
     return Estimate(problem, np.insert(rest.values, place, value), rest.converged)
 
 
-def _determined(
+def _sentence_on(
     problem: Problem,
     values: FloatArray,
     covariance: FloatArray,
@@ -219,11 +219,13 @@ def _determined(
         return "some combination of the free parameters does not show in this window at all"
     known = [f"{n} ({_range(intervals[problem.names.index(n)])})" for n in problem.names if n in believed]
     left = [f"{n} ({_range(intervals[problem.names.index(n)])})" for n in problem.names if n not in believed]
-    text = f"the window determines {_listed(known)}" if known else "the window determines no parameter alone"
+    text = (
+        f"the window determines {_word_list(known)}" if known else "the window determines no parameter alone"
+    )
     ratio = _best_ratio(problem, values, covariance)
     if ratio:
         text += f"; best known is the ratio {ratio}"
-    return f"{text}; left open: {_listed(left)}" if left else text
+    return f"{text}; left open: {_word_list(left)}" if left else text
 
 
 def _best_ratio(problem: Problem, values: FloatArray, covariance: FloatArray) -> str:
@@ -248,5 +250,5 @@ def _range(interval: FloatArray) -> str:
     return f"{high:.3g} or less" if math.isinf(low) else f"{low:.3g} to {high:.3g}"
 
 
-def _listed(words: list[str]) -> str:
+def _word_list(words: list[str]) -> str:
     return " and ".join([", ".join(words[:-1]), words[-1]]) if len(words) > 1 else words[0]

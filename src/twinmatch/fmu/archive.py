@@ -172,33 +172,35 @@ def read_description(folder: Path, names: Iterable[str]) -> Described:
     if not version.startswith(("2.", "3.")):
         raise ValueError(f"it is of FMI {version or 'without version'}; FMI 2 and 3 are supported")
     try:
-        found = read_model_description(str(folder), validate=False)
+        description = read_model_description(str(folder), validate=False)
     except Exception as error:  # FMPy raises many kinds
         raise ValueError(f"its modelDescription.xml does not follow FMI {version}: {error}") from error
-    if len(found.modelVariables) > MAX_VARIABLES:
-        raise ValueError(f"it has {len(found.modelVariables)} variables; the limit is {MAX_VARIABLES}")
-    ways = ((MODEL_EXCHANGE, found.modelExchange), (CO_SIMULATION, found.coSimulation))
+    if len(description.modelVariables) > MAX_VARIABLES:
+        raise ValueError(f"it has {len(description.modelVariables)} variables; the limit is {MAX_VARIABLES}")
+    ways = ((MODEL_EXCHANGE, description.modelExchange), (CO_SIMULATION, description.coSimulation))
     supported = [(kind, way) for kind, way in ways if way is not None]
     for _, way in supported:
         if not re.fullmatch(r"[A-Za-z_]\w*", str(way.modelIdentifier), re.ASCII):
             raise ValueError(f"its modelIdentifier is {way.modelIdentifier!r}; FMI demands a name of C")
-    order = [unknown.variable.derivative.name for unknown in found.derivatives if unknown.variable.derivative]
-    exchange, usual = found.modelExchange, found.defaultExperiment
+    order = [
+        unknown.variable.derivative.name for unknown in description.derivatives if unknown.variable.derivative
+    ]
+    exchange, usual = description.modelExchange, description.defaultExperiment
     return Described(
-        version=found.fmiVersion,
-        name=found.modelName or "",
-        tool=found.generationTool or "",
-        guid=found.guid or "",
+        version=description.fmiVersion,
+        name=description.modelName or "",
+        tool=description.generationTool or "",
+        guid=description.guid or "",
         kinds=tuple(kind for kind, _ in supported),
         identifiers=tuple(str(way.modelIdentifier) for _, way in supported),
         directional=bool(exchange is not None and exchange.providesDirectionalDerivative),
-        after_steps=exchange is not None and _needs_completed_steps(found.fmiVersion, exchange),
-        indicators=int(found.numberOfEventIndicators),
-        states=len(found.derivatives),
+        after_steps=exchange is not None and _needs_completed_steps(description.fmiVersion, exchange),
+        indicators=int(description.numberOfEventIndicators),
+        states=len(description.derivatives),
         step=float(usual.stepSize) if usual is not None and usual.stepSize else None,
         platforms=_platforms(names),
         variables=tuple(
-            _variable(v, order) for v in found.modelVariables if v.type in _REAL and not v.dimensions
+            _variable(v, order) for v in description.modelVariables if v.type in _REAL and not v.dimensions
         ),
     )
 
@@ -212,18 +214,18 @@ def _version(file: Path) -> str:
     return str(root.get("fmiVersion", ""))
 
 
-def _variable(found: Any, order: list[str]) -> Variable:
-    unit = found.unit or (found.declaredType.unit if found.declaredType is not None else "")
+def _variable(declared: Any, order: list[str]) -> Variable:
+    unit = declared.unit or (declared.declaredType.unit if declared.declaredType is not None else "")
     return Variable(
-        name=found.name,
-        reference=int(found.valueReference),
-        causality=found.causality or "local",
-        variability=found.variability or "",
-        initial=found.initial or "",
+        name=declared.name,
+        reference=int(declared.valueReference),
+        causality=declared.causality or "local",
+        variability=declared.variability or "",
+        initial=declared.initial or "",
         unit=unit or "",
-        start=_number(found.start),
-        text=found.description or "",
-        state=order.index(found.name) if found.name in order else -1,
+        start=_number(declared.start),
+        text=declared.description or "",
+        state=order.index(declared.name) if declared.name in order else -1,
     )
 
 
@@ -253,17 +255,17 @@ def overview(described: Described) -> list[str]:
         f"{described.name}: FMI {described.version}, {kinds}; by {described.tool or 'an unknown tool'}",
         f"binaries for {platforms}; directional derivatives: {'yes' if described.directional else 'no'}",
     ]
-    for title, found in (
+    for title, variables in (
         ("inputs", described.of("input")),
         ("outputs", described.of("output")),
         ("continuous states", [v for v in described.variables if v.state >= 0]),
         ("parameters", described.of("parameter")),
         ("others that can be set before a run", _others(described)),
     ):
-        lines.append(f"{title}: {'none' if not found else ''}".rstrip())
-        lines += [f"  {_line(variable)}" for variable in found[:_MAX_LISTED]]
-        if len(found) > _MAX_LISTED:
-            lines.append(f"  and {len(found) - _MAX_LISTED} more")
+        lines.append(f"{title}: {'none' if not variables else ''}".rstrip())
+        lines += [f"  {_line(variable)}" for variable in variables[:_MAX_LISTED]]
+        if len(variables) > _MAX_LISTED:
+            lines.append(f"  and {len(variables) - _MAX_LISTED} more")
     return [*lines, _verdict(described)]
 
 
@@ -279,20 +281,20 @@ def draft(file: Path, described: Described, plant: type[Plant]) -> str:
     links |= {name: _alike(of, drive) for name, of in plant.disturbances.items()}
     states = {name: _alike(of, own) for name, of in plant.states.items()}
     parameters = {name: _alike(of, described.of("parameter")) for name, of in plant.parameters.items()}
-    taken = {name for name, found in (states | parameters).items() if found is not None}
+    taken = {name for name, variable in (states | parameters).items() if variable is not None}
     entry: dict[str, Any] = {
         "fmu": file.name,
         "variables": {
-            name: _written(found, plant.declarations[name].unit)
-            for name, found in (links | states | parameters).items()
-            if found is not None or name in {plant.output.name, plant.drive.name}
+            name: _link_of(variable, plant.declarations[name].unit)
+            for name, variable in (links | states | parameters).items()
+            if variable is not None or name in {plant.output.name, plant.drive.name}
         },
         "starts": {name: _start(plant, name) for name in states if name in taken},
         "free": [n for n in next(iter(plant.structures.values())).free if n in taken],
     }
     tree = {"plant": plant.name, "structures": {described.name or file.stem: entry}}
     text = yaml.safe_dump(tree, sort_keys=False, allow_unicode=True)
-    named = {found.name for found in (links | states | parameters).values() if found is not None}
+    named = {variable.name for variable in (links | states | parameters).values() if variable is not None}
     left = [v for v in (*described.of("parameter"), *own) if v.name not in named]
     return text + "".join(_more(v) for v in left)
 
@@ -335,13 +337,13 @@ def _plain(name: str) -> str:
     return re.sub(r"[\W_]", "", name).casefold()
 
 
-def _written(found: Variable | None, unit: str) -> Any:
-    if found is None:
+def _link_of(variable: Variable | None, unit: str) -> Any:
+    if variable is None:
         return "?"
     celsius = unit in _CELSIUS
-    if celsius != (found.unit in _CELSIUS) and {unit, found.unit} & {"K"}:
-        return {"variable": found.name, "offset": -KELVIN if celsius else KELVIN}
-    return found.name
+    if celsius != (variable.unit in _CELSIUS) and {unit, variable.unit} & {"K"}:
+        return {"variable": variable.name, "offset": -KELVIN if celsius else KELVIN}
+    return variable.name
 
 
 def _start(plant: type[Plant], state: str) -> str:

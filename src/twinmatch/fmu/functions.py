@@ -61,7 +61,7 @@ _CALLED: Final = ir.FunctionType(ir.VoidType(), [_LLVM[kind] for kind in _KINDS]
 
 
 @compiled(inside=True)
-def _value(machine: Machine, what: int, z: FloatArray, d: FloatArray, h: float, found: FloatArray) -> None:
+def _value(machine: Machine, what: int, z: FloatArray, d: FloatArray, h: float, out: FloatArray) -> None:
     """The output, the rates, or the states after a step of h; z holds parameters, states and drive.
 
     The rates of a co-simulation FMU are differences over one sample, which have the same equilibria.
@@ -70,15 +70,15 @@ def _value(machine: Machine, what: int, z: FloatArray, d: FloatArray, h: float, 
         return
     bring(machine, z, d)
     if what == OUTPUTS:
-        found[0] = output(machine)
+        out[0] = output(machine)
     elif what == SLOPES and machine.head[0].exchange:
-        rates(machine, found)
+        rates(machine, out)
     else:
         period = h if what == STEP else machine.head[0].sample
         advance(machine, period)
-        for i in range(found.size):
+        for i in range(out.size):
             end, begun = machine.held[machine.head[0].n_parameters + i], z[machine.head[0].n_parameters + i]
-            found[i] = end if what == STEP else (end - begun) / period
+            out[i] = end if what == STEP else (end - begun) / period
 
 
 @compiled
@@ -94,16 +94,16 @@ def ends_of(machine: Machine, by: int, value: float) -> tuple[float, float]:
 @compiled(inside=True)
 def _slope(
     machine: Machine, what: int, z: FloatArray, d: FloatArray, h: float, by: int,
-    found: FloatArray,
+    out: FloatArray,
 ) -> None:  # fmt: skip
     """The derivative by one of the parameters, then the states, then the drive."""
-    values, moved = np.empty((2, found.size)), z.copy()
+    values, moved = np.empty((2, out.size)), z.copy()
     ends = ends_of(machine, by, z[by])
     for side in range(2):
         moved[by] = ends[side]
         _value(machine, what, moved, d, h, values[side])
-    for i in range(found.size):
-        found[i] = (values[0, i] - values[1, i]) / (ends[0] - ends[1])
+    for i in range(out.size):
+        out[i] = (values[0, i] - values[1, i]) / (ends[0] - ends[1])
 
 
 @compiled

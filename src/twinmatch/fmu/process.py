@@ -74,7 +74,7 @@ def tree_of(value: Any, arrays: list[NDArray[Any]]) -> Any:
     return value.item() if isinstance(value, np.generic) else value
 
 
-def value_of(tree: Any, arrays: Sequence[NDArray[Any]], found: Callable[[str], Any]) -> Any:
+def value_of(tree: Any, arrays: Sequence[NDArray[Any]], kind_of: Callable[[str], Any]) -> Any:
     """The value of such a tree; `found` gives the class of a named tuple.
 
     Raises:
@@ -84,8 +84,8 @@ def value_of(tree: Any, arrays: Sequence[NDArray[Any]], found: Callable[[str], A
         if isinstance(tree, dict):
             return arrays[tree["array"]]
         if isinstance(tree, list):
-            values = [value_of(one, arrays, found) for one in tree[1:]]
-            return found(tree[0])._make(values) if tree[0] else tuple(values)
+            values = [value_of(one, arrays, kind_of) for one in tree[1:]]
+            return kind_of(tree[0])._make(values) if tree[0] else tuple(values)
     except (IndexError, KeyError, TypeError) as error:
         raise FmuMessageError(f"values that cannot be read: {error}") from error
     return tree
@@ -128,23 +128,23 @@ def end_marked(mark: str) -> None:
     """Kill all other processes with this mark in their environment."""
     wanted = f"{MARK}={mark}".encode()
     for _ in range(_ROUNDS):
-        found = _marked(wanted)
-        if not found:
+        processes = _processes_with(wanted)
+        if not processes:
             return
-        for process in found:
+        for process in processes:
             with contextlib.suppress(ProcessLookupError, PermissionError):
                 os.kill(process, signal.SIGKILL)
 
 
-def _marked(wanted: bytes) -> list[int]:
-    found = []
+def _processes_with(wanted: bytes) -> list[int]:
+    processes = []
     for folder in Path("/proc").glob("[0-9]*"):
         if int(folder.name) == os.getpid():
             continue
         with contextlib.suppress(OSError):  # it has ended, or belongs to another user
             if wanted in (folder / "environ").read_bytes().split(b"\0"):
-                found.append(int(folder.name))
-    return found
+                processes.append(int(folder.name))
+    return processes
 
 
 def started(folder: Path, environment: Mapping[str, str]) -> subprocess.Popen[bytes]:
@@ -234,14 +234,14 @@ class FmuProcess:
             left = left[os.write(handle, left[: 1 << 16]) :]
 
     def _read(self, size: int, by: float) -> bytes:
-        handle, found = self._process.stdout.fileno(), bytearray()  # type: ignore[union-attr]
-        while len(found) < size:
+        handle, data = self._process.stdout.fileno(), bytearray()  # type: ignore[union-attr]
+        while len(data) < size:
             _wait(handle, select.POLLIN, by)
-            part = os.read(handle, min(size - len(found), 1 << 20))
+            part = os.read(handle, min(size - len(data), 1 << 20))
             if not part:
                 raise FmuMessageError("its answer ended early")
-            found += part
-        return bytes(found)
+            data += part
+        return bytes(data)
 
 
 def _wait(handle: int, event: int, by: float) -> None:

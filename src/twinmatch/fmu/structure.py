@@ -87,7 +87,7 @@ def check_restart(model: Model) -> None:
             )
 
 
-def _hidden(model: Model) -> frozenset[int]:
+def _insensitive(model: Model) -> frozenset[int]:
     """Indices of the free parameters by which the output at given states has no derivative at all.
 
     For co-simulation each of these derivatives would cost two starts of the FMU.
@@ -121,10 +121,10 @@ class FmuKernels:
         """The results of a kernel."""
         each = 1 if kernel.__name__ == "run" else 1 + 4 * (len(self.UNKNOWN) + len(self.STATES) + 1)
         name = f"{kernel.__module__}:{kernel.__name__}"
-        found = self._source.ask(name, self._unknown, arguments, each)
-        if kernel.__name__ in _FINITE and not all(np.isfinite(array).all() for array in _arrays(found)):
+        result = self._source.ask(name, self._unknown, arguments, each)
+        if kernel.__name__ in _FINITE and not all(np.isfinite(array).all() for array in _arrays(result)):
             raise FmuError(f"{self._source.title}: the FMU has no finite values at these parameters")
-        return found
+        return result
 
     def step_count(self, *arguments: Any) -> int:
         """Runge–Kutta steps per sample; 1 for co-simulation."""
@@ -132,30 +132,30 @@ class FmuKernels:
 
     def start_at(self, problem: LeastSquares, values: FloatArray) -> Any:
         """As `twinmatch.dynamics.runs.start_at`."""
-        return self.call(runs.start_at, self._stepped(problem), values)
+        return self.call(runs.start_at, self._single_step(problem), values)
 
     def normal_at(self, problem: LeastSquares, values: FloatArray, limit: float) -> Any:
         """As `twinmatch.dynamics.runs.normal_at`."""
-        given = self._stepped(problem), values, limit
+        given = self._single_step(problem), values, limit
         return self._source.ask("twinmatch.fmu.functions:normal_at", [], given, 1 + 2 * values.size)
 
     def search(self, problem: LeastSquares, state: Search) -> None:
         """Let a search run to its end, one request for each point."""
-        found = self.normal_at(problem, state.point, np.inf)
-        while update_search(state, *found):
-            found = self.normal_at(problem, state.point, float(state.best[0]))
+        normal = self.normal_at(problem, state.point, np.inf)
+        while update_search(state, *normal):
+            normal = self.normal_at(problem, state.point, float(state.best[0]))
 
     @property
     def _exchange(self) -> bool:
         return self._source.kind == MODEL_EXCHANGE
 
-    def _stepped(self, problem: LeastSquares) -> LeastSquares:
+    def _single_step(self, problem: LeastSquares) -> LeastSquares:
         """With one step per sample for co-simulation: no corners at which the fastest rate is searched."""
         return problem if self._exchange else problem._replace(corners=problem.corners[:0])
 
 
-def _arrays(found: Any) -> list[Any]:
-    return [found] if not isinstance(found, tuple) else [array for one in found for array in _arrays(one)]
+def _arrays(result: Any) -> list[Any]:
+    return [result] if not isinstance(result, tuple) else [array for one in result for array in _arrays(one)]
 
 
 class FmuSource:
@@ -200,7 +200,7 @@ class FmuSource:
         with self._lock:
             if self.lost:
                 raise StructureLostError(f"{self.title}: {self.lost}")
-            self._process = self._process or self._started()
+            self._process = self._process or self._start()
             return self._process
 
     def close(self) -> None:
@@ -246,7 +246,7 @@ class FmuSource:
             process = self.start()
             try:
                 answer = process.ask(header, arrays, limit=limit)
-                found = value_of(answer.header["found"], answer.arrays, _ANSWERED.__getitem__)
+                result = value_of(answer.header["found"], answer.arrays, _ANSWERED.__getitem__)
                 changed = dict(zip(answer.header["changed"], answer.arrays, strict=False))
                 if any(array.shape != arrays[k].shape for k, array in changed.items()):
                     raise FmuMessageError("an array of another shape")
@@ -258,9 +258,9 @@ class FmuSource:
                 raise self.lose(f"the FMU's process gave an invalid answer: {error}") from error
         for k, array in changed.items():
             arrays[k][...] = array
-        return found
+        return result
 
-    def _started(self) -> FmuProcess:
+    def _start(self) -> FmuProcess:
         """Start the process and load the FMU, after a check against its map."""
         of, process = self.map, FmuProcess()
         try:
@@ -290,10 +290,10 @@ def adopt_fmus(file: Path) -> tuple[Model, ...]:
         FmuError: the file or an FMU cannot be used.
         PlantError: a structure is not valid for the plant.
     """
-    return tuple(_adopted(of) for of in read_maps(file))
+    return tuple(_adopt(of) for of in read_maps(file))
 
 
-def _adopted(of: FmuMap) -> Model:
+def _adopt(of: FmuMap) -> Model:
     digest = _digest(of)
     name = f"{of.name} (FMU {_mark(of, digest)})"
     held = of.plant.structures.get(name)
@@ -317,7 +317,7 @@ def _adopted(of: FmuMap) -> Model:
     try:
         source.start()
         check_restart(model)
-        source.hidden = _hidden(model)
+        source.hidden = _insensitive(model)
         source.in_use = True
     except BaseException:
         of.plant.disown(name)

@@ -112,8 +112,8 @@ class LoadedFmu:
 
     def _address(self, name: str) -> int:
         name = machine.NAMES_3.get(name, name) if self._major == 3 else name
-        found = getattr(self._fmu.dll, f"fmi{self._major}{name}", None) if name else None
-        return 0 if found is None else int(ctypes.cast(found, ctypes.c_void_p).value or 0)
+        function = getattr(self._fmu.dll, f"fmi{self._major}{name}", None) if name else None
+        return 0 if function is None else int(ctypes.cast(function, ctypes.c_void_p).value or 0)
 
     def _renew(self) -> int:
         """Replace the instance, for an FMU that cannot be reset; returns a status."""
@@ -192,17 +192,17 @@ class FmuWorker:
         self._answers = answers
         self._fmu: LoadedFmu | None = None
         self._asks: dict[str, Callable[[ProcessMessage], bytes]] = {
-            "describe": self._describe, "load": self._loaded, "call": self._call,
+            "describe": self._describe, "load": self._load_fmu, "call": self._call,
         }  # fmt: skip
 
     def answer(self, message: ProcessMessage) -> None:
         """Answer a request; errors of the FMU are an answer too."""
         try:
-            found = self._asks[message.header["ask"]](message)
+            reply = self._asks[message.header["ask"]](message)
         except Exception as error:  # FMPy raises many kinds for faults of the FMU
             words = " ".join(str(error).split()) or type(error).__name__
-            found = packed({"error": words[:600]})
-        self._say(found)
+            reply = packed({"error": words[:600]})
+        self._say(reply)
 
     def _say(self, message: bytes) -> None:
         self._answers.write(message)
@@ -213,7 +213,7 @@ class FmuWorker:
         names = unpack(file, folder, DESCRIPTION)
         return packed({"described": read_description(folder, names).tree})
 
-    def _loaded(self, message: ProcessMessage) -> bytes:
+    def _load_fmu(self, message: ProcessMessage) -> bytes:
         file, folder = Path(message.header["file"]), Path(message.header["folder"])
         if digest_of(file) != message.header["digest"]:
             raise FmuRunError("the file has changed since it was added to the plant; start again")
@@ -236,11 +236,11 @@ class FmuWorker:
             signal.alarm(math.ceil(min(2 * header["limit"] + START, _MAX_SECONDS)) + _GRACE)
             kernel.compile(kinds)
             self._say(packed({"loading": False}))
-        found = kernel(*whole)
+        result = kernel(*whole)
         self._fmu.require_success()
         changed = [i for i, was in enumerate(before) if arrays[i].tobytes() != was]
         sent = [arrays[i] for i in changed]
-        return packed({"changed": changed, "found": tree_of(found, sent)}, sent)
+        return packed({"changed": changed, "found": tree_of(result, sent)}, sent)
 
 
 def _named(name: str) -> Any:
@@ -270,10 +270,10 @@ def main() -> None:
 
 
 def _read(questions: BinaryIO, size: int) -> bytes:
-    found = questions.read(size)
-    if len(found) < size:
+    part = questions.read(size)
+    if len(part) < size:
         raise EOFError
-    return found
+    return part
 
 
 def _limit() -> None:

@@ -42,14 +42,14 @@ _TINY: Final = float(np.finfo(np.float64).tiny)
 
 
 @compiled
-def _simulated(
+def _simulate(
     coefficients: FloatArray, level: FloatArray, past: FloatArray, rows: FloatArray, law: LawCode,
     memory: FloatArray, ahead: FloatArray, spans: FloatArray,
 ) -> FloatArray:  # fmt: skip
     """Outputs and inputs, shape (o + m, N); `past` holds outputs, inputs and disturbances, newest first."""
     o, p, size = len(coefficients), len(past), past.shape[1]
     m = size - o - rows.shape[1]
-    found = np.empty((o + m, len(ahead)))
+    simulated = np.empty((o + m, len(ahead)))
     y, u = past[0, :o].copy(), past[0, o : o + m].copy()
     z, after = memory.copy(), memory.copy()
     lags = past - level
@@ -63,11 +63,11 @@ def _simulated(
             y[i] = min(max(y[i] + rate, spans[i, 0]), spans[i, 1])
         law_step(law, z, ahead, k, y, u, after)
         z[:] = after
-        found[:o, k], found[o:, k] = y, u
+        simulated[:o, k], simulated[o:, k] = y, u
         for lag in range(p - 1, 0, -1):
             lags[lag] = lags[lag - 1]
         lags[0, :o], lags[0, o : o + m] = y - level[:o], u - level[o : o + m]
-    return found
+    return simulated
 
 
 class ArxForecast(NamedTuple):
@@ -91,8 +91,8 @@ class ArxForecast(NamedTuple):
 
     def referees(self, ahead: FloatArray, rows: FloatArray | None) -> FloatArray:
         """Forecasts of all `BASELINES`, in their order, shape (baselines, o + m, N); see `forecast`."""
-        found = self.forecast(ahead, rows)
-        return np.stack([np.broadcast_to(self.past[0, : len(found), None], found.shape), found])
+        means = self.forecast(ahead, rows)
+        return np.stack([np.broadcast_to(self.past[0, : len(means), None], means.shape), means])
 
     def forecast(self, ahead: FloatArray, rows: FloatArray | None) -> FloatArray:
         """Outputs and inputs, shape (o + m, N), under these set-points, or inputs if the loop is not known.
@@ -105,11 +105,11 @@ class ArxForecast(NamedTuple):
         if not self.coefficients.size:
             signals = self.past.shape[1] - disturbances.shape[1]
             return np.repeat(self.past[0, :signals, None], len(ahead), axis=1)
-        found: FloatArray = _simulated(
+        means: FloatArray = _simulate(
             self.coefficients, self.level, self.past, disturbances, *law_code(self.law, self.controller),
             ahead.reshape(len(ahead), -1), self.spans,
         )  # fmt: skip
-        return found
+        return means
 
 
 class _Fit(NamedTuple):
@@ -211,8 +211,8 @@ class Arx:
         size = int(sizes[np.argmin(_aicc(squares[sizes] / fit.weight, sizes, fit.weight))])
         columns = fit.factor[:size, :size]
         scale = np.maximum(np.linalg.norm(columns, axis=0), _TINY)
-        found = np.linalg.lstsq(columns / scale, left[:size], rcond=_RANK)[0] / scale[:, None]
-        return np.ascontiguousarray(found.T)
+        coefficients = np.linalg.lstsq(columns / scale, left[:size], rcond=_RANK)[0] / scale[:, None]
+        return np.ascontiguousarray(coefficients.T)
 
 
 def _aicc(covariances: FloatArray, sizes: NDArray[np.int64], samples: float) -> FloatArray:

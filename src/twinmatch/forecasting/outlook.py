@@ -105,7 +105,7 @@ class StateFilter:
             if self._observer is None or self.parameters.model.is_external:
                 self.push(left.pop(0))
                 continue
-            [taken] = _taken(ObserverBank([self._observer]), self._inputs, left)
+            [taken] = _move_on(ObserverBank([self._observer]), self._inputs, left)
             self._inputs = left[taken - 1].inputs if taken else self._inputs
             del left[:taken]
             if left:
@@ -185,7 +185,7 @@ class Followers:
         observers = [each._started for each in following]
         if observers != self._observers or self._bank is None:
             self._observers, self._bank = observers, ObserverBank(observers)
-        found = _taken(self._bank, following[0]._inputs, samples)
+        found = _move_on(self._bank, following[0]._inputs, samples)
         for each, taken in zip(following, found, strict=True):
             each._inputs = samples[-1].inputs
             if taken < len(samples):
@@ -193,7 +193,7 @@ class Followers:
                 each.follow(samples[taken:])
 
 
-def _taken(bank: ObserverBank, inputs: Signals, samples: Sequence[Sample]) -> list[int]:
+def _move_on(bank: ObserverBank, inputs: Signals, samples: Sequence[Sample]) -> list[int]:
     """Move a bank on over samples, under these inputs to the first; how many each observer took."""
     before = [inputs, *(s.inputs for s in samples[:-1])]
     rows = [s.disturbances for s in samples] if samples[0].disturbances else None
@@ -295,7 +295,7 @@ class Outlook:
             references=values if self.closed else np.full((size, many), np.nan),
             outputs=tuple(Band(mean, mean - by, mean + by) for mean, by in zip(y, half, strict=False)),
             inputs=self._input_bands(u, half[many:]),
-            notes=self.notes + self._assumptions(values, disturbances) + self._unvisited(y),
+            notes=self.notes + self._assumptions(values, disturbances) + self._notes_on_range(y),
         )
 
     def _assumptions(self, ahead: FloatArray, disturbances: ArrayLike | None) -> tuple[str, ...]:
@@ -327,7 +327,7 @@ class Outlook:
         ahead, knots = np.log(np.arange(1, samples + 1)), np.log(np.array(self.leads, dtype=np.float64))
         return np.stack([np.interp(ahead, knots, row) for row in self.widths])
 
-    def _unvisited(self, outputs: FloatArray) -> tuple[str, ...]:
+    def _notes_on_range(self, outputs: FloatArray) -> tuple[str, ...]:
         """A note for each output whose forecast leaves the visited range."""
         notes = []
         declared = self.parameters.model.plant.outputs

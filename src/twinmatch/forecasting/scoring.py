@@ -56,8 +56,8 @@ _NEGLIGIBLE: Final = 1e-3
 
 def leads_of(period: float, longest: int) -> tuple[int, ...]:
     """Leads at which a band is learned, samples, for a sample time (s) and the longest horizon (samples)."""
-    found = {min(max(round(lead / period), 1), longest) for lead in LEADS}
-    return (*sorted(found | {longest}),)
+    leads = {min(max(round(lead / period), 1), longest) for lead in LEADS}
+    return (*sorted(leads | {longest}),)
 
 
 class Calibration:
@@ -201,9 +201,9 @@ class Ledger:
         """Have these accounts only: each a copy of one that there is, or a new one; and one more, empty."""
         old = {name: self._accounts[row] for name, row in self._rows.items()}
         new = np.tile(self._new, (self.horizons, 1))
-        found = {name: old.get(source, new) for name, source in sources}
-        self._accounts = np.array([*found.values(), new])
-        self._rows = {name: row for row, name in enumerate(found)}
+        accounts = {name: old.get(source, new) for name, source in sources}
+        self._accounts = np.array([*accounts.values(), new])
+        self._rows = {name: row for row, name in enumerate(accounts)}
 
     def keep(self, names: Iterable[str]) -> None:
         """Keep only the accounts of these candidates."""
@@ -227,18 +227,18 @@ class Ledger:
             self._set((name, name) for name in (*self._rows, *accounts))
         h, rows = horizon, [self._rows[name] for name in accounts]
         sizes = np.abs(np.concatenate([baselines, errors]))
-        found = np.ascontiguousarray(sizes.swapaxes(1, 2)).mean(axis=1)
-        account, baseline = self._accounts[rows, h], found[: len(BASELINES)].ravel()
+        means = np.ascontiguousarray(sizes.swapaxes(1, 2)).mean(axis=1)
+        account, baseline = self._accounts[rows, h], means[: len(BASELINES)].ravel()
         widths = np.maximum(account[:, _MEANS : _MEANS + self.noise.size], _NARROWEST * self.noise)
-        characters = np.log10(2.0 * widths) + found / (widths * _LN10)
+        characters = np.log10(2.0 * widths) + means / (widths * _LN10)
         account[:, :_MEANS] *= self.kept
         before = account[:, _COUNTED, None].copy()
         account[:, _LENGTH] += characters.sum(axis=1)
         account[:, [_WEIGHT, _COUNTED]] += 1.0
         counted = account[:, _COUNTED, None]
-        sizes = np.hstack([found, np.tile(baseline, (len(found), 1))])
+        sizes = np.hstack([means, np.tile(baseline, (len(means), 1))])
         account[:, _SIZES] = (before * account[:, _SIZES] + sizes) / counted
-        relative = (sizes / account[:, _SIZES]).reshape(len(found), 1 + len(BASELINES), -1)
+        relative = (sizes / account[:, _SIZES]).reshape(len(means), 1 + len(BASELINES), -1)
         apart = (relative[:, :1] - relative[:, 1:]).mean(axis=2)
         account[:, _SQUARES] = (before * account[:, _SQUARES] + np.square(apart)) / counted
         self._accounts[rows, h] = account
@@ -272,8 +272,8 @@ class Ledger:
         """
         if 0 not in self._rows:
             return np.full((len(names), self.horizons), np.nan)
-        found = self._accounts[[self._rows.get(name, -1) for name in names]]
-        lengths, weights = found[:, :, _LENGTH], found[:, :, _WEIGHT]
+        accounts = self._accounts[[self._rows.get(name, -1) for name in names]]
+        lengths, weights = accounts[:, :, _LENGTH], accounts[:, :, _WEIGHT]
         first, counts = self._accounts[self._rows[0], :, :_COUNTED].T
         trivial = np.where(counts > 0.0, first, np.nan) / np.maximum(counts, 1e-300)
         return np.asarray((weights * trivial - lengths) / (weights + _SHRINKAGE))

@@ -70,7 +70,7 @@ class SetPoints:
         return "input" if isinstance(self.signal, Drive) else "set-point"
 
     def _check_level(self, what: str, level: float) -> None:
-        low, high, unit = _allowed(self.signal)
+        low, high, unit = _range_of(self.signal)
         if not math.isfinite(level):
             raise ForecastError(f"profile: {what} is {level:g}; give a finite number")
         if not low <= level <= high:
@@ -172,7 +172,7 @@ class SetPoints:
         )
 
 
-def _allowed(signal: Output | Drive | None) -> tuple[float, float, str]:
+def _range_of(signal: Output | Drive | None) -> tuple[float, float, str]:
     """The range of a plant's inputs or set-points: for set-points the safe range; where that has no limit,
     the useful one."""
     if signal is None:

@@ -112,10 +112,10 @@ class Bag:
                 continue
             channels = [Channel(topic.name, path) for path in topic.numbers]
             try:
-                found = self.series(channels, _ENOUGH)
+                held = self.series(channels, _ENOUGH)
             except TwinmatchError:
                 continue  # a topic that cannot be read is not proposed
-            for channel, series in zip(channels, found, strict=True):
+            for channel, series in zip(channels, held, strict=True):
                 unit = usual_unit(series.kind, series.path)
                 columns.append(described(channel.text, unit, series.values, ordered=False))
         return [column for column in columns if column.kind != "text"]
@@ -140,11 +140,11 @@ class Bag:
         Raises:
             RecordingError: a topic or field is missing, or a topic has no messages or damaged ones.
         """
-        found = [self._checked(channel) for channel in channels]
-        rows: list[list[tuple[float, float, float]]] = [[] for _ in found]
-        done, total = 0, sum(self._reader.topics[name].msgcount for name in {c.topic for c, _ in found})
-        for topic in dict.fromkeys(channel.topic for channel, _ in found):
-            wanted = [k for k, (channel, _) in enumerate(found) if channel.topic == topic]
+        checked = [self._check(channel) for channel in channels]
+        rows: list[list[tuple[float, float, float]]] = [[] for _ in checked]
+        done, total = 0, sum(self._reader.topics[name].msgcount for name in {c.topic for c, _ in checked})
+        for topic in dict.fromkeys(channel.topic for channel, _ in checked):
+            wanted = [k for k, (channel, _) in enumerate(checked) if channel.topic == topic]
             messages = self._reader.messages(self._reader.topics[topic].connections)
             for connection, logged, raw in islice(messages, most):
                 message = self._reader.deserialize(raw, connection.msgtype)
@@ -153,14 +153,14 @@ class Bag:
                     progress(done, total)
                 stamped = _stamp(message)
                 for k in wanted:
-                    rows[k].append((logged / 1e9, stamped, follow(message, found[k][0].path)))
+                    rows[k].append((logged / 1e9, stamped, follow(message, checked[k][0].path)))
         series = []
-        for (channel, kind), held in zip(found, rows, strict=True):
+        for (channel, kind), held in zip(checked, rows, strict=True):
             columns = np.array(held, dtype=np.float64).reshape(-1, 3).T
             series.append(Series(kind, channel.path, *columns))
         return series
 
-    def _checked(self, channel: Channel) -> tuple[Channel, str]:
+    def _check(self, channel: Channel) -> tuple[Channel, str]:
         topics = self._reader.topics
         name = channel.topic if channel.topic in topics else f"/{channel.topic.lstrip('/')}"
         if name not in topics:
@@ -283,8 +283,8 @@ def map_bag(
     table = Table(path, columns, range(left_out + 1, left_out + 1 + columns[TIME].size), "reading")
     named = {name: SignalSource((name,)) for name in columns}  # the values are in the plant's units
     given = SignalMap(named, given.plant, given.period)
-    found = map_samples(table, given, plant, longest=longest, gaps=gaps)
-    return found._replace(sources=sources, notes=[*found.notes, *notes])
+    run = map_samples(table, given, plant, longest=longest, gaps=gaps)
+    return run._replace(sources=sources, notes=[*run.notes, *notes])
 
 
 def _read(
@@ -311,7 +311,7 @@ def _read(
             f"The headers have another clock ({', '.join(offsets)}); the times of the bag are used instead."
         )
     logged = bool(offsets)
-    return {n: _joined(bag.path, n, followed[n], held, logged) for n, held in recorded.items()}, notes
+    return {n: _signal_of(bag.path, n, followed[n], held, logged) for n, held in recorded.items()}, notes
 
 
 def _clock_offset(series: Series) -> float:
@@ -320,11 +320,11 @@ def _clock_offset(series: Series) -> float:
     return float(np.median(apart[np.isfinite(apart)])) if np.isfinite(apart).any() else 0.0
 
 
-def _joined(path: Path, name: str, signal: FollowedSignal, series: list[Series], logged: bool) -> _Signal:
+def _signal_of(path: Path, name: str, signal: FollowedSignal, series: list[Series], logged: bool) -> _Signal:
     """A signal in the plant's unit, at the times of its first channel."""
-    found = [_growing(path, name, one, logged) for one in series]
-    time = found[0].time
-    values = [found[0].values, *(np.interp(time, other.time, other.values) for other in found[1:])]
+    rising = [_growing(path, name, one, logged) for one in series]
+    time = rising[0].time
+    values = [rising[0].values, *(np.interp(time, other.time, other.values) for other in rising[1:])]
     return _Signal(time, signal.value(values))
 
 

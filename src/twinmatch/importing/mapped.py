@@ -105,7 +105,9 @@ def map_samples(
         RecordingError: a signal or column is missing, units do not fit, values are outside the plant's
             range, or a gap is too long.
     """
-    sources = {signal: _found(table, source) for signal, source in by_signal(plant, given.sources).items()}
+    sources = {
+        signal: _with_titles(table, source) for signal, source in by_signal(plant, given.sources).items()
+    }
     signals, notes = _wanted(table, plant, replace(given, sources=sources))
     times = _times(table, sources.get(TIME), given.period)
     values = {signal: _values(table, sources[signal], signal, known) for signal, known in signals.items()}
@@ -188,7 +190,7 @@ def by_signal(plant: type[Plant], sources: Mapping[str, SignalSource]) -> dict[s
     return found
 
 
-def _found(table: Table, source: SignalSource) -> SignalSource:
+def _with_titles(table: Table, source: SignalSource) -> SignalSource:
     """The source with the table's own titles; a single text with commas may be several columns."""
     places = source.places
     if len(places) == 1 and "," in places[0]:

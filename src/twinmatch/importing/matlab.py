@@ -83,7 +83,7 @@ def read_matrices(path: Path, name: str = "", width: int = 0) -> dict[str, Float
             if values > _MAX_VALUES:
                 many = f"{', '.join(v.name for v in wanted[:_MAX_SHOWN])} with {values} values"
                 raise RecordingError(f"{path}: has {many}; split it into parts of at most {_MAX_VALUES}")
-            return {v.name: _decoded(header + _unpacked(file, v, order), v) for v in wanted}
+            return {v.name: _decode(header + _unpack(file, v, order), v) for v in wanted}
         except _DamagedError as error:
             raise RecordingError(f"{path}: is truncated or damaged; copy it again ({error})") from error
 
@@ -153,7 +153,7 @@ def _part(head: bytes, at: int, order: str) -> tuple[bytes, int]:
     return head[at + 8 : at + 8 + size], at + 8 + -(-size // 8) * 8
 
 
-def _unpacked(file: BinaryIO, wanted: _Variable, order: str) -> bytes:
+def _unpack(file: BinaryIO, wanted: _Variable, order: str) -> bytes:
     most = math.prod(wanted.shape) * 8 + _SLACK
     file.seek(wanted.at + 8)
     content = file.read(min(wanted.size, most))
@@ -171,7 +171,7 @@ def _unpacked(file: BinaryIO, wanted: _Variable, order: str) -> bytes:
     return unpacked
 
 
-def _decoded(content: bytes, wanted: _Variable) -> FloatArray:
+def _decode(content: bytes, wanted: _Variable) -> FloatArray:
     from scipy.io import loadmat  # noqa: PLC0415 - takes 0.25 s, not needed for sessions
 
     try:

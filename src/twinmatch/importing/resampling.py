@@ -142,7 +142,7 @@ def resample(
         RecordingError: fewer than two rows, values that are not finite, time that does not advance, a step
             that is too long, a period that is too short for the rows, or a column without a kind.
     """
-    stamps, values = _checked(time, columns, kinds, place, row)
+    stamps, values = _check(time, columns, kinds, place, row)
     steps = np.diff(stamps)
     _refuse_standing(stamps, place, row)
     usual = _usual_step(steps)
@@ -193,7 +193,7 @@ def period_of_ticks(
     Raises:
         RecordingError: fewer than two rows, values that are not finite, or irregular or decreasing time.
     """
-    _checked(time, columns, dict.fromkeys(columns, "reading"), place, row)
+    _check(time, columns, dict.fromkeys(columns, "reading"), place, row)
     _refuse_standing(time, place, row)
     steps = np.diff(time)
     usual = _usual_step(steps)
@@ -229,7 +229,7 @@ def _numbers(clocks: list[FloatArray], period: float) -> NDArray[np.int64]:
     return np.concatenate(numbers).astype(np.int64)
 
 
-def _checked(
+def _check(
     time: ArrayLike,
     columns: Mapping[str, ArrayLike],
     kinds: Mapping[str, Kind],

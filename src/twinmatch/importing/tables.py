@@ -180,7 +180,7 @@ def _read_csv(path: Path, first: bytes, progress: ProgressCallback | None) -> Ta
         raise RecordingError(f"{path}: is a ZIP archive, such as an Excel workbook; save the table as CSV")
     for encoding in (_MARKS.get(first[:2], "utf-8-sig"), _WESTERN):
         try:
-            return _parsed(path, _lines(path, encoding, progress))
+            return _parse(path, _lines(path, encoding, progress))
         except UnicodeError:
             continue
         except csv.Error as error:
@@ -201,7 +201,7 @@ def _lines(path: Path, encoding: str, progress: ProgressCallback | None) -> Iter
             yield k, line
 
 
-def _parsed(path: Path, lines: Iterator[tuple[int, str]]) -> Table:
+def _parse(path: Path, lines: Iterator[tuple[int, str]]) -> Table:
     head = list(islice(lines, _HEAD))
     stated = _SEPARATOR.match(head[0][1]) if head else None
     if stated:

@@ -68,13 +68,13 @@ class Wiring:
 
     def settings(self, addresses: Mapping[str, str]) -> dict[str, str]:
         """Address parameters of its nodes."""
-        found: dict[str, str] = {}
+        values: dict[str, str] = {}
         if "camera" in addresses:
             host, port = addresses["camera"].rsplit(":", 1)
-            found |= {"camera_bridge:host": host, "camera_bridge:port": port}
+            values |= {"camera_bridge:host": host, "camera_bridge:port": port}
         if "serial" in addresses:
-            found[f"{self.bridge}:port"] = addresses["serial"]
-        return found
+            values[f"{self.bridge}:port"] = addresses["serial"]
+        return values
 
 
 def _check_kit(port: str) -> None:
@@ -144,9 +144,9 @@ class LivePlan:
 
     def rig_arguments(self, addresses: Mapping[str, str]) -> list[str]:
         """ROS arguments of bridges and controller; `addresses` are those that the virtual rig prints."""
-        found = {**addresses, "serial": self.port} if self.port else addresses
+        places = {**addresses, "serial": self.port} if self.port else addresses
         patient = dict.fromkeys(_IN_STEP if self.in_step else (), PATIENCE)
-        values = {"controller:plant": self.plant, **self.wiring.settings(found), **patient, **self.overrides}
+        values = {"controller:plant": self.plant, **self.wiring.settings(places), **patient, **self.overrides}
         return ros_arguments({**values, **self._time()}, self.config)
 
     def wait_for(self, readers: str) -> list[str]:
@@ -227,13 +227,13 @@ def attach_plan(
     values = _sampler_values(config, said)
     plant = find_plant(values["plant"])
     driven = REFERENCE not in sources_of(SAMPLER, values)
-    found = read_settings(twin_config, written_name(plant), driven=driven)
-    if driven and found.law is not None:
+    as_written = read_settings(twin_config, written_name(plant), driven=driven)
+    if driven and as_written.law is not None:
         raise LaunchError(
             f"{twin_config}: the twin runs in closed loop, but no topic is mapped to its reference; map one, "
             "or set loop: unknown"
         )
-    settings = at_period(found, values["period"], twin_config)
+    settings = at_period(as_written, values["period"], twin_config)
     twin_values = values_of(settings)
     sampler, twin = folder / "sampler.yaml", folder / "twin.yaml"
     sampler.write_text(render(SAMPLER, understood(SAMPLER, values), values), "utf-8")

@@ -119,7 +119,7 @@ class _ReplayRun(Supervised):
             self.view.advance(replay.verdicts[-1].sample - samples[0].index + 1)
         if not self._playing and node.count_publishers("twin/model_score"):
             self._start_player()
-        if not self._played():
+        if not self._has_ended():
             return None
         if self.settled.complete(samples[-1].index, len(replay.verdicts)):
             self.view.advance(len(samples))
@@ -132,7 +132,7 @@ class _ReplayRun(Supervised):
             )
         return None
 
-    def _played(self) -> bool:
+    def _has_ended(self) -> bool:
         """Whether the player has ended; a killed twin is restarted before that.
 
         Raises:

@@ -68,7 +68,7 @@ class Kit(tclab.TCLab):
                 "right?"
             )
         self.sp.timeout = patience
-        self.version = self._asked("VER")
+        self.version = self._ask("VER")
         if "TCLab" not in self.version:
             raise KitAbsentError(
                 f"kit at {port}: the device reports {self.version[:40]!r}, which is not TCLab firmware"
@@ -96,7 +96,7 @@ class Kit(tclab.TCLab):
         """
         self.drive(0.0, 0.0)
 
-    def _asked(self, words: str, kind: Callable[[str], Any] = str) -> Any:
+    def _ask(self, words: str, kind: Callable[[str], Any] = str) -> Any:
         """The answer to a request, which is retried once."""
         for _ in range(_TRIES):
             try:
@@ -114,7 +114,7 @@ class Kit(tclab.TCLab):
         )
 
     def _heater(self, name: str, value: float) -> float:
-        answer = float(self._asked(f"{name} {value:.2f}", float))
+        answer = float(self._ask(f"{name} {value:.2f}", float))
         if not abs(answer - value) < _ROUNDED:
             raise KitError(
                 f"kit: heater {name} was set to {value:.2f} % but reports {answer:g} %; is another program "
@@ -123,7 +123,7 @@ class Kit(tclab.TCLab):
         return answer
 
     def _temperature(self, name: str) -> float:
-        answer = float(self._asked(name, float))
+        answer = float(self._ask(name, float))
         if not (math.isfinite(answer) and _POSSIBLE[0] <= answer <= _POSSIBLE[1]):
             raise KitError(f"kit: {name} reads {answer:g} °C, which its sensor cannot give; check the sensor")
         return answer

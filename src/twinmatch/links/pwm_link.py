@@ -277,7 +277,7 @@ class PwmLink:
             latched = isinstance(reply, Refusal) and reply.code is Code.LATCHED
             status = self._status(self._ask(Verb.QUERY) if latched else reply)
             if status.flags & Flags.TRIPPED:
-                self._tripped(status.flags)
+                self._raise_trip(status.flags)
             return _applied(status)
 
     def query(self) -> Applied:
@@ -316,7 +316,7 @@ class PwmLink:
     def _greet(self) -> Banner:
         reply = self._ask(Verb.HELLO)
         if isinstance(reply, Refusal):
-            raise self._refused(reply)
+            raise self._rejection(reply)
         if not isinstance(reply, Banner) or reply.protocol != PROTOCOL:
             raise PwmVersionError(
                 f"PWM link: the board at {self.port} answers {reply}, which is not protocol version "
@@ -326,7 +326,7 @@ class PwmLink:
 
     def _status(self, reply: Reply) -> BoardStatus:
         if not isinstance(reply, BoardStatus):
-            raise self._refused(reply)
+            raise self._rejection(reply)
         return reply
 
     def _ask(self, verb: Verb, pwm: int = 0) -> Reply:
@@ -341,7 +341,7 @@ class PwmLink:
             reply = self._attempt(self._wire, line)
             if reply is not None:
                 return reply
-        raise self._unanswered(verb)
+        raise self._no_answer(verb)
 
     def _attempt(self, wire: serial.Serial, line: bytes) -> Reply | None:
         """Send a line and wait for its reply; None if none arrived in time or it was damaged."""
@@ -361,7 +361,7 @@ class PwmLink:
             raise PwmPortLostError(msg) from error
         return None
 
-    def _unanswered(self, verb: Verb) -> PwmLinkError:
+    def _no_answer(self, verb: Verb) -> PwmLinkError:
         talk, tries = self._talk, self.settings.retries + 1
         what = f"PWM link: {self.port} gave {verb.name.lower()} no answer in {tries} attempts"
         if talk.refused_line is not None:
@@ -376,12 +376,12 @@ class PwmLink:
         wait = f"{self.settings.timeout:g} s"
         return PwmTimeoutError(f"{what} of {wait}; is this the right port, and is the board running?")
 
-    def _refused(self, reply: Reply) -> PwmRejectedError:
+    def _rejection(self, reply: Reply) -> PwmRejectedError:
         code = reply.code if isinstance(reply, Refusal) else Code.UNKNOWN
         what = f"PWM link: the board at {self.port} refused with {code.value}"
         return PwmRejectedError(f"{what}; do host and firmware match?", code)
 
-    def _tripped(self, flags: Flags) -> NoReturn:
+    def _raise_trip(self, flags: Flags) -> NoReturn:
         self._notice_reset(flags)
         causes = {
             Flags.DEADLINE: "it received no command in time",

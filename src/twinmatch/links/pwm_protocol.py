@@ -259,19 +259,19 @@ def parse_reply(payload: bytes) -> Reply | None:
     text = payload.decode("latin-1")
     if match := _STATUS.fullmatch(text):
         sequence, time_ms, applied, adc, flags = map(int, match.groups())
-        return _checked(sequence, BoardStatus(sequence, time_ms, applied, adc, Flags(flags)))
+        return _check(sequence, BoardStatus(sequence, time_ms, applied, adc, Flags(flags)))
     if match := _BANNER.fullmatch(text):
         sequence, protocol, reset_flags, deadline, restarts = (int(match[i]) for i in (1, 3, 4, 5, 6))
-        return _checked(sequence, Banner(sequence, match[2], protocol, reset_flags, deadline, restarts))
+        return _check(sequence, Banner(sequence, match[2], protocol, reset_flags, deadline, restarts))
     if (match := _FOREIGN.fullmatch(text)) and int(match[3]) != PROTOCOL:
-        return _checked(int(match[1]), Banner(int(match[1]), match[2], int(match[3]), 0, 0, 0))
+        return _check(int(match[1]), Banner(int(match[1]), match[2], int(match[3]), 0, 0, 0))
     if (match := _REFUSAL.fullmatch(text)) and match[3] in Code.__members__:
         numbered = None if match[1] == "-" else int(match[1])
-        return _checked(numbered or 0, Refusal(numbered, Code(match[3])))
+        return _check(numbered or 0, Refusal(numbered, Code(match[3])))
     return None
 
 
-def _checked(sequence: int, reply: Reply) -> Reply | None:
+def _check(sequence: int, reply: Reply) -> Reply | None:
     plausible = sequence < SEQUENCES
     if isinstance(reply, BoardStatus):
         plausible = plausible and abs(reply.applied) <= PWM_LIMIT and reply.adc <= 1023

@@ -131,7 +131,7 @@ class Entrance:
                 return answer(request, response)
             except TwinmatchError as error:
                 self.refuse(name, str(error))
-                return _refused(request, response, str(error))
+                return _refuse(request, response, str(error))
 
         return respond
 
@@ -230,7 +230,7 @@ class Course:
         alone = self._alone(now)
         elapsed = math.inf if alone else now - self._at
         why = "" if self._before is None else self._departs(self._before, message, elapsed)
-        if why and not self._believed(message, now, alone):
+        if why and not self._is_believed(message, now, alone):
             raise MessageError(why)
         if why or self._before is None:
             self._owners = self._publishers()
@@ -245,14 +245,14 @@ class Course:
             self._second, self._owners = None, self._publishers()
         return self._second is None
 
-    def _believed(self, message: Any, now: float, alone: bool) -> bool:
+    def _is_believed(self, message: Any, now: float, alone: bool) -> bool:
         if self._refused and self._departs(self._refused[-1], message, math.inf):
             self._refused.clear()
         self._refused.append(message)
         agree = len(self._refused) >= AGREEING and (alone or not self.owned)
-        return agree or self._replaced(now)
+        return agree or self._all_new(now)
 
-    def _replaced(self, now: float) -> bool:
+    def _all_new(self, now: float) -> bool:
         """Whether all publishers are new; looked up at most every `LOOK` seconds."""
         if now - self._looked < LOOK:
             return False
@@ -299,7 +299,7 @@ def _again(came: bytes, message: Any) -> bytes:
     return again[: len(came)] if came[:2] == again[:2] and 0 < longer < _ALIGNED else again
 
 
-def _refused(request: Any, response: Any, why: str) -> Any:
+def _refuse(request: Any, response: Any, why: str) -> Any:
     """A response that says why there is no other one, where its type has a place for that."""
     if hasattr(response, "results"):
         result = SetParametersResult(successful=False, reason=why)

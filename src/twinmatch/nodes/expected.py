@@ -60,7 +60,7 @@ def check_readable(message: Any) -> None:
         MESSAGES[type(message)].read(message)
 
 
-def _sized(message: Any, size: int, *names: str, of: str, empty: bool = False) -> None:
+def _check_size(message: Any, size: int, *names: str, of: str, empty: bool = False) -> None:
     for name in names:
         found = len(getattr(message, name))
         if found != size and not (empty and found == 0):
@@ -94,7 +94,7 @@ def _rising(message: Any, name: str) -> None:
         raise MessageError(f"{name} does not rise from 0 on")
 
 
-def _known(message: Any, name: str, words: Sequence[str]) -> None:
+def _check_word(message: Any, name: str, words: Sequence[str]) -> None:
     """A number and the word of its constant."""
     number, word = getattr(message, name), getattr(message, f"{name}_name")
     if word not in words or getattr(type(message), word.upper()) != number:
@@ -139,8 +139,8 @@ def _check_state(message: Any) -> None:
         raise MessageError("has no reference, no output or no input; a plant has at least one of each")
     for name in converted.STATE_FIGURES:
         size, of = (inputs, "its inputs") if name.endswith(("_input", "_u")) else (outputs, "its outputs")
-        _sized(message, size, name, of=of)
-    _sized(message, len(message.driven_states), "closed_states", of="the states of the driven twin")
+        _check_size(message, size, name, of=of)
+    _check_size(message, len(message.driven_states), "closed_states", of="the states of the driven twin")
 
 
 def _check_forecast(message: Any) -> None:
@@ -154,7 +154,7 @@ def _check_forecast(message: Any) -> None:
             raise MessageError(f"{name} has {values} values for its times; expected {size}, or that of each")
     for name in bands:
         values = len(getattr(message, name.split("_", maxsplit=1)[0]))
-        _sized(message, values, name, of="its means")
+        _check_size(message, values, name, of="its means")
     _rising(message, "time")
     _finite(message, "reference", *bands)
     _within(message, 0.0, 1.0, "confidence", absent=False)
@@ -166,14 +166,14 @@ LEVELS: Final = [level.value for level in TrustLevel]
 
 def _check_match(message: Any) -> None:
     size = len(message.free)
-    _known(message, "status", STATUSES)
+    _check_word(message, "status", STATUSES)
     _in_order(message)
     _finite(message, "operating_point")
-    _sized(message, size, "standard_errors", "eigenvalues", of="its free parameters")
-    _sized(message, size**2, "covariance", "fisher", of="its free parameters")
-    _sized(message, size**2, "directions", of="its free parameters", empty=True)
-    _sized(message, 2 * size, "intervals", of="its free parameters", empty=True)
-    _sized(message, len(message.starts), "start_values", of="its starts")
+    _check_size(message, size, "standard_errors", "eigenvalues", of="its free parameters")
+    _check_size(message, size**2, "covariance", "fisher", of="its free parameters")
+    _check_size(message, size**2, "directions", of="its free parameters", empty=True)
+    _check_size(message, 2 * size, "intervals", of="its free parameters", empty=True)
+    _check_size(message, len(message.starts), "start_values", of="its starts")
     _among(chain(message.starts, message.bounds_hit, message.believed), message.free, "parameter")
     _among(message.free, chain(message.parameters.names, message.starts), "parameter")
     if len(set(message.free)) != size:
@@ -203,14 +203,14 @@ def _check_accepted(message: Any, size: int) -> None:
 def _check_verdict(message: Any) -> None:
     candidates, names = len(message.candidates), [c.name for c in message.candidates]
     modelled = sum(bool(c.orders) for c in message.candidates)
-    _known(message, "level", LEVELS)
+    _check_word(message, "level", LEVELS)
     _in_order(message)
     if not 0 <= message.decimals <= 15:
         raise MessageError(f"decimals is {message.decimals}; expected 0 to 15")
     if len(set(names)) != len(names):
         raise MessageError("candidates: a name is given twice")
-    _sized(message, candidates**2, "nu_gap", of="its candidates", empty=True)
-    _sized(message, modelled**2, "identified_gap", of="its candidates with models", empty=True)
+    _check_size(message, candidates**2, "nu_gap", of="its candidates", empty=True)
+    _check_size(message, modelled**2, "identified_gap", of="its candidates with models", empty=True)
     _within(message, 0.0, 1.0 + 1e-9, "nu_gap", "identified_gap", "leader_confidence", "inside_y", "inside_u")
     _finite(message, "nu_gap_points")
     _rising(message, "horizons")
@@ -221,7 +221,7 @@ def _check_verdict(message: Any) -> None:
         _check_candidate(candidate)
     for score in message.forecasts:
         skills = "gains", *(f"{name}_skill{end}" for name in BASELINES for end in ("", "_high"))
-        _sized(score, len(message.horizons), *skills, of="its horizons", empty=True)
+        _check_size(score, len(message.horizons), *skills, of="its horizons", empty=True)
         _check_score(score)
 
 
@@ -229,7 +229,7 @@ def _check_candidate(candidate: Any) -> None:
     _finite(candidate, "operating_point")
     _among([candidate.chosen_order], [one.order for one in candidate.orders], "chosen_order")
     _within(candidate, 0.0, 1.0 + 1e-9, "nominal_probability", "margin", "plant_gap_to_nominal")
-    _sized(candidate, len(candidate.nu_gap_low), "nu_gap_high", of="the lower ends")
+    _check_size(candidate, len(candidate.nu_gap_low), "nu_gap_high", of="the lower ends")
     _check_named(candidate)
 
 
@@ -284,7 +284,7 @@ def _check_health(message: Any) -> None:
 
 def _check_past(answer: Any) -> None:
     size = len(answer.index)
-    _sized(answer, size, "stamp", of="its samples")
+    _check_size(answer, size, "stamp", of="its samples")
     _finite(answer, *SAMPLED)
     for name in SAMPLED:
         values = len(getattr(answer, name))
@@ -302,7 +302,7 @@ def _check_past(answer: Any) -> None:
 def _check_answer(answer: Any) -> None:
     if answer.success:
         _check_forecast(answer.forecast)
-        _sized(answer, 1, "level", "tolerance", of="one loop")
+        _check_size(answer, 1, "level", "tolerance", of="one loop")
 
 
 def _check_names(request: Any) -> None:

@@ -104,7 +104,7 @@ _RECORDS: Final[dict[Any, Any]] = {
 
 def message_of(record: Any, stamp: int | None = None) -> Any:
     """A record as its message; `stamp` (ns), for those with a header, is that of the sample behind it."""
-    message = _filled(_RECORDS[type(record)](), tree_of(record))
+    message = _fill(_RECORDS[type(record)](), tree_of(record))
     return message if stamp is None else stamped(message, stamp)
 
 
@@ -132,14 +132,14 @@ def parameters_from(message: messages.Parameters) -> Parameters:
 
 def parameters_message(parameters: Parameters | None) -> messages.Parameters:
     """Parameters as `Parameters`; for None a message without names."""
-    return _filled(messages.Parameters(), parameters_tree(parameters))
+    return _fill(messages.Parameters(), parameters_tree(parameters))
 
 
 def description_message(description: Description, period: float) -> messages.PlantDescription:
     """A plant as `PlantDescription`; `period` (s) is the sampling period it is run with."""
     names = {field: name for name, field in SAMPLED.items()}
     tree = {names.get(n, n): list(v) if isinstance(v, tuple) else v for n, v in asdict(description).items()}
-    return _filled(messages.PlantDescription(), tree | {"period": period})
+    return _fill(messages.PlantDescription(), tree | {"period": period})
 
 
 def description_from(message: messages.PlantDescription) -> Description:
@@ -295,5 +295,5 @@ def _single(request: Any, name: str) -> float | None:
     return None if not values or math.isnan(values[0]) else float(values[0])
 
 
-def _filled(message: Any, tree: dict[str, Any]) -> Any:
+def _fill(message: Any, tree: dict[str, Any]) -> Any:
     return fill(message, tree, lambda kind: getattr(messages, kind)())

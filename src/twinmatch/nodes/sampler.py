@@ -209,7 +209,7 @@ class SamplerNode(TwinmatchNode):
                 f"{counts.missing}, {counts.late}, {counts.beyond}, {sampler.refused(name)}",
             )
             trouble = self._silence(name, now) or sampler.troubles.get(name, "")
-            text = self._explained(name, trouble)
+            text = self._explain(name, trouble)
             self.health.flag_if(bool(text), name, level, text)
         pace = sampler.troubles.get("pace", "")
         self.health.flag_if(bool(pace), "pace", level, pace)
@@ -284,7 +284,7 @@ class SamplerNode(TwinmatchNode):
             return f"no message on {topics} for {now - heard:.1f} s{why}"
         return ""
 
-    def _explained(self, name: str, trouble: str) -> str:
+    def _explain(self, name: str, trouble: str) -> str:
         text = self._channels[name][0].text
         if "outside" in trouble:
             unit = signals_of(self._plant)[name].unit

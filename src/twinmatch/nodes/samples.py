@@ -175,7 +175,7 @@ class SampleNode(TwinNode):
         super().open()
         self._stream, self._connected = Stream(self._on_next, self.learn), False
         self._catching_up = CatchingUp(
-            self, self._stream, ready=self._settled, waiting=lambda: self.worker.depth
+            self, self._stream, ready=self._has_readers, waiting=lambda: self.worker.depth
         )
         self.create_subscription(LoopSample, "plant/sample", self._on_sample, EVERYTHING)
 
@@ -187,7 +187,7 @@ class SampleNode(TwinNode):
         self._watch.check(time.monotonic())
         return super().report()
 
-    def _settled(self, age: float) -> bool:
+    def _has_readers(self, age: float) -> bool:
         """Whether the readers of this node are connected; results for fetched samples follow at once."""
         self._connected = self._connected or age > MAX_SETTLE or (age > SETTLE and self._all_connected())
         return self._connected

@@ -128,9 +128,9 @@ def compare(session: Session, judgement: Judgement) -> Verification:
     prefix = prefix_of(session)
     # A verdict may be due at a lost sample.
     stamps = {one.index: one.stamp for one in filled(session.samples, judgement.settings)}
-    matches, scores = _once(_recorded(session, prefix + MATCHES)), _recorded(session, prefix + SCORES)
-    computed_matches = [_computed(m, stamps[m.sample]) for m in judgement.matches]
-    computed_scores = [_computed(v, stamps[v.sample]) for v in judgement.verdicts]
+    matches, scores = _once(_records_of(session, prefix + MATCHES)), _records_of(session, prefix + SCORES)
+    computed_matches = [_compute(m, stamps[m.sample]) for m in judgement.matches]
+    computed_scores = [_compute(v, stamps[v.sample]) for v in judgement.verdicts]
     comparison = _Comparison(session.samples[-1])
     difference = comparison.first("match", matches, computed_matches)
     difference = difference or comparison.first("verdict", scores, computed_scores)
@@ -146,11 +146,11 @@ def compare(session: Session, judgement: Judgement) -> Verification:
     )
 
 
-def _recorded(session: Session, name: str) -> list[Tree]:
+def _records_of(session: Session, name: str) -> list[Tree]:
     return [comparable(tree_of_message(message)) for message in _messages(session, name)]
 
 
-def _computed(record: Verdict | MatchReport, stamp: int) -> Tree:
+def _compute(record: Verdict | MatchReport, stamp: int) -> Tree:
     return comparable({"stamp": stamp, **tree_of(record)})
 
 

@@ -200,7 +200,7 @@ def recorded_values(place: str, given: Mapping[str, Any]) -> Values:
     Raises:
         ParameterError: as `twin_values`.
     """
-    kept = {name: value for name, value in _translated(given).items() if name != "allow_fmu"}
+    kept = {name: value for name, value in _translate(given).items() if name != "allow_fmu"}
     if "schedule.scale" not in kept and isinstance(period := kept.get("period", 1.0), int | float):
         kept = _by_sample_time(period) | kept
     if "plant" in kept:
@@ -409,7 +409,7 @@ def _without_absent(place: str, given: Mapping[str, Any], model: Model) -> dict[
     return kept
 
 
-def _translated(given: Mapping[str, Any]) -> dict[str, Any]:
+def _translate(given: Mapping[str, Any]) -> dict[str, Any]:
     kept = {name: value for name, value in given.items() if name not in {*_RENAMED, *_GONE}}
     for old, names in _RENAMED.items():
         if old in given:

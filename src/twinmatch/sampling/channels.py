@@ -80,16 +80,16 @@ def steps(path: str) -> tuple[str | int, ...]:
     Raises:
         SamplingError: it is not a field path.
     """
-    found: list[str | int] = []
+    taken: list[str | int] = []
     at = 0
     while at < len(path):
         match = _STEP.match(path, at)
-        if match is None or (not found and path[0] in ".["):
+        if match is None or (not taken and path[0] in ".["):
             msg = f"{path!r} is not a field path; write names and indices, such as readings[2].value"
             raise SamplingError(msg)
-        found.append(match["name"] if match["name"] else int(match["index"]))
+        taken.append(match["name"] if match["name"] else int(match["index"]))
         at = match.end()
-    return tuple(found)
+    return tuple(taken)
 
 
 def check_path(kind: str, path: str, fields_of: FieldsOf) -> str:
@@ -116,15 +116,15 @@ def check_path(kind: str, path: str, fields_of: FieldsOf) -> str:
         known = {} if field.kind in NUMBERS | TEXTS else fields_of(field.kind)
         if step not in known:
             where = f"{kind}: {done} has" if done else f"{kind} has"
-            raise SamplingError(f"{where} no field {step!r}; its numbers: {_listed(kind, fields_of)}")
+            raise SamplingError(f"{where} no field {step!r}; its numbers: {_field_list(kind, fields_of)}")
         field, done = known[step], f"{done}.{step}" if done else step
     if field.array:
         raise SamplingError(f"{kind}: {done} is a list; choose an element, such as {done}[0]")
     if field.kind in TEXTS:
-        raise SamplingError(f"{kind}: {done} is text; choose a number: {_listed(kind, fields_of)}")
+        raise SamplingError(f"{kind}: {done} is text; choose a number: {_field_list(kind, fields_of)}")
     if field.kind not in NUMBERS:
         whole = [f"{done}.{below}" for below in fields_below(field.kind, fields_of)]
-        instead = ", ".join(whole[:_MAX_LISTED]) if whole else _listed(kind, fields_of)
+        instead = ", ".join(whole[:_MAX_LISTED]) if whole else _field_list(kind, fields_of)
         raise SamplingError(f"{kind}: {done} is a message; choose a number in it: {instead}")
     return path
 
@@ -146,36 +146,36 @@ def follow(message: Any, path: str) -> float:
     Raises:
         SamplingError: the value is not a number.
     """
-    found = message
+    value = message
     for step in steps(path):
         if isinstance(step, int):
-            if step >= len(found):
+            if step >= len(value):
                 return float("nan")
-            found = found[step]
+            value = value[step]
         else:
-            found = getattr(found, step)
-    if isinstance(found, bytes):  # how ROS gives the type `byte`
-        return float(found[0])
+            value = getattr(value, step)
+    if isinstance(value, bytes):  # how ROS gives the type `byte`
+        return float(value[0])
     try:
-        return float(found)
+        return float(value)
     except (TypeError, ValueError):
-        raise SamplingError(f"{path} is {str(found)[:40]!r}, which is not a number") from None
+        raise SamplingError(f"{path} is {str(value)[:40]!r}, which is not a number") from None
 
 
 def _only(kind: str, fields_of: FieldsOf) -> str:
-    found = list(fields_below(kind, fields_of))
-    single = [path for path in found if "[" not in path]
-    if len(found) == len(single) == 1:
-        return found[0]
-    if not found:
+    paths = list(fields_below(kind, fields_of))
+    single = [path for path in paths if "[" not in path]
+    if len(paths) == len(single) == 1:
+        return paths[0]
+    if not paths:
         raise SamplingError(f"{kind} has no numbers; name another topic")
-    raise SamplingError(f"{kind} has several numbers; choose one: {_listed(kind, fields_of)}")
+    raise SamplingError(f"{kind} has several numbers; choose one: {_field_list(kind, fields_of)}")
 
 
-def _listed(kind: str, fields_of: FieldsOf) -> str:
-    found = [] if kind in NUMBERS | TEXTS else list(fields_below(kind, fields_of))
-    more = f" and {len(found) - _MAX_LISTED} more" if len(found) > _MAX_LISTED else ""
-    return ", ".join(found[:_MAX_LISTED]) + more if found else "none"
+def _field_list(kind: str, fields_of: FieldsOf) -> str:
+    paths = [] if kind in NUMBERS | TEXTS else list(fields_below(kind, fields_of))
+    more = f" and {len(paths) - _MAX_LISTED} more" if len(paths) > _MAX_LISTED else ""
+    return ", ".join(paths[:_MAX_LISTED]) + more if paths else "none"
 
 
 _UNITS: Final = {

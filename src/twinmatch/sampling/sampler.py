@@ -239,7 +239,7 @@ class Sampler:
             tick = self._ticks.popleft()
             if INPUT not in tick.values:
                 mean = self._buffers[INPUT].mean(tick.time, tick.time + self._step)
-                tick.values[INPUT] = self._checked(INPUT, mean, tick.ready + self._step, tick.troubles)
+                tick.values[INPUT] = self._check_value(INPUT, mean, tick.ready + self._step, tick.troubles)
             self.troubles = tick.troubles
             if not tick.troubles:
                 found.append(self._sample(tick.number, tick.time, tick.values))
@@ -269,7 +269,7 @@ class Sampler:
         for name in self._signals:
             if name != INPUT or self._pacer == INPUT:
                 value = tick.paced if name == self._pacer else self._buffers[name].newest
-                tick.values[name] = self._checked(name, value, tick.ready, tick.troubles)
+                tick.values[name] = self._check_value(name, value, tick.ready, tick.troubles)
 
     def _sample(self, number: int, time: int, values: Mapping[str, float]) -> Sample:
         if self._first is None:
@@ -285,7 +285,7 @@ class Sampler:
             tuple(values.get(name, usual) for name, usual in self._disturbances.items()),
         )
 
-    def _checked(self, name: str, value: float | None, now: int, troubles: dict[str, str]) -> float:
+    def _check_value(self, name: str, value: float | None, now: int, troubles: dict[str, str]) -> float:
         """The value, perhaps NaN; if it cannot be used, the reason is added to `troubles`."""
         limits, counts, at = self._signals[name], self.counts[name], self._buffers[name].time
         if value is None or at is None:

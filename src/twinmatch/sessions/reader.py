@@ -142,16 +142,16 @@ def read_session(
             if (first := first_of(path)) == path:
                 raise
             pieces, path = pieces_of(first), first
-    found, left_out, errors = [], [], []
+    sessions, left_out, errors = [], [], []
     for number, piece in enumerate(pieces):
         try:
-            found.append(_read(piece, topic, part_of(progress, number, len(pieces))))
+            sessions.append(_read(piece, topic, part_of(progress, number, len(pieces))))
         except SessionError as error:
             errors.append(error)
             left_out.append(f"{piece.name} is left out: {error}")
-    if not found:
+    if not sessions:
         raise errors[0]
-    return _joined(found, path, left_out)
+    return _join(sessions, path, left_out)
 
 
 _NUMBERED: Final = re.compile(r"(?P<first>.+)_(?P<number>[2-9]|[1-9]\d+)")
@@ -159,16 +159,16 @@ _NUMBERED: Final = re.compile(r"(?P<first>.+)_(?P<number>[2-9]|[1-9]\d+)")
 
 def pieces_of(path: Path) -> list[Path]:
     """The folders of the run that begins with this one, itself included, in their order."""
-    found = [path]
+    pieces = [path]
     if not path.is_dir():
-        return found
+        return pieces
     whole = Path(os.path.realpath(path))  # `resolve` fails for circular links
     for number in count(2):
         piece = whole.with_name(f"{whole.name}_{number}")
         if not piece.is_dir() or not _continues(piece, whole.name):
-            return found
-        found.append(piece)
-    return found
+            return pieces
+        pieces.append(piece)
+    return pieces
 
 
 def first_of(path: Path) -> Path:
@@ -194,12 +194,12 @@ def _continues(piece: Path, first: str) -> bool:
     return True
 
 
-def _joined(found: Sequence[Session], path: Path, notes: Sequence[str]) -> Session:
+def _join(sessions: Sequence[Session], path: Path, notes: Sequence[str]) -> Session:
     """Sessions of one run as one: the last that begins at its beginning, and later messages of others."""
-    begin = min(session.samples[0].index for session in found)
-    base = max(k for k, session in enumerate(found) if session.samples[0].index == begin)
-    whole, later = found[base], found[base + 1 :]
-    notes = [*notes, f"{whole.path.name} holds the run from its beginning"] if len(found) > 1 else [*notes]
+    begin = min(session.samples[0].index for session in sessions)
+    base = max(k for k, session in enumerate(sessions) if session.samples[0].index == begin)
+    whole, later = sessions[base], sessions[base + 1 :]
+    notes = [*notes, f"{whole.path.name} holds the run from its beginning"] if len(sessions) > 1 else [*notes]
     source = _one_after_another([session.source for session in (whole, *later)]) if later else whole.source
     counts = Counter(message.topic.name for message in source()) if later else whole.counts
     topics = {topic.name: topic for session in (*later, whole) for topic in session.topics}
@@ -240,7 +240,7 @@ def _read(path: Path, topic: str | None, progress: ProgressCallback | None) -> S
     counts: Counter[str] = Counter()
     raw: dict[str, list[Message]] = {}
     start, end = 2**64, 0
-    for message in _reported(scans, progress):
+    for message in _with_progress(scans, progress):
         name = message.topic.name
         counts[name] += 1
         start, end = min(start, message.log_time), max(end, message.log_time)
@@ -277,7 +277,7 @@ def _read(path: Path, topic: str | None, progress: ProgressCallback | None) -> S
     )
 
 
-def _reported(scans: Sequence[Scan], progress: ProgressCallback | None) -> Iterator[Message]:
+def _with_progress(scans: Sequence[Scan], progress: ProgressCallback | None) -> Iterator[Message]:
     """The messages of all files, with calls of `progress` in between."""
     for number, message in enumerate(chain.from_iterable(scans), 1):
         if progress is not None and number % MESSAGES_BETWEEN == 0:

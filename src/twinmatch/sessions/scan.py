@@ -95,7 +95,7 @@ class Scan:
             for opcode, body in records:
                 self.read += _RECORD.size + len(body)
                 if opcode == Opcode.CHUNK:
-                    yield from self._chunk(_unpacked(_parsed(Chunk, body)))
+                    yield from self._chunk(_unpack(_parse(Chunk, body)))
                 elif opcode == Opcode.DATA_END:
                     self._check_end(records, file)
                     return
@@ -113,7 +113,7 @@ class Scan:
     def _torn_chunk(self, body: bytes) -> Iterator[Message]:
         """The complete messages of a truncated chunk; none if it is compressed."""
         try:
-            chunk = _parsed(Chunk, body)
+            chunk = _parse(Chunk, body)
         except _FaultError:  # truncated before its data
             return
         if not chunk.compression:
@@ -124,7 +124,7 @@ class Scan:
         try:
             for opcode, body in records:
                 if opcode == Opcode.STATISTICS:
-                    stated = _parsed(Statistics, body).message_count
+                    stated = _parse(Statistics, body).message_count
                     if stated > self._count:
                         raise _FaultError(
                             f"the file is damaged: only {self._count} of {stated} messages are left"
@@ -153,12 +153,12 @@ class Scan:
             self._count += 1
             yield Message(topic, logged, published, body[_MESSAGE.size :])
         elif opcode == Opcode.SCHEMA:
-            schema = _parsed(Schema, body)
+            schema = _parse(Schema, body)
             self._schemas[schema.id] = schema
         elif opcode == Opcode.CHANNEL:
-            self._announce(_parsed(Channel, body))
+            self._announce(_parse(Channel, body))
         elif opcode == Opcode.METADATA:
-            record = _parsed(Metadata, body)
+            record = _parse(Metadata, body)
             self.records[record.name] = record.metadata
 
     def _announce(self, channel: Channel) -> None:
@@ -199,7 +199,7 @@ def _records(file: BinaryIO, begin: int, end: int) -> Iterator[tuple[int, bytes]
         at += length
 
 
-def _parsed(kind: type[_Record], body: bytes) -> _Record:
+def _parse(kind: type[_Record], body: bytes) -> _Record:
     try:
         record: _Record = kind.read(ReadDataStream(BytesIO(body)))
     except (struct.error, ValueError, OverflowError, EndOfFile) as error:
@@ -207,7 +207,7 @@ def _parsed(kind: type[_Record], body: bytes) -> _Record:
     return record
 
 
-def _unpacked(chunk: Chunk) -> bytes:
+def _unpack(chunk: Chunk) -> bytes:
     """The records in a chunk, checked against its stated size and CRC."""
     size = chunk.uncompressed_size
     if size > _MAX_UNPACKED:
@@ -215,7 +215,7 @@ def _unpacked(chunk: Chunk) -> bytes:
     data = chunk.data
     if chunk.compression:
         try:
-            data = _decompressed(chunk.compression, data, size + 1)
+            data = _decompress(chunk.compression, data, size + 1)
         except _FaultError:
             raise
         except Exception as error:  # every compressor raises its own
@@ -227,7 +227,7 @@ def _unpacked(chunk: Chunk) -> bytes:
     return data
 
 
-def _decompressed(compression: str, data: bytes, most: int) -> bytes:
+def _decompress(compression: str, data: bytes, most: int) -> bytes:
     """The first `most` unpacked bytes."""
     if compression == "zstd":
         import zstandard  # noqa: PLC0415 - rarely needed

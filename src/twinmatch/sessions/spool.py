@@ -127,12 +127,12 @@ class MessageSpool:
     def since(self, number: int, most: int) -> Sequence[bytes]:
         """The messages from a number on (counted from 0), at most `most`."""
         begin = self._ends[number - 1] if 0 < number <= len(self._ends) else 0
-        found = []
+        messages = []
         self._file.seek(begin)
         for end in self._ends[number : number + most]:
-            found.append(self._file.read(end - begin))
+            messages.append(self._file.read(end - begin))
             begin = end
-        return found
+        return messages
 
     def close(self) -> None:
         """Close the file, which deletes it."""

@@ -240,12 +240,12 @@ def backtest_words(backtest: Backtest) -> list[str]:
         peers = [card for card in cards if card.who not in TWINS]
         if peers:
             best = min(peers, key=lambda card: card.median)
-            text += f"; {best.who}, the best of the peers, {_compared(best.median, own.median)}"
+            text += f"; {best.who}, the best of the peers, {_compare(best.median, own.median)}"
         found.append(f"{text}.")
     return found
 
 
-def _compared(theirs: float, ours: float) -> str:
+def _compare(theirs: float, ours: float) -> str:
     """Compare a peer's error with ours."""
     if not ours or not theirs:
         return "cannot be compared with it"

@@ -209,20 +209,20 @@ class Event:
 
 def events(verdicts: Iterable[Verdict]) -> list[Event]:
     """All events of the verdicts, in order of time."""
-    found: list[Event] = []
+    listed: list[Event] = []
     before: Verdict | None = None
     for verdict in verdicts:
-        found += events_since(before, verdict)
+        listed += events_since(before, verdict)
         before = verdict
-    return found
+    return listed
 
 
 def events_since(before: Verdict | None, verdict: Verdict) -> list[Event]:
     """The events of one verdict, given the one before it."""
-    found: list[Event] = []
+    listed: list[Event] = []
 
     def add(kind: EventKind, mark: Mark, title: str, why: str) -> None:
-        found.append(Event(verdict.sample, kind, title, why, mark))
+        listed.append(Event(verdict.sample, kind, title, why, mark))
 
     if verdict.match:
         kind, mark = _MATCH_EVENTS[verdict.match]
@@ -242,7 +242,7 @@ def events_since(before: Verdict | None, verdict: Verdict) -> list[Event]:
         faulty = verdict.fault or verdict.level is TrustLevel.FAULT
         kind = EventKind.FAULT if faulty else EventKind.LEVEL
         add(kind, _LEVEL_MARKS[verdict.level], *_level_event(verdict))
-    return found
+    return listed
 
 
 def _level_event(verdict: Verdict) -> tuple[str, str]:

@@ -158,7 +158,7 @@ class CandidatePool:
                 self.scores = UNSCORED
             else:
                 model = self._model(self._newest.window)
-                self.scores = self._scored(self._newest._replace(model=model))
+                self.scores = self._score_all(self._newest._replace(model=model))
         return gone
 
     def score(self, window: Window) -> None:
@@ -171,13 +171,13 @@ class CandidatePool:
             now = other.submit(self.structures.plant_now)
             model = self._model(window)
         self._newest = _NewestWindow(window, model, now.result())
-        self.scores = self._scored(self._newest)
+        self.scores = self._score_all(self._newest)
 
     def score_leader(self) -> None:
         """Score all candidates again if the leader is a structure without scores."""
         names = {candidate.name for candidate in self.scores.candidates} if self.scores else set()
         if self._newest is not None and names and self.forecaster.leader not in names:
-            self.scores = self._scored(self._newest)
+            self.scores = self._score_all(self._newest)
 
     def _model(self, window: Window) -> SimoModel:
         """Model of a measured window, of the order chosen by most members, in which all are compared.
@@ -192,19 +192,19 @@ class CandidatePool:
         settings = self._settings
         return identify(window, orders, scale=settings.model_scale, lead=settings.schedule.lead)[-1]
 
-    def _scored(self, newest: _NewestWindow) -> FamilyScores:
+    def _score_all(self, newest: _NewestWindow) -> FamilyScores:
         """The scores of the family, and beside it of the structure with the best forecasts."""
         fitted = {candidate.name: candidate for candidate in self.structures.candidates}
         best = self.forecaster.standings.best_of(fitted)
         beside = [] if best is None else [fitted[best]]
         try:
-            return self._compared(newest, beside)
+            return self._compare(newest, beside)
         except PlantError:
             if not any(candidate.parameters.model.is_external for candidate in beside):
                 raise
-            return self._compared(newest, [])
+            return self._compare(newest, [])
 
-    def _compared(self, newest: _NewestWindow, beside: Sequence[Candidate]) -> FamilyScores:
+    def _compare(self, newest: _NewestWindow, beside: Sequence[Candidate]) -> FamilyScores:
         """Compare all candidates with one another and with the plant, and choose the nominal one.
 
         Structures beside the family (the paper's) have no Box–Jenkins models.

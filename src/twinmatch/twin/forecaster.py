@@ -55,7 +55,7 @@ class Snapshot(NamedTuple):
         Raises:
             ForecastError: there is no candidate yet, or none of that name.
         """
-        return self.outlooks[_checked(self.leader if name is None else name, self.outlooks)]
+        return self.outlooks[_check_name(self.leader if name is None else name, self.outlooks)]
 
 
 class _Departure(NamedTuple):
@@ -266,7 +266,7 @@ class Forecaster:
         """
         self._catch_up()
         known = self._twins if self._recent else {}
-        return self._outlook(_checked(self.leader if name is None else name, known))
+        return self._outlook(_check_name(self.leader if name is None else name, known))
 
     def _outlook(self, name: str) -> Outlook:
         twin = self._twins[name]
@@ -423,7 +423,7 @@ def forecast_noise(plant: type[Plant], law: Law | None) -> FloatArray:
     return np.array([*(output.noise for output in plant.outputs.values()), *drives])
 
 
-def _checked(name: str | None, candidates: Mapping[str, object]) -> str:
+def _check_name(name: str | None, candidates: Mapping[str, object]) -> str:
     """Check that there is a candidate of this name, and return the name.
 
     Raises:

@@ -40,15 +40,15 @@ class GapFiller:
         first."""
         lost: list[Sample] = []
         if self._past and not sample.follows(self._past[-1]):
-            lost = self._interpolated(self._past[-1], sample)
+            lost = self._interpolate(self._past[-1], sample)
             if not lost:
                 self._past.clear()
         if lost and self._law is not None and len(self._past) == _PAST:
-            lost = _looped(self._law, list(self._past), lost, sample)
+            lost = _fill_by_law(self._law, list(self._past), lost, sample)
         self._past.extend((*lost, sample))
         return [*lost, sample]
 
-    def _interpolated(self, before: Sample, after: Sample) -> list[Sample]:
+    def _interpolate(self, before: Sample, after: Sample) -> list[Sample]:
         """Stand-ins for the samples between two, oldest first; none if too many or a clock set back."""
         steps = after.index - before.index
         alike = after.stamp > before.stamp and before.shape == after.shape
@@ -67,7 +67,7 @@ class GapFiller:
         ]
 
 
-def _looped(law: Law, past: Sequence[Sample], lost: list[Sample], after: Sample) -> list[Sample]:
+def _fill_by_law(law: Law, past: Sequence[Sample], lost: list[Sample], after: Sample) -> list[Sample]:
     """The stand-ins with the set-points and inputs of the loop."""
     if after.shape[:3] != (law.n_references, law.n_outputs, law.n_inputs):
         return lost

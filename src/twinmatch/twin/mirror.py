@@ -120,10 +120,10 @@ class Mirror:
     @parameters.setter
     def parameters(self, new: Parameters) -> None:
         if self._previous is not None and new.model is not self._parameters.model:
-            found = self._estimated(new)
-            self._driven = self._transferred(self._driven, new, found)
+            found = self._estimate_states(new)
+            self._driven = self._transfer_states(self._driven, new, found)
             absent = np.full(found.size, np.nan)
-            self._closed = absent if self._pid is None else self._transferred(self._closed, new, found)
+            self._closed = absent if self._pid is None else self._transfer_states(self._closed, new, found)
         self._parameters = new
 
     def push(self, sample: Sample) -> MirrorState:
@@ -137,18 +137,20 @@ class Mirror:
         if self._previous is None or not sample.follows(self._previous):
             self._restart(sample)
         row = _disturbances(sample)
-        state = self._open(sample, row) if self._pid is None else self._looped(sample, self._pid, row)
+        state = (
+            self._drive_twin(sample, row) if self._pid is None else self._advance_both(sample, self._pid, row)
+        )
         self._driven = advance(self._parameters, self._driven, sample.inputs, self._period, row)
         self._previous = sample
         self._samples.append(sample)
         return state
 
-    def _open(self, sample: Sample, row: FloatArray | None) -> MirrorState:
+    def _drive_twin(self, sample: Sample, row: FloatArray | None) -> MirrorState:
         """The driven twin alone."""
         closed, commands = np.full(len(sample.outputs), np.nan), np.full(len(sample.inputs), np.nan)
         return self._observe(sample, closed, commands, row)
 
-    def _looped(self, sample: Sample, pid: Controller, row: FloatArray | None) -> MirrorState:
+    def _advance_both(self, sample: Sample, pid: Controller, row: FloatArray | None) -> MirrorState:
         """Both twins; advances the closed-loop one to the next tick."""
         closed = readings(self._parameters, self._closed, row)
         if self._started < 2:
@@ -171,13 +173,13 @@ class Mirror:
         self._samples.clear()
         self._started = 0
 
-    def _transferred(self, states: FloatArray, new: Parameters, found: FloatArray) -> FloatArray:
+    def _transfer_states(self, states: FloatArray, new: Parameters, found: FloatArray) -> FloatArray:
         """States of another structure: those of the present one where it has them, the rest from `found`."""
         kept = dict(zip(self._parameters.model.states, states.tolist(), strict=True))
         here = zip(new.model.states, found.tolist(), strict=True)
         return np.array([kept.get(name, there) for name, there in here])
 
-    def _estimated(self, new: Parameters) -> FloatArray:
+    def _estimate_states(self, new: Parameters) -> FloatArray:
         """The states at the next tick, estimated from the newest samples."""
         state_filter = StateFilter(new, self._period)
         state_filter.follow(self._samples)

@@ -83,7 +83,7 @@ def judge_archive(
         failed[number] = Failure(paths[number], reason)
         skip(failed[number])
 
-    described = _described(terms)
+    described = _describe(terms)
     for number, path in enumerate(paths):
         try:
             content = content_of(path)
@@ -128,7 +128,7 @@ def _archive(
     )
 
 
-def _described(terms: ArchiveTerms) -> str:
+def _describe(terms: ArchiveTerms) -> str:
     from twinmatch.dynamics.store import source_hash  # noqa: PLC0415 — imports numpy
 
     return repr((terms.settings, terms.given, terms.fixed, source_hash(terms.settings.plant)))

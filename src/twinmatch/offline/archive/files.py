@@ -40,12 +40,12 @@ def find_sessions(named: Iterable[Path | str]) -> list[Path]:
     shell has not resolved is resolved here. Whether they can be read is found out when they are judged. Of
     the pieces of one run only the first is listed.
     """
-    found: dict[Path, Path] = {}
+    paths: dict[Path, Path] = {}
     for name in named:
-        for path in _resolved(Path(name)):
-            found.setdefault(Path(os.path.realpath(path)), path)  # `resolve` fails for circular links
-    first = {whole: first_of(whole) for whole in found}
-    return [path for whole, path in found.items() if first[whole] == whole or first[whole] not in found]
+        for path in _resolve(Path(name)):
+            paths.setdefault(Path(os.path.realpath(path)), path)  # `resolve` fails for circular links
+    first = {whole: first_of(whole) for whole in paths}
+    return [path for whole, path in paths.items() if first[whole] == whole or first[whole] not in paths]
 
 
 def is_single(named: Sequence[Path | str]) -> bool:
@@ -53,19 +53,19 @@ def is_single(named: Sequence[Path | str]) -> bool:
     return len(named) == 1 and not _is_pattern(Path(named[0])) and not _is_collection(Path(named[0]))
 
 
-def _resolved(path: Path) -> Sequence[Path]:
+def _resolve(path: Path) -> Sequence[Path]:
     if _is_pattern(path):
         matches = sorted(glob.glob(str(path), recursive=True))  # noqa: PTH207 — Path.glob takes no absolute ones
         if not matches:
             raise ArchiveError(f"{path}: no file or folder matches this pattern")
-        return [found for match in matches for found in _resolved(Path(match))]
+        return [session for match in matches for session in _resolve(Path(match))]
     if not _is_collection(path):
         return [path]
-    found = _within(path)
-    if not found:
+    sessions = _within(path)
+    if not sessions:
         msg = f"{path}: has neither sessions (folders with .mcap files) nor recordings (.mat, .csv)"
         raise ArchiveError(msg)
-    return found
+    return sessions
 
 
 def _is_pattern(path: Path) -> bool:
@@ -81,19 +81,19 @@ def _is_session(names: Iterable[str]) -> bool:
 
 
 def _within(folder: Path) -> list[Path]:
-    found = []
+    sessions = []
     for place, folders, files in os.walk(folder):
         if _is_session(files):
-            found.append(Path(place))
+            sessions.append(Path(place))
             folders.clear()
             continue
         folders[:] = [name for name in folders if not name.startswith(".")]
-        found += [
+        sessions += [
             Path(place, name)
             for name in files
             if not name.startswith(".") and Path(name).suffix.lower() in RECORDINGS
         ]
-    return sorted(found)
+    return sorted(sessions)
 
 
 LIBRARIES = ("numpy", "scipy", "numba")
@@ -122,13 +122,13 @@ def software() -> str:
     """
     root = Path(twinmatch.__file__).parent
     code = _hash(sorted(root.rglob("*.py")), root)[:12]
-    found = [f"twinmatch {twinmatch.__version__} (code {code})"]
+    versions = [f"twinmatch {twinmatch.__version__} (code {code})"]
     for library in LIBRARIES:
         try:
-            found.append(f"{library} {version(library)}")
+            versions.append(f"{library} {version(library)}")
         except PackageNotFoundError:
-            found.append(f"{library} unknown")
-    return ", ".join(found)
+            versions.append(f"{library} unknown")
+    return ", ".join(versions)
 
 
 def _hash(files: Iterable[Path], root: Path) -> str:

@@ -150,18 +150,18 @@ def judge_in_processes(jobs: Sequence[Job], processes: int) -> Iterator[JobResul
     """
     left = {job.number: job for job in jobs}
     try:
-        for outcome in _pooled(jobs, min(processes, len(jobs))):
+        for outcome in _run_in_pool(jobs, min(processes, len(jobs))):
             del left[outcome.number]
             yield outcome
     except BrokenProcessPool:
         for job in left.values():
             try:
-                yield from _pooled([job], 1)
+                yield from _run_in_pool([job], 1)
             except BrokenProcessPool:
                 yield JobResult(job.number, None, f"{job.path}: the process that judged it died")
 
 
-def _pooled(jobs: Sequence[Job], processes: int) -> Iterator[JobResult]:
+def _run_in_pool(jobs: Sequence[Job], processes: int) -> Iterator[JobResult]:
     with pool(processes) as workers:
         for future in as_completed([workers.submit(judge_job, job) for job in jobs]):
             yield future.result()
@@ -179,7 +179,7 @@ def judge_on_cluster(jobs: Sequence[Job], address: str) -> Iterator[JobResult]:
     Workers need the same version of this package and the sessions under the same paths; everything else, and
     all results, are sent by value. `address` is the scheduler's, such as "tcp://10.0.0.1:8786".
     """
-    with contextlib.closing(_connected(address)) as client:
+    with contextlib.closing(_connect(address)) as client:
         _check_workers(client, address, [job.path for job in jobs])
         futures = {_submit(client, job): job for job in jobs}
         try:
@@ -189,7 +189,7 @@ def judge_on_cluster(jobs: Sequence[Job], address: str) -> Iterator[JobResult]:
                 client.cancel(list(futures), force=True)
 
 
-def _connected(address: str) -> Client:
+def _connect(address: str) -> Client:
     try:
         from distributed import Client  # noqa: PLC0415 — rarely needed
         from distributed.comm import get_address_host_port  # noqa: PLC0415

@@ -76,11 +76,11 @@ class Origin:
 
 def regular(held: Sequence[Window], every: float) -> list[int]:
     """The samples at regular intervals, in seconds, within each stretch."""
-    found: list[int] = []
+    samples: list[int] = []
     for stretch in held:
         pace = samples_within(every, stretch.period)
-        found += range(stretch.first + pace - 1, stretch.last + 1, pace)
-    return found
+        samples += range(stretch.first + pace - 1, stretch.last + 1, pace)
+    return samples
 
 
 def origins(
@@ -89,24 +89,24 @@ def origins(
     """The origins at these samples of a session's stretches, if at least the nearest of the horizons, s, from
     near to far, can be scored."""
     wanted = sorted(set(samples))
-    found = []
+    places = []
     for stretch in held:
         nearest, farthest = (samples_within(horizons[k], stretch.period) for k in (0, -1))
-        found += [
+        places += [
             Origin(k, stretch, min(farthest, stretch.last - k), driven)
             for k in wanted
             if stretch.first <= k <= stretch.last - nearest
         ]
-    return found
+    return places
 
 
 def ask(arx: ArxForecast, origin: Origin) -> dict[str, Forecast]:
     """The forecasts of the peers, by name: those that the ledger compares with, of means without bands."""
     with one_thread():
-        found = arx.referees(origin.ahead, origin.disturbances)
+        forecasts = arx.referees(origin.ahead, origin.disturbances)
     past, size, outputs = origin.past, origin.count, origin.past.outputs.shape[1]
     unknown = np.full(size, np.nan)
-    bands = [tuple(Band(mean, unknown, unknown) for mean in means) for means in found]
+    bands = [tuple(Band(mean, unknown, unknown) for mean in means) for means in forecasts]
     return {
         name: Forecast(
             sample=origin.sample,
@@ -141,8 +141,8 @@ def mark(
         if count <= origin.count and (came.seen is None or came.seen[count - 1])
     ]
     return [
-        Marked(session, origin.sample, horizon, who, found, candidate)
-        for horizon, found in zip(over, marks(forecast, came, over, plant), strict=True)
+        Marked(session, origin.sample, horizon, who, result, candidate)
+        for horizon, result in zip(over, marks(forecast, came, over, plant), strict=True)
     ]
 
 
@@ -363,7 +363,7 @@ def graded(judgement: Judgement, listener: Listener, *, watch: Watch | None = No
     Forecasts across a fault of the plant are left out: faults cannot be forecast.
     """
     plant, period = judgement.settings.plant, judgement.settings.period
-    found: list[tuple[_Graded, list[float]]] = []
+    results: list[tuple[_Graded, list[float]]] = []
     spoilt = unasked = 0
     total = len(listener.graded)
     with held_interrupts() as check_interrupt:
@@ -378,12 +378,12 @@ def graded(judgement: Judgement, listener: Listener, *, watch: Watch | None = No
             elif result is None:
                 unasked += 1
             else:
-                found.append((result(), kept))
+                results.append((result(), kept))
             if watch is not None:
                 watch(done * len(judgement.samples) // total, len(judgement.samples))
             check_interrupt()
-    found.reverse()
-    everything = [one for result, kept in found for one in result.marked if one.horizon in kept]
+    results.reverse()
+    everything = [one for result, kept in results for one in result.marked if one.horizon in kept]
     marked = common(everything)
     judged = {one.sample for one in marked}
     return Backtest(
@@ -394,18 +394,18 @@ def graded(judgement: Judgement, listener: Listener, *, watch: Watch | None = No
         confidence=CONFIDENCE,
         marked=tuple(marked),
         came=listener.held,
-        shown=_one_after_another(result.shown for result, _ in found if result.shown.sample in judged),
+        shown=_one_after_another(result.shown for result, _ in results if result.shown.sample in judged),
         notes=tuple(_notes(total, judged, everything, spoilt, unasked)),
     )
 
 
 def _one_after_another(forecasts: Iterable[Forecast]) -> tuple[Forecast, ...]:
     """Select forecasts that begin where the one before ends."""
-    found: list[Forecast] = []
+    shown: list[Forecast] = []
     for forecast in forecasts:
-        if not found or forecast.sample >= found[-1].sample + found[-1].time.size:
-            found.append(forecast)
-    return tuple(found)
+        if not shown or forecast.sample >= shown[-1].sample + shown[-1].time.size:
+            shown.append(forecast)
+    return tuple(shown)
 
 
 def _notes(

@@ -128,13 +128,13 @@ class _Guarded(BokehTornado):  # type: ignore[misc]  # Bokeh has no types
 
     def find_handler(self, request: HTTPServerRequest, **_: Any) -> Any:
         """The handler of a request, or of its refusal."""
-        refused = self._refused(request)
+        refused = self._refusal(request)
         if refused is None:
             return super().find_handler(request)
         status, why = refused
         return self.get_handler_delegate(request, _Refusal, {"status": status, "why": why})
 
-    def _refused(self, request: HTTPServerRequest) -> tuple[HTTPStatus, str] | None:
+    def _refusal(self, request: HTTPServerRequest) -> tuple[HTTPStatus, str] | None:
         asked = request.headers
         why = self._hosts.refusal(asked.get("Host"), asked.get("Origin"))
         if why:
@@ -145,11 +145,11 @@ class _Guarded(BokehTornado):  # type: ignore[misc]  # Bokeh has no types
             return HTTPStatus.NOT_FOUND, "there is nothing of this name here; the page is at /"
         if "Bokeh-Session-Id" in asked or any(name.startswith("bokeh-") for name in request.arguments):
             return HTTPStatus.FORBIDDEN, "a session cannot be chosen here; the page is at /"
-        if request.path == "/ws" and not self._signed(asked.get("Sec-WebSocket-Protocol", "")):
+        if request.path == "/ws" and not self._has_token(asked.get("Sec-WebSocket-Protocol", "")):
             return HTTPStatus.FORBIDDEN, "this needs the token of a page that was loaded from here; reload it"
         return None
 
-    def _signed(self, protocols: str) -> bool:
+    def _has_token(self, protocols: str) -> bool:
         """Whether a websocket is asked for with a token of this server that has not expired."""
         kind, _, token = protocols.partition(",")
         try:

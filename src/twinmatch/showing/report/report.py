@@ -160,7 +160,7 @@ def judge_for_report(path: Path) -> JudgedSession:
         TwinmatchError: the file cannot be used.
     """
     session = open_any(path)
-    return _judged(session, *_terms(session))
+    return _judge(session, *_terms(session))
 
 
 def _terms(session: Session, config: Path | None = None, candidates: Path | None = None) -> tuple[Terms, str]:
@@ -171,7 +171,7 @@ def _terms(session: Session, config: Path | None = None, candidates: Path | None
         return terms_from_files(session, config, candidates), str(error)
 
 
-def _judged(
+def _judge(
     session: Session,
     terms: Terms,
     unlike: str,
@@ -182,12 +182,12 @@ def _judged(
 ) -> JudgedSession:
     listener = Listener(session.name, session.samples, terms.settings, Choices(peers=tuple(peers)), work)
     judgement = judge(session, terms, watch=part_of(watch, 0, 2), beside=listener)
-    recorded, identical = _compared(session, judgement, unlike)
+    recorded, identical = _verify(session, judgement, unlike)
     rest = part_of(watch, 1, 2)
     return JudgedSession(session, judgement, listener, terms.source, recorded, identical, rest)
 
 
-def _compared(session: Session, judgement: Judgement, unlike: str) -> tuple[str, bool | None]:
+def _verify(session: Session, judgement: Judgement, unlike: str) -> tuple[str, bool | None]:
     count = holds_verdicts(session)
     if not count:
         return "The session has no recorded verdicts; all of them were computed for this report.", None
@@ -361,5 +361,5 @@ def make_report(
         session = open_any(path, progress=progress, plant=plant)
         terms, unlike = _terms(session, config, candidates)
         work = second_process if portable(terms.settings.plant) else Beside()
-        judged = _judged(session, terms, unlike, peers=peers, watch=watch, work=work)
+        judged = _judge(session, terms, unlike, peers=peers, watch=watch, work=work)
         return build_report(judged, path, command=command, work=work)

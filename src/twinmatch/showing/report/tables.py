@@ -215,14 +215,14 @@ def criterion_tables(verdict: Verdict) -> list[ReportTable]:
     tables = []
     for candidate in verdict.modelled:
         titles, count = dict(outputs_of(candidate.orders)), len(candidate.orders)
-        found, rows = criterion_rows(candidate, shown), []
-        for k, row in enumerate(found):
+        criteria, rows = criterion_rows(candidate, shown), []
+        for k, row in enumerate(criteria):
             first = () if k % count else (_head(titles[row.output], count),)
             order = Cell(row.order, best=row.chosen, number=False)
             rows.append((*first, order, *(Cell(c.text, best=c.best) for c in row.cells)))
         mark = ", nominal" if candidate.name == verdict.nominal else ""
         caption = f"Candidate {candidate.name}{mark}: order {candidate.chosen_order} chosen"
-        chosen = frozenset(k for k, row in enumerate(found) if row.chosen)
+        chosen = frozenset(k for k, row in enumerate(criteria) if row.chosen)
         tables.append(ReportTable(caption, names, tuple(rows), chosen))
     return tables
 
@@ -293,8 +293,8 @@ def coefficient_table(member: Member) -> ReportTable:
     for output, title in outputs_of(member.score.orders)[:2]:
         for k, polynomial in enumerate("BCDF"):
             first = (_head(title, 4),) if k == 0 else ()
-            found = (m.y if output == "y" else m.u for m in models)
-            values = (getattr(model, polynomial).tolist() for model in found if model is not None)
+            outputs = (m.y if output == "y" else m.u for m in models)
+            values = (getattr(model, polynomial).tolist() for model in outputs if model is not None)
             # In q⁻¹, constant term first, to six significant digits.
             texts = ("  ".join(f"{v:.6g}".replace("-", "−") for v in row) for row in values)
             rows.append((*first, _head(polynomial), *(_words(text, mark="poly") for text in texts)))
@@ -306,7 +306,7 @@ def coefficient_table(member: Member) -> ReportTable:
 def forecast_tables(tested: Backtest) -> list[ReportTable]:
     """One table per horizon: errors and bands of every forecaster; the smallest error of those that can be
     used live is bold."""
-    columns, found = card_columns(tested.plant, driven=tested.driven), []
+    columns, tables = card_columns(tested.plant, driven=tested.driven), []
     for horizon, cards in tested.at_horizons.items():
         live = [card for card in cards if card.who not in TWINS[1:]]
         best = {card.who for card in live if card.median == min(c.median for c in live)}
@@ -317,8 +317,8 @@ def forecast_tables(tested: Backtest) -> list[ReportTable]:
             rows.append((_head(who), error, *map(Cell, figures[1:])))
         caption = f"{horizon:g} s ahead, {cards[0].count} forecasts"
         marked = frozenset(k for k, card in enumerate(cards) if card.who == LEADER)
-        found.append(ReportTable(caption, tuple(name for name, _ in columns), tuple(rows), marked))
-    return found
+        tables.append(ReportTable(caption, tuple(name for name, _ in columns), tuple(rows), marked))
+    return tables
 
 
 def leader_forecast_table(fans: Sequence[Fan], plant: type[Plant]) -> ReportTable | None:
