@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from twinmatch.dynamics import Controller, PidGains, Plant, pid_of
 from twinmatch.errors import TwinmatchError
-from twinmatch.signals import Sample
+from twinmatch.signals import NANOSECONDS, Sample
 
 __all__ = ["ControlError", "Loop", "Profile"]
 
@@ -113,9 +113,6 @@ class Profile:
         if moved >= abs(level - before):
             return level
         return before + math.copysign(moved, level - before)
-
-
-NANOSECONDS = 1_000_000_000
 
 
 class Loop:

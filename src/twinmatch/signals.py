@@ -25,6 +25,7 @@ from twinmatch.errors import TwinmatchError
 
 __all__ = [
     "KELVIN",
+    "NANOSECONDS",
     "SIGNALS",
     "BoolArray",
     "FloatArray",
@@ -50,6 +51,8 @@ _Value = TypeVar("_Value")
 
 KELVIN = 273.15
 """Zero Celsius in kelvin."""
+NANOSECONDS = 1_000_000_000
+"""In a second; stamps count them."""
 
 _NONE: FloatArray = np.empty((0, 0))
 """Default for a window without disturbances."""

@@ -11,7 +11,7 @@ from pathlib import Path
 from twinmatch.cli.shared import TERMS, Progress, add_options, check_writable, judging
 from twinmatch.offline.processes import held_interrupts
 from twinmatch.showing.report.pictures import write_pictures
-from twinmatch.showing.report.report import PEERS, make_report
+from twinmatch.showing.report.report import make_report
 
 FORMATS = ("png", "pdf")
 
@@ -26,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--figures", type=Path, metavar="DIR", help="also write the figures into this folder")
     parser.add_argument("--format", choices=FORMATS, default="png", help="their format (default: png)")
     of_peers = "methods to compare the forecasts with; without a value: none (default: persistence arx)"
-    add_options(parser, "--peers", default=list(PEERS), help=of_peers)
+    add_options(parser, "--peers", help=of_peers)
     add_options(parser, *TERMS)
 
 

@@ -8,11 +8,10 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Iterable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
+from twinmatch.dynamics.definition import Expression
 from twinmatch.dynamics.equations import Derived
-
-Expression = Any
 
 
 class Formulas(NamedTuple):

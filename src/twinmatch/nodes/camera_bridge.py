@@ -26,14 +26,13 @@ from twinmatch.links.thermal_client import (
     region,
 )
 from twinmatch.links.thermal_frame import DEFAULT_PORT, Exposure, ThermalFrame
+from twinmatch.nodes.expected import FASTEST
 from twinmatch.nodes.health import Level, Report
 from twinmatch.nodes.messages import time_message
 from twinmatch.nodes.node import TwinmatchNode
 from twinmatch.parameters.declared import Setting, given_to, parameters_of
 from twinmatch.signals import KELVIN
 
-FASTEST = 1000.0
-"""Highest speed of simulated time, s per wall s; anything faster is a jump of the clock."""
 SMOOTHING = 0.2
 """Weight of the newest reading in the estimate of the clock's speed."""
 

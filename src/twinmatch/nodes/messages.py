@@ -21,12 +21,11 @@ from twinmatch.description import Description, Quantity
 from twinmatch.dynamics import Parameters, PlantError
 from twinmatch.forecasting import Band, Forecast, Question, WhatIfResult
 from twinmatch.record import fill, object_of, parameters_of, parameters_tree, tree_of, tree_of_message
-from twinmatch.signals import Sample, SignalError, Window
+from twinmatch.signals import NANOSECONDS, Sample, SignalError, Window
 from twinmatch.twin import MatchReport, MatchRequest, MirrorState
 from twinmatch_msgs import msg as messages
 from twinmatch_msgs import srv as services
 
-NANOSECONDS = 1_000_000_000
 LOOP: Final = ("reference", "output", "input")
 """The signals of a loop, without disturbances."""
 SAMPLED: Final = {**{name: f"{name}s" for name in LOOP}, "disturbances": "disturbances"}

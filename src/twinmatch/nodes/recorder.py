@@ -18,7 +18,7 @@ from rcl_interfaces.srv import GetParameters, ListParameters
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.parameter import parameter_value_to_python
 
-from twinmatch.nodes.doubts import Doubts
+from twinmatch.nodes.doubts import Doubts, Tell
 from twinmatch.nodes.health import Level, Report
 from twinmatch.nodes.node import TwinmatchNode, Worker
 from twinmatch.nodes.past import CatchingUp, RecorderPast
@@ -80,8 +80,6 @@ PATIENCE = 3.0
 
 MAX_NAMES = 1000
 """Most parameters of a node that are asked for."""
-
-Tell = Callable[[str, Mapping[str, str]], None]
 
 
 class NodeSettings:

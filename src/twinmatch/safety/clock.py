@@ -6,8 +6,7 @@ import math
 from dataclasses import dataclass
 
 from twinmatch.safety.limits import within_a_minute
-
-NANOSECONDS = 1_000_000_000
+from twinmatch.signals import NANOSECONDS
 
 
 @dataclass(frozen=True)

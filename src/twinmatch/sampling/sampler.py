@@ -20,12 +20,11 @@ import numpy as np
 
 from twinmatch.sampling.channels import SamplingError
 from twinmatch.sampling.sources import INPUT, OUTPUT, REFERENCE
-from twinmatch.signals import Sample
+from twinmatch.signals import NANOSECONDS, Sample
 
 TIMER: Final = "timer"
 """Paces the samples with the sampler's own clock instead of a signal."""
 
-NANOSECONDS: Final = 1_000_000_000
 _NONE: Final[Mapping[str, float]] = MappingProxyType({})
 LATEST_SETTLE: Final = 0.45
 """Largest settling time, in periods; later values would rather belong to the next tick."""

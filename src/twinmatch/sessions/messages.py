@@ -29,7 +29,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from twinmatch.sessions.files import SessionError
-from twinmatch.signals import Sample, incomplete
+from twinmatch.signals import NANOSECONDS, Sample, incomplete
 
 
 def fields_of(schema: str) -> list[str]:
@@ -276,7 +276,6 @@ def _decoder(topic: Topic) -> Callable[[bytes], Any]:
 FRAME = "plate"
 """`header.frame_id` of everything measured at the plate."""
 
-NANOSECONDS = 1_000_000_000
 
 _LITTLE = b"\x00\x01\x00\x00"
 _ORDER = {b"\x00\x00": ">", b"\x00\x01": "<"}

@@ -347,9 +347,6 @@ def _clock(samples: list[Sample]) -> list[str]:
     return []
 
 
-SIGNALS = ("references", "outputs", "inputs")
-
-
 def check_samples(samples: Sequence[Sample], place: str) -> None:
     """Refuse samples that cannot be judged; the error message starts with `place`.
 
@@ -358,7 +355,7 @@ def check_samples(samples: Sequence[Sample], place: str) -> None:
     """
     if not samples:
         raise SessionError(f"{place}: has no samples")
-    for name in SIGNALS:
+    for name in ("references", "outputs", "inputs"):
         for sample in samples:
             values = getattr(sample, name)
             if not all(map(math.isfinite, values)):

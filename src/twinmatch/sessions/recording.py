@@ -27,10 +27,9 @@ from twinmatch.sessions.reader import check_samples, gaps_of
 from twinmatch.sessions.scan import Scan, messages_of
 from twinmatch.sessions.writer import SessionWriter, sync_folder
 from twinmatch.settings import setting
-from twinmatch.signals import Sample, Window
+from twinmatch.signals import NANOSECONDS, Sample, Window
 
 MEGABYTE = 1_000_000
-NANOSECONDS = 1_000_000_000
 
 
 class DiskFullError(DiskError):

@@ -17,6 +17,7 @@ import twinmatch
 from twinmatch.errors import TwinmatchError
 from twinmatch.sessions.documents import DocumentError, parse_json
 from twinmatch.sessions.files import read_bounded
+from twinmatch.sessions.metadata import METADATA
 from twinmatch.sessions.reader import first_of, pieces_of
 
 
@@ -28,7 +29,6 @@ class ClusterError(ArchiveError):
     """A Dask cluster cannot be reached, was lost, or cannot judge sessions."""
 
 
-METADATA = "metadata.yaml"
 RECORDINGS = (".mat", ".csv")
 
 

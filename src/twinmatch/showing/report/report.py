@@ -11,14 +11,14 @@ from functools import cached_property
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 import twinmatch
 from twinmatch.errors import TwinmatchError
 from twinmatch.importing import open_any
-from twinmatch.offline.backtest import Backtest, Choices, Listener, graded, portable
+from twinmatch.offline.backtest import PEERS, Backtest, Choices, Listener, graded, portable
 from twinmatch.offline.judging import Judgement, Terms, Watch, judge, recorded_terms, terms_from_files
 from twinmatch.offline.processes import Beside, beside
 from twinmatch.offline.verification import compare, holds_verdicts
@@ -36,8 +36,6 @@ from twinmatch.showing.summary import sentence
 from twinmatch.showing.verdicts import last_verdict, level_words
 from twinmatch.twin import TwinSettings
 
-PEERS: Final = ("persistence", "arx")
-"""Methods that forecasts are compared with unless told otherwise: those that take no time."""
 _LIBRARIES = ("numpy", "scipy", "numba", "control", "mcap", "matplotlib", "Jinja2")
 _CHUNK = 1 << 20
 
@@ -176,7 +174,7 @@ def _judge(
     terms: Terms,
     unlike: str,
     *,
-    peers: Sequence[str] = PEERS,
+    peers: Sequence[str] = tuple(PEERS),
     watch: Watch | None = None,
     work: Beside | None = None,
 ) -> JudgedSession:
@@ -334,7 +332,7 @@ def make_report(
     config: Path | None = None,
     candidates: Path | None = None,
     plant: str | None = None,
-    peers: Sequence[str] = PEERS,
+    peers: Sequence[str] = tuple(PEERS),
     watch: Watch | None = None,
     progress: ProgressCallback | None = None,
     command: str = "from Python",
