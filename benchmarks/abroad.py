@@ -59,6 +59,8 @@ class Watched:
     mishap: str
     lacks: tuple[str, ...]
     alarms: list[Alarm] = field(default_factory=list)
+    standing: list[str] = field(default_factory=list)
+    """What was known of the twin before each of them."""
     in_alarm: int = 0
     """Samples."""
     trusted: list[bool] = field(default_factory=list)
@@ -99,8 +101,15 @@ class Watcher:
         self.told.took += time.perf_counter() - began
         return self.told
 
+    @property
+    def _standing(self) -> str:
+        if self._twin is None:
+            return "alone"
+        unmatched = self._twin.discriminator.nominal is None
+        return "trusted" if self._trusted else "no twin" if unmatched else "not trusted"
+
     def _push(self, sample: Sample) -> None:
-        told = self.told
+        told, standing = self.told, self._standing
         if self._twin is None:
             self._monitor.push(self._settle(sample))
         else:
@@ -111,6 +120,7 @@ class Watcher:
         alarms = self._monitor.alarms
         if alarms and (not told.alarms or alarms[-1].flagged > told.alarms[-1].flagged):
             told.alarms.append(alarms[-1])
+            told.standing.append(standing)
         elif alarms:
             told.alarms[-1] = alarms[-1]
         told.in_alarm += bool(alarms) and alarms[-1].last is None
@@ -141,11 +151,11 @@ class Order(NamedTuple):
 def _lines(told: Watched, kind: str) -> Iterator[str]:
     if told.broke:
         yield f"  {kind} ({', '.join(told.lacks) or 'nothing'}) ended by an error at {told.broke}"
-    for alarm in told.alarms:
+    for alarm, standing in zip(told.alarms, told.standing, strict=True):
         last = "on" if alarm.last is None else str(alarm.last)
         yield (
             f"  {kind} ({', '.join(told.lacks) or 'nothing'}) {alarm.first} {alarm.flagged} {last} "
-            f"{alarm.fault.value}: {alarm.reason}"
+            f"[{standing}] {alarm.fault.value}: {alarm.reason}"
         )
 
 
@@ -182,6 +192,10 @@ def healthy(kinds: Sequence[str], plants: int, hours: float, options: argparse.N
         print(_row(name, [(order, told) for order, told in found if order.kind == name]), flush=True)
     print(_row("all", found), flush=True)
     _print_broken(found)
+    stood = Counter(standing for _, w in found for standing in w.standing)
+    print(
+        "alarms by what was known of the twin:", ", ".join(f"{n} {word}" for word, n in stood.most_common())
+    )
     lacks = Counter(lack for _, w in found for lack in w.lacks)
     blamed = Counter(lack for _, w in found for lack in w.lacks for _ in w.alarms)
     print("alarms a plant, by what its file lacks: ", end="")

@@ -302,8 +302,8 @@ class AbroadPlant:
     def __post_init__(self) -> None:
         self._draw = draw = np.random.default_rng([self.seed, crc32(self.kind.plant.name.encode())])
         self.parameters = {n: v * float(draw.uniform(0.72, 1.28)) for n, v in self.kind.typical.items()}
-        if "supply" in self.parameters:
-            self.parameters["supply"] = 12.0
+        for fixed in {"supply", "rim"} & set(self.parameters):
+            self.parameters[fixed] = self.kind.typical[fixed]
         drawn_closed = bool(draw.random() < 0.65)
         self.closed = drawn_closed if self.closed is None else self.closed
         possible = [lack for lack in LACKS if lack != "dead band" or self.kind.dead_band]
