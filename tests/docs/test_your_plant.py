@@ -55,10 +55,9 @@ def test_the_page_leads_from_a_table_to_a_verdict(tmp_path: Path) -> None:
     looked = [(code, text) for arguments, code, text in said if "--data" in arguments]
     others = [(arguments, code) for arguments, code, _ in said if "--data" not in arguments]
     assert all(code == 0 for _, code in others), others
-    assert [code for code, _ in looked] == [1, 0]
-    refused = r"as not_explained: even the best fit leaves residuals of \d\d.* times the noise variance"
-    assert re.search(refused, looked[0][1])
-    found = dict(re.findall(r"(gain|lag|sensor_lag) = ([\d.]+) ±", looked[1][1]))
+    ((code, text),) = looked
+    assert code == 0
+    found = dict(re.findall(r"(gain|lag|sensor_lag) = ([\d.]+) ±", text))
     # What the page's table was made with; its noise leaves less than a hundredth of it open.
     assert {name: float(value) for name, value in found.items()} == pytest.approx(
         {"gain": 0.45, "lag": 180.0, "sensor_lag": 12.0}, rel=0.02

@@ -103,6 +103,21 @@ def test_a_temperature_is_not_measured_by_its_distance_from_absolute_zero() -> N
         assert judge(known, GateLimits())[0] is status
 
 
+def test_a_state_at_the_start_need_not_be_known_well() -> None:
+    """What is not known of it has made the errors of the parameters larger already."""
+    start = Unknown("sink", "K", (263.0, 423.0), 10.0, relative=False, initial=True)
+    with_start = replace(
+        GOOD,
+        free=(*unknown("seebeck", "conductance"), start),
+        values=np.array([0.075, 0.6, 296.0]),
+        standard_errors=np.array([0.005, 0.03, 9.0]),
+    )
+    assert judge(with_start, GateLimits())[0] is Status.ACCEPTED
+    parameter = replace(start, initial=False)
+    as_parameter = replace(with_start, free=(*unknown("seebeck", "conductance"), parameter))
+    assert judge(as_parameter, GateLimits())[0] is Status.NOT_IDENTIFIABLE
+
+
 def test_what_was_kept_is_said_and_not_asked_for_its_error() -> None:
     two = replace(
         GOOD,

@@ -187,6 +187,23 @@ def test_all_but_the_matched_compete_and_a_fit_says_where_its_states_were() -> N
     assert best.states_at(-1) is None
 
 
+def test_a_structure_that_is_watched_later_competes_at_once() -> None:
+    """It is fitted to the samples that are kept, and the others are left as they are."""
+    fits, window = candidates_only(watched(Peltier)[:2]), recorded(RIG, 2)
+    fits.push(window, excited=True)
+    before = fits.candidates
+    fits.watch([RIG.model])
+    fits.watch([RIG.model, *watched(Peltier)[:2]])
+    assert {c.name for c in fits.candidates} == {before[0].name, RICHEST}
+    assert before[0] in fits.candidates
+    late, early = rich(fits), candidates_only()
+    early.push(window, excited=True)
+    assert late == rich(early)
+    found = fits.plant_now()
+    assert found is not None
+    assert found.model is RIG.model
+
+
 def test_too_few_samples_and_quiet_ones_tell_nothing() -> None:
     few, quiet, window = candidates_only(), candidates_only(), recorded(RIG, 1)
     assert few.plant_now() is None

@@ -270,7 +270,8 @@ class Structure:
     starts: tuple[Mapping[str, float], ...] = ()
     """Further start points of the search, as changes of the first."""
     watched: bool = True
-    """Whether it is fitted beside the running plant; otherwise only when all structures are requested."""
+    """Whether it is fitted beside the running plant from the start; otherwise only if a match was made in it,
+    or when all structures are requested."""
     text: str = ""
     external: ExternalEquations | None = None
     """Source of its equations, if they are not in the plant's file."""

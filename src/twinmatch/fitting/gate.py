@@ -9,7 +9,8 @@ The checks are made in this order, and the first that fails gives the status:
 4. Did a parameter end on its bound? Then the bound determines it, not the data. A bound of zero is different:
    it is a physical limit, and mostly means that the window does not determine the parameter (see 5).
 5. Are the parameters determined by this window? One that is not is kept near its previous value, because the
-   twin predicts equally well along the whole valley; the check is repeated for the others.
+   twin predicts equally well along the whole valley; the check is repeated for the others. A state at the
+   window's start need not be: its uncertainty is part of that of the parameters.
 6. Do they predict the held-back samples no worse than the incumbent?
 """
 
@@ -154,6 +155,6 @@ def undetermined(
         )
     for unknown, value, error in zip(free, values.tolist(), standard_errors.tolist(), strict=True):
         size = abs(value) if unknown.relative else unknown.scale
-        if not (math.isfinite(error) and error <= limits.relative_error * size):
+        if not unknown.initial and not (math.isfinite(error) and error <= limits.relative_error * size):
             return f"{unknown.name} is {value:.3g} ± {error:.1g}: this window does not determine it"
     return None

@@ -5,15 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from operator import itemgetter
 from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from twinmatch.dynamics import FROM_PLANT_FILE, Drive, LoopLaw, Output, Parameters
+from twinmatch.dynamics import FROM_PLANT_FILE, Drive, Law, LoopLaw, Output, Parameters
+from twinmatch.errors import TwinmatchError
 from twinmatch.fitting.estimation import Uncertainty, on_bounds, solve, starts_for
 from twinmatch.fitting.gate import FitEvidence, GateLimits, Status, first_excited, judge, undetermined
 from twinmatch.fitting.identifiability import Identified, identify, unidentified
 from twinmatch.fitting.problem import Bounds, Noise, Problem, checked_free, checked_law
+from twinmatch.fitting.structures import LASTING
 from twinmatch.signals import FloatArray, Window
 
 
@@ -184,6 +187,27 @@ def match(
     if missing:
         return without_fit(window, problem.names, start, Status.NO_EXCITATION, missing)
     return _with_fit(problem, split, incumbent or start, limits)
+
+
+def explaining(
+    window: Window, starts: Iterable[Parameters], noise: Noise, law: Law | None
+) -> list[Parameters]:
+    """The starts in whose structures a fit explains the window, the most justified first.
+
+    The charge of a structure is the sum of the squares that its best fit leaves, divided by the length over
+    which they are correlated, and for each fitted value the logarithm of the number of independent ones.
+    """
+    charged: list[tuple[float, Parameters]] = []
+    for start in starts:
+        problem = Problem(window, checked_free(start.model, None), start, noise, law)
+        try:
+            best = solve(problem, starts_for(problem, start))
+        except TwinmatchError:  # another structure may be too fast for these samples
+            continue
+        if best.converged and best.chi2 <= GateLimits().chi2 and not on_bounds(problem, best.values):
+            independent = best.residuals.size / LASTING
+            charged.append((independent * best.chi2 + best.values.size * math.log(independent), start))
+    return [start for _, start in sorted(charged, key=itemgetter(0))]
 
 
 def _split(problem: Problem, min_step: float | None, limits: GateLimits) -> tuple[int, str]:

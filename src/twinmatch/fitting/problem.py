@@ -41,6 +41,8 @@ class Unknown:
     """Typical size (of a difference where zero is arbitrary)."""
     relative: bool
     """Whether its error is relative to its value; otherwise to its scale."""
+    initial: bool = False
+    """Whether it is a state at the window's start; these may be known badly."""
 
 
 def checked_free(model: Model, free: Iterable[str] | None) -> tuple[str, ...]:
@@ -98,7 +100,7 @@ def unknown_starts(model: Model, bounds: Bounds | None = None) -> tuple[Unknown,
     for name in model.structure.free_starts:
         state = model.declared_states[model.states.index(name)]
         limits = (bounds or {}).get(name) or state.start_bounds or state.span
-        found.append(Unknown(name, state.unit, limits, state.scale, relative=False))
+        found.append(Unknown(name, state.unit, limits, state.scale, relative=False, initial=True))
     return tuple(found)
 
 

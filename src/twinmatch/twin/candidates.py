@@ -141,6 +141,7 @@ class CandidatePool:
     def enter(self) -> None:
         """Pass all candidates to the forecaster: the structures, then the matches, newest first."""
         matches = [member.candidate for member in reversed(self._members.values())]
+        self.structures.watch([match.parameters.model for match in matches if match.window is not None])
         self.forecaster.enter([*self.structures.candidates, *matches], self._successors)
         self._successors = {}
 

@@ -4,6 +4,7 @@ They are fitted for three purposes. All watched structures, every twenty minutes
 samples support. Those beside the matched one, at every excited window, to compete as candidates: a match of
 three parameters needs one step of the set-point, but the heat stored in a sink, or the temperature of the
 room, shows only over many. And the richest one, whenever the family is compared, as the plant as it is now.
+A structure in which a match was made is watched from then on.
 
 The candidates' fits take the plant file's typical values as one observation of each parameter, so that during
 the first minutes they do not drift along the valley in which many parameters fit equally well.
@@ -95,11 +96,8 @@ class StructureFits:
             choice: the times of `CHOICE_S`, s.
             scale: factor on these and the other times.
         """
-        self._models, self._noise, self._law, self._decimals = tuple(models), noise, law, decimals
-        self._competing = tuple(model for model in models if model is not matched)
-        # Structures that run elsewhere may fail, so they are the plant now only if there are no others.
-        own = [model for model in models if not model.is_external] or models
-        self._richest = max(reversed(own), key=lambda model: model.structure.n_parameters())
+        self._noise, self._law, self._decimals, self._matched = noise, law, decimals, matched
+        self._models: tuple[Model, ...] = ()
         pace = scale / period
         self._least, self._choose_every, longest = (round(time * pace) for time in choice)
         self._compared = NewestSamples(longest)
@@ -108,8 +106,19 @@ class StructureFits:
         self._chosen_at: int | None = None
         self._fits: dict[str, tuple[Candidate, StructureFit]] = {}
         self._now: StructureFit | None = None
+        self.watch(models)
         self.choice: StructureChoice | None = None
         """The newest choice, if there is one yet."""
+
+    def watch(self, models: Sequence[Model]) -> None:
+        """Watch further structures; those that were not watched yet compete at once."""
+        new = [model for model in models if model not in self._models]
+        self._models = tuple(dict.fromkeys((*self._models, *new)))
+        # Structures that run elsewhere may fail, so they are the plant now only if there are no others.
+        own = [model for model in self._models if not model.is_external] or self._models
+        self._richest = max(reversed(own), key=lambda model: model.structure.n_parameters())
+        if self._fitted.window is not None:
+            self._compete(new, self._fitted.window)
 
     @property
     def candidates(self) -> tuple[Candidate, ...]:
@@ -138,7 +147,10 @@ class StructureFits:
                 decimals=self._decimals,
                 thorough=False,
             )
-        self._compete(self._fitted.push(window), excited=excited)
+        window = self._fitted.push(window)
+        fitted_at = max((candidate.samples[1] for candidate, _ in self._fits.values()), default=None)
+        if excited or (fitted_at is not None and not 0 <= window.last - fitted_at < self._fit_every):
+            self._compete(self._models, window)
 
     def plant_now(self) -> Parameters | None:
         """The plant that candidates are compared with: the richest structure; None with too few samples.
@@ -166,13 +178,12 @@ class StructureFits:
             del self._fits[name]
         return gone
 
-    def _compete(self, window: Window, *, excited: bool) -> None:
-        """Fit the competing structures, at excited windows or if their newest fit is old."""
-        fitted_at = max((candidate.samples[1] for candidate, _ in self._fits.values()), default=None)
-        if not excited and (fitted_at is None or 0 <= window.last - fitted_at < self._fit_every):
-            return
+    def _compete(self, models: Sequence[Model], window: Window) -> None:
+        """Fit structures, except the matched one, to a window."""
         level = window.output if self._law is None else window.reference
-        for model in self._competing:
+        for model in models:
+            if model is self._matched:
+                continue
             name, free = model.structure_name, model.structure.free
             before = self._fits.get(name)
             fit = None if model.lost else self._fit(model, window, before and before[1], informed=True)
