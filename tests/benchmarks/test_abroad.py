@@ -148,3 +148,16 @@ def test_the_benchmark_prints_a_row_for_a_kind(
     assert abroad.right_name("drive*0.62") == "drive-weak"
     assert abroad.right_name("drive*0 twice") == "drive-lost"
     assert abroad.right_name("reading late") == "sensor-late"
+
+
+def test_the_benchmark_prints_a_row_for_each_fault(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.syspath_prepend(str(PROJECT))
+    from benchmarks import abroad
+
+    case = ["faults", "1", "--kind", "incubator", "--only", "frozen", "--only", "spike", "--monitor"]
+    monkeypatch.setattr(sys, "argv", ["abroad", *case])
+    abroad.main()
+    rows = capsys.readouterr().out.splitlines()
+    assert [row.split()[:2] for row in rows[-2:]] == [["frozen", "1"], ["spike", "1"]]
