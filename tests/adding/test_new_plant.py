@@ -28,7 +28,7 @@ from twinmatch.dynamics import PidGains, begin, simulate_closed_loop, simulate_d
 from twinmatch.importing import open_any
 from twinmatch.importing.recordings import session_of
 from twinmatch.importing.tables import Table, read_table
-from twinmatch.offline.judging import judge, terms_from_files
+from twinmatch.offline.judging import judge, judge_samples, terms_from_files
 from twinmatch.plants import Incubator, find_plant
 from twinmatch.sampling.sources import SignalMap, SignalSource, parse_map
 from twinmatch.sessions import RecordingError, Session, samples_of
@@ -176,6 +176,27 @@ def test_a_disturbance_of_another_kind_is_left_to_the_reader(tmp_path: Path) -> 
     plant = find_plant(str(tmp_path / "cell.py"))
     assert check_plant(plant).findings == ()
     assert plant.drive.limits[0] <= plant.drive.rest <= plant.drive.limits[1]
+
+
+def test_a_dead_time_is_found_with_the_file_as_it_was_written(tmp_path: Path) -> None:
+    """The heater acts 10 s later than it is recorded; nobody has touched the file."""
+    random, late = np.random.default_rng(3), 10
+    power = np.repeat([0.0, 60.0, 20.0, 80.0, 40.0, 0.0], 200)
+    acts = np.concatenate([np.zeros(late), power[:-late]])
+    pole = np.exp(-1.0 / 60.0)
+    y = lfilter([0.0, 1 - pole], [1.0, -pole], 0.5 * acts) + 20.0 + 0.05 * random.standard_normal(power.size)
+    table = tmp_path / "late.csv"
+    rows = "\n".join(f"{k},{a:.3f},{b}" for k, (a, b) in enumerate(zip(y, power, strict=True)))
+    table.write_text(f"when,T (degC),Heat (%)\n{rows}\n")
+    path = written(tmp_path, propose(read_table(table), parse_map(MAP)), "late_one")[0]
+    plant = find_plant(str(path))
+    samples = samples_of(Window(y, y, power))
+    found = judge_samples("late", samples, TwinSettings.of(plant))
+    accepted = [report.match for report in found.matches if report.match.accepted]
+    assert len(accepted) >= 3
+    for match in accepted:
+        assert match.parameters["dead_time"] == pytest.approx(late, abs=1.0)
+    assert found.verdicts[-1].structure in ("", "dead time")
 
 
 def test_the_example_passes_its_own_test(tmp_path: Path) -> None:

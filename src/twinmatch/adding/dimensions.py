@@ -206,7 +206,9 @@ def _ratio(one: _Unit, other: _Unit) -> float | None:
 
 
 def _plain(number: Any) -> bool:
-    """Whether a factor is dimensionless: a small whole number, or a simple fraction."""
+    """Whether a factor is dimensionless: a small whole number, a simple fraction, or an exact root of one."""
+    if number.is_Pow and number.exp == Fraction(1, 2):
+        return _plain(number.base)
     try:
         value = Fraction(float(number)).limit_denominator(12)
     except (TypeError, OverflowError):
