@@ -191,10 +191,10 @@ class _KernelCache(FunctionCache):
     def _index(self) -> dict[Any, Any]:
         """What is cached; nothing if the index names a class of arguments of another version."""
         try:
-            found: dict[Any, Any] = self._read_index()
+            index: dict[Any, Any] = self._read_index()
         except (AttributeError, ImportError, pickle.UnpicklingError):
             return {}
-        return found
+        return index
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         # numba would load its whole compiler first (a fifth of a second), needed only to compile.

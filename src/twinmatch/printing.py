@@ -20,7 +20,7 @@ _ODD: Final = re.compile(
 
 def printable(text: str) -> str:
     r"""A text with such characters escaped, as `\x1b`; line breaks and tabs are kept."""
-    return _ODD.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
+    return _ODD.sub(lambda odd: odd[0].encode("unicode_escape").decode(), text)
 
 
 def one_line(text: str) -> str:

@@ -46,8 +46,8 @@ def check_plant(
     notes: list[str] = []
     unusable = ""
     try:
-        for found, remarks in _steps(plant, period, show):
-            findings |= {one.what: one for one in found}
+        for faults, remarks in _steps(plant, period, show):
+            findings |= {one.what: one for one in faults}
             notes += [note for note in remarks if note not in notes]
     except PlantError as error:
         unusable = str(error)
@@ -226,42 +226,42 @@ def pace(model: Model, period: float | None) -> tuple[list[Finding], list[str]]:
     place = f"structure {model.structure_name!r}"
     if not lags.size:
         return [], ["there is no finite time constant (an integrator)"]
-    found = [*_growing(place, parameters)]
+    faults = [*_growing(place, parameters)]
     listed = ", ".join(f"{lag:.3g} s" for lag in lags)
     notes = [f"time constants at the defaults: {listed}"]
     if period is None:
-        return found, notes
+        return faults, notes
     try:
         steps = parameters.steps(period)
     except PlantError as error:
         todo = "replace the fast state by its steady-state value, or sample faster"
-        return [*found, Finding(f"{place}: {error}", todo)], notes
+        return [*faults, Finding(f"{place}: {error}", todo)], notes
     what = (
         f"{place}: a sample of {period:g} s takes {steps} simulation steps; its shortest time constant "
         f"is {lags[0]:.3g} s"
     )
     if steps > _MANY_STEPS:
         todo = "replace the fast state by its steady-state value, or narrow the spans of the states"
-        found.append(Finding(what, todo))
+        faults.append(Finding(what, todo))
     elif steps > _SLOW_STEPS:
         notes.append(f"{what}: fits are slow")
     slowest = f"{place}: its slowest time constant, {lags[-1]:.3g} s, is"
     if lags[-1] < period:
         todo = "sample faster, or check the units of the parameters (s, not min)"
-        found.append(Finding(f"{slowest} below the period of {period:g} s", todo))
+        faults.append(Finding(f"{slowest} below the period of {period:g} s", todo))
     if lags[-1] > _MANY_SAMPLES * period:
         many = f"{lags[-1] / period:.2g} periods of {period:g} s: no window can show it"
-        found.append(
+        faults.append(
             Finding(f"{slowest} {many}", "sample less often, hold that state, or check units (s, not h)")
         )
-    return found, notes
+    return faults, notes
 
 
 def _growing(place: str, parameters: Parameters) -> Iterator[Finding]:
     """Modes that grow by themselves in the middle of the plant's range."""
-    found = modes(parameters)
-    growth = float(found.real.max(initial=0.0))
-    if growth > _GROWS * float(np.abs(found).max(initial=0.0)):
+    poles = modes(parameters)
+    growth = float(poles.real.max(initial=0.0))
+    if growth > _GROWS * float(np.abs(poles).max(initial=0.0)):
         what = f"{place}: it is unstable at its defaults: deviations grow by e in {1 / growth:.3g} s"
         yield Finding(what, "look for a wrong sign in the rates; an unstable plant needs a known `loop`")
 

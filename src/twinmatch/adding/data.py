@@ -64,8 +64,8 @@ def data_for(path: Path, plant: type[Plant], given: SignalMap, period: float | N
         table = read_table(path)
         whole = with_plant_names(table, plant, given)
         whole = whole if TIME in whole.sources else whole.joined(SignalMap(period=period))
-        found = map_samples(table, whole, plant)
-        return session_of(path, found.samples, plant=plant.name, has_reference=found.has_reference)
+        imported = map_samples(table, whole, plant)
+        return session_of(path, imported.samples, plant=plant.name, has_reference=imported.has_reference)
     return open_any(path, plant=plant.name)
 
 
@@ -99,11 +99,11 @@ def check_data(session: Session, plant: type[Plant], show: Shown = lambda *_: No
     compared = compare_structures(session.samples, plant, terms.settings, chosen)
     findings += _of_matches(judgement.matches, faults)
     notes += [*_accepted(judgement.matches), *compared.notes]
-    found = [report.match for report in judgement.matches]
-    accepted = sum(match.accepted for match in found)
-    if 2 * accepted < len(found):
+    matches = [report.match for report in judgement.matches]
+    accepted = sum(match.accepted for match in matches)
+    if 2 * accepted < len(matches):
         findings += compared.findings  # where matches are accepted anyway, it is a remark
-    if not accepted and any(match.status is Status.NOT_EXPLAINED for match in found):
+    if not accepted and any(match.status is Status.NOT_EXPLAINED for match in matches):
         findings += _of_what_is_left(compared.least, plant.output)
     return CheckedPlant(f"{plant.title} on {session.name}", tuple(findings), tuple(notes))
 

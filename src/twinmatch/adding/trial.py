@@ -165,13 +165,13 @@ class _Combination(NamedTuple):
 def inseparable(model: Model) -> list[Finding]:
     """Combinations of the structure's free parameters that no data can determine."""
     free = tuple(name for name in model.structure.free if name in model.declared)
-    found: list[list[_Combination]] = []
+    tried: list[list[_Combination]] = []
     for point in _points(model, free) if free else ():
         with suppress(PlantError):  # reported by the check of the bounds
-            found.append(_combinations(point, free))
-        if found and not found[-1]:
+            tried.append(_combinations(point, free))
+        if tried and not tried[-1]:
             break
-    return [_finding(model, combination) for combination in min(found, key=len, default=[])]
+    return [_finding(model, combination) for combination in min(tried, key=len, default=[])]
 
 
 def _points(model: Model, free: tuple[str, ...]) -> list[Parameters]:
@@ -209,14 +209,14 @@ def _combinations(parameters: Parameters, free: tuple[str, ...]) -> list[_Combin
     columns = tangents * np.array(sizes)
     names = (*free, *(f"start of {name}" for name in starts))
     least = 1e-9 * model.plant.output.noise * math.sqrt(columns.shape[0])
-    found: list[_Combination] = []
+    lost: list[_Combination] = []
     # Initial values first: they are always estimated, so a dependence is attributed to a parameter.
     order = [*range(len(free), len(names)), *range(len(free))]
     basis: list[int] = []
     for j in order:
         length = float(np.linalg.norm(columns[:, j]))
         if length <= least:
-            found.append(_Combination((names[j],), (1.0,)))
+            lost.append(_Combination((names[j],), (1.0,)))
             continue
         shares, rest = _project(columns[:, basis], columns[:, j])
         if rest > _FLAT * length:
@@ -224,8 +224,8 @@ def _combinations(parameters: Parameters, free: tuple[str, ...]) -> list[_Combin
             continue
         named = [(names[k], -float(s)) for k, s in zip(basis, shares, strict=True) if abs(s) > _TAKES_PART]
         parts = [(names[j], 1.0), *named]
-        found.append(_Combination(tuple(n for n, _ in parts), tuple(s for _, s in parts)))
-    return found
+        lost.append(_Combination(tuple(n for n, _ in parts), tuple(s for _, s in parts)))
+    return lost
 
 
 def _project(basis: FloatArray, column: FloatArray) -> tuple[FloatArray, float]:

@@ -43,29 +43,29 @@ def run(options: argparse.Namespace) -> int:
     """Test the twin; returns the exit code: 0 all sessions tested, 3 some skipped, 2 none tested."""
     check_writable(options.json, options.figure)
     sessions = find_sessions(options.sessions)
-    found: list[Backtest] = []
+    tests: list[Backtest] = []
     for path in sessions:
         try:
-            found.append(_one(path, options))
+            tests.append(_one(path, options))
         except TwinmatchError as error:
             if len(sessions) == 1:
                 raise
             print(f"twinmatch: skipped {path}: {error}", file=sys.stderr)
-    if not found:
+    if not tests:
         return EXIT_USER_ERROR
-    total = found[0] if len(found) == 1 else over_all(found)
-    if len(found) > 1:
+    total = tests[0] if len(tests) == 1 else over_all(tests)
+    if len(tests) > 1:
         _print(total)
     write_json(
         options.json,
-        lambda: {"sessions": [document(each) for each in found], "total": document(total, forecasts=False)},
+        lambda: {"sessions": [document(each) for each in tests], "total": document(total, forecasts=False)},
     )
     if options.figure is not None:
         from twinmatch.showing.figures.drawing import save  # noqa: PLC0415 — matplotlib is slow
         from twinmatch.showing.figures.forecasts import draw_backtest  # noqa: PLC0415
 
         save(draw_backtest(total), options.figure)
-    return 0 if len(found) == len(sessions) else EXIT_PARTLY
+    return 0 if len(tests) == len(sessions) else EXIT_PARTLY
 
 
 def _one(path: Path, options: argparse.Namespace) -> Backtest:

@@ -60,8 +60,8 @@ def _look_back(session: Path) -> int:
     judged = judge_for_report(session)
     print(judged.recorded)
     picture, report = session.with_suffix(".png"), session.with_suffix(".html")
-    found = judged.judgement
-    draw_verdict(found.samples, found.verdicts, found.settings, picture)
+    judgement = judged.judgement
+    draw_verdict(judgement.samples, judgement.verdicts, judgement.settings, picture)
     build_report(judged, session, command="twinmatch demo").write(report)
     print(f"picture: {_shorter(picture)}")
     print(f"report: {_shorter(report)}")
@@ -74,11 +74,11 @@ def _play_session(session: Path) -> int:
     from twinmatch.launching.replay import Replay, play  # noqa: PLC0415 — needs ROS
     from twinmatch.showing.report.report import make_report  # noqa: PLC0415
 
-    found = open_any(session)
-    code = play(Replay(found, min(1000.0, max(50.0, found.duration / LONGEST))))
+    played = open_any(session)
+    code = play(Replay(played, min(1000.0, max(50.0, played.duration / LONGEST))))
     if code:
         return code
-    report = Path("out") / f"{found.name}.html"
+    report = Path("out") / f"{played.name}.html"
     report.parent.mkdir(exist_ok=True)
     make_report(session, command=f"twinmatch demo {session}").write(report)
     print(f"report: {_shorter(report)}")

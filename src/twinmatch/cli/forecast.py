@@ -57,18 +57,18 @@ def run(options: argparse.Namespace) -> int:
         raise TwinmatchError("forecast: --candidate is empty; give a name, or omit it to use the leader")
     check_writable(options.json, options.figure)
     with held_interrupts():
-        settings, found = _forecasts(options)
+        settings, requested = _forecasts(options)
 
-    for one in found:
+    for one in requested:
         _print(one, settings)
     why = "its forecasts have saved the most characters so far"
     print(f"The leader is the candidate to forecast with: {why}.")
-    write_json(options.json, lambda: [forecast_document(one.fan.forecast) for one in found])
+    write_json(options.json, lambda: [forecast_document(one.fan.forecast) for one in requested])
     if options.figure is not None:
         from twinmatch.showing.figures.drawing import save  # noqa: PLC0415 — matplotlib is slow
         from twinmatch.showing.figures.forecasts import draw_forecasts  # noqa: PLC0415
 
-        save(draw_forecasts(tuple(one.fan for one in found), settings.plant), options.figure)
+        save(draw_forecasts(tuple(one.fan for one in requested), settings.plant), options.figure)
     return 0
 
 
@@ -103,11 +103,11 @@ def _forecasts(options: argparse.Namespace) -> tuple[TwinSettings, list[_Request
     ahead = {k: ahead_of(session, sample, size, **given) for k, sample in samples.items()}
     with Progress() as progress:
         known = prospects(session, terms, samples, candidate=options.candidate, watch=progress.advance)
-    found, came = {}, filled_stretches(session.samples, settings)
+    requested, came = {}, filled_stretches(session.samples, settings)
     for k in samples:
         made = fan(forecast_of(known[k], ahead[k], period), came)
-        found[k] = _Requested(made, known[k], ahead[k].words)
-    return settings, [found[k] for k in options.at]
+        requested[k] = _Requested(made, known[k], ahead[k].words)
+    return settings, [requested[k] for k in options.at]
 
 
 def _print(one: _Requested, settings: TwinSettings) -> None:

@@ -14,12 +14,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Repair; returns the exit code."""
-    found = repair_session(options.session)
-    held = f"{found.messages} messages over {found.duration:.1f} s"
-    if not found.faults:
+    repaired = repair_session(options.session)
+    held = f"{repaired.messages} messages over {repaired.duration:.1f} s"
+    if not repaired.faults:
         print(f"{options.session}: complete, {held}; nothing to repair")
         return 0
-    print(f"{options.session}: repaired ({'; '.join(found.faults)}); {held} were saved")
-    if found.original is not None:
-        print(f"The file was damaged before its end, so the original was kept: {found.original}")
+    print(f"{options.session}: repaired ({'; '.join(repaired.faults)}); {held} were saved")
+    if repaired.original is not None:
+        print(f"The file was damaged before its end, so the original was kept: {repaired.original}")
     return 0

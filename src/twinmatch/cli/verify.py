@@ -20,12 +20,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Judge again and compare; returns the exit code: 0 identical, 1 different."""
     with Progress() as progress:
-        found = verify_session(options.session, topic=options.topic, **judging(options, progress))
-    for note in found.notes:
+        result = verify_session(options.session, topic=options.topic, **judging(options, progress))
+    for note in result.notes:
         print(f"Note: {note}")
-    compared = f"{found.verdicts} verdicts and {found.matches} matches on {found.samples} samples"
-    if found.identical:
-        print(f"{found.name}: {compared} are identical, bit for bit")
+    compared = f"{result.verdicts} verdicts and {result.matches} matches on {result.samples} samples"
+    if result.identical:
+        print(f"{result.name}: {compared} are identical, bit for bit")
         return 0
-    print(f"{found.name}: {compared} are not identical. First difference: {found.difference}")
+    print(f"{result.name}: {compared} are not identical. First difference: {result.difference}")
     return 1

@@ -221,8 +221,8 @@ def score_orders(
         DiscriminationError: no model, or as `score`.
     """
     scores = [score(model, window, decimals, absolute=absolute) for model in models]
-    found = akaike_weights([len(window) * s.total.naic for s in scores])
+    akaike = akaike_weights([len(window) * s.total.naic for s in scores])
     return tuple(
         replace(s, aic_difference=float(d), weight=float(w))
-        for s, d, w in zip(scores, found.differences, found.weights, strict=True)
+        for s, d, w in zip(scores, akaike.differences, akaike.weights, strict=True)
     )

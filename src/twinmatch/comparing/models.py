@@ -111,8 +111,8 @@ def identify(
     """
     r, y, u = deviations(window, operating_level(window, driven=scale is not None, lead=lead))
     if scale is not None:
-        found = estimate_ladder(u, y, orders, hops=0, period=window.period)
-        return tuple(SimoModel(o, found[o], None, scale, lead) for o in orders)
+        ladder = estimate_ladder(u, y, orders, hops=0, period=window.period)
+        return tuple(SimoModel(o, ladder[o], None, scale, lead) for o in orders)
     # In parallel: almost all of the work is compiled code, which releases the GIL, and both are independent.
     with ThreadPoolExecutor(1) as other:
         u_models = other.submit(estimate_ladder, ahead(r), u, orders, hops=0, period=window.period)

@@ -141,8 +141,8 @@ def estimates(
         for w in range(points):
             square = a[p, w] * scale
             for s in range(draws):
-                found = (square + b[p, w, s]) * scale + c[p, w, s]
-                top[s] = found if found > top[s] else top[s]
+                square_there = (square + b[p, w, s]) * scale + c[p, w, s]
+                top[s] = square_there if square_there > top[s] else top[s]
         for s in range(draws):
             total[s] += min(1.0, math.sqrt(top[s]))
     return total
@@ -346,8 +346,8 @@ def _recentre(draws: FloatArray, estimate: float) -> FloatArray:
 
 def _shares(draws: FloatArray) -> FloatArray:
     """Share of the draws in which each row is the smallest, shape (n,)."""
-    found = np.bincount(np.argmin(draws, axis=0), minlength=len(draws))
-    return np.asarray(found / draws.shape[1], dtype=np.float64)
+    wins = np.bincount(np.argmin(draws, axis=0), minlength=len(draws))
+    return np.asarray(wins / draws.shape[1], dtype=np.float64)
 
 
 def _nearer(

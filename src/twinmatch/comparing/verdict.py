@@ -38,15 +38,15 @@ BASELINES: Final = {
 
 def beaten_words(beaten: Mapping[float, tuple[str, float]]) -> str:
     """Where a baseline forecasts better, by `ForecastScore.beaten`, in words; empty if nowhere."""
-    found = []
+    clauses = []
     for baseline, words in BASELINES.items():
         held = {horizon: times for horizon, (name, times) in beaten.items() if name == baseline}
         if held:
             ahead, times = _number_list(held, "g"), _number_list(held.values(), ".2f")
-            found.append(
+            clauses.append(
                 f"{ahead} s ahead its forecasts are worse than {words}, with {times} times the error"
             )
-    return ", and ".join(found)
+    return ", and ".join(clauses)
 
 
 def _number_list(numbers: Iterable[float], digits: str) -> str:
@@ -147,15 +147,15 @@ class ForecastScore:
     def beaten(self, horizons: Sequence[float]) -> dict[float, tuple[str, float]]:
         """The baseline that forecasts better, and how many times its error the candidate's is, by horizon, s;
         without those that none forecasts better."""
-        found = {}
+        winners = {}
         for k, horizon in enumerate(horizons):
             every = {name: getattr(self, f"{name}_skill") for name in BASELINES}
             skills = {name: skill[k] for name, skill in every.items() if skill}
             better = [n for n, skill in skills.items() if skill < -_WORSE or self._surely_worse(n, k)]
             if better:
                 name = min(better, key=lambda name: skills[name])
-                found[horizon] = name, 1.0 - skills[name]
-        return found
+                winners[horizon] = name, 1.0 - skills[name]
+        return winners
 
     def _surely_worse(self, baseline: str, k: int) -> bool:
         """Whether it is worse than a baseline at the k-th horizon by more than chance."""

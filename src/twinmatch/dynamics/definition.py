@@ -64,13 +64,13 @@ class PlantType(type):
         """The only output."""
         return cls._only("output", cls.outputs)
 
-    def _only(cls, what: str, found: Mapping[str, _Declared]) -> _Declared:
-        if len(found) != 1:
+    def _only(cls, what: str, declared: Mapping[str, _Declared]) -> _Declared:
+        if len(declared) != 1:
             raise PlantError(
-                f"plant {cls.name}: it has {len(found)} {what}s ({', '.join(found)}); this is for plants "
-                "with one input and one output"
+                f"plant {cls.name}: it has {len(declared)} {what}s ({', '.join(declared)}); this is for "
+                "plants with one input and one output"
             )
-        return next(iter(found.values()))
+        return next(iter(declared.values()))
 
 
 class PlantDefinition(metaclass=PlantType):
@@ -121,8 +121,8 @@ def require_consistent(plant: type[PlantDefinition], base: type[PlantDefinition]
         PlantError: it contradicts itself.
     """
     _require_names(plant, base)
-    for kind, found in ((Drive, plant.drives), (Output, plant.outputs)):
-        if not found:
+    for kind, signals in ((Drive, plant.drives), (Output, plant.outputs)):
+        if not signals:
             raise PlantError(f"plant {plant.name}: declares no {kind.__name__}; declare at least one")
     if not isinstance(plant.structures, Mapping):
         kind = type(plant.structures).__name__

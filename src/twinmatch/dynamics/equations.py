@@ -245,18 +245,18 @@ def _require(place: str, expression: Any, allowed: Iterable[Any], declared: Mapp
     if not isinstance(expression, sympy.Expr | int | float) or isinstance(expression, bool):
         kind = "a condition" if isinstance(expression, sympy.logic.boolalg.Boolean) else _kind(expression)
         raise PlantError(f"{place} is {kind}; write an expression of the plant's quantities")
-    found = sympy.sympify(expression)
-    if found.has(sympy.nan, sympy.zoo, sympy.oo, -sympy.oo):
-        raise PlantError(f"{place} is not finite ({_short(found)}): it divides by zero, or contains NaN")
-    if found.has(sympy.I):
-        raise PlantError(f"{place} is complex ({_short(found)}); write it with real quantities")
-    for part in sympy.preorder_traversal(found):
+    formula = sympy.sympify(expression)
+    if formula.has(sympy.nan, sympy.zoo, sympy.oo, -sympy.oo):
+        raise PlantError(f"{place} is not finite ({_short(formula)}): it divides by zero, or contains NaN")
+    if formula.has(sympy.I):
+        raise PlantError(f"{place} is complex ({_short(formula)}); write it with real quantities")
+    for part in sympy.preorder_traversal(formula):
         if isinstance(part, sympy.Function | sympy.Derivative | sympy.Integral):
             name = type(part).__name__
             if name not in _FUNCTIONS:
                 msg = f"{place} uses {name}, which cannot be compiled; use only {', '.join(_FUNCTIONS)}"
                 raise PlantError(msg)
-    for symbol in sorted(found.free_symbols - set(allowed), key=str):
+    for symbol in sorted(formula.free_symbols - set(allowed), key=str):
         if symbol not in declared.values():
             raise PlantError(f"{place} uses {str(symbol)!r}, which is not declared; declare it")
         raise PlantError(f"{place} uses {symbol}, which {_reason(place)}")

@@ -190,8 +190,10 @@ class Experiment:
         The cost is their sum of squares, or Σ 2(√(1 + r²) − 1) if robust, with rows weighted by 1/√(1 + r²);
         infinite where the plant is too fast for the period.
         """
-        found: tuple[float, FloatArray, FloatArray] = self._kernels.normal_at(self._problem, values, np.inf)
-        return found
+        equations: tuple[float, FloatArray, FloatArray] = self._kernels.normal_at(
+            self._problem, values, np.inf
+        )
+        return equations
 
     def descend(  # noqa: PLR0917 (as the search itself)
         self,

@@ -169,12 +169,12 @@ class Foresight:
             PlantError: as `forecast_loop`.
         """
         title, (most, _, widest) = self._model.title, self.sizes.max(axis=0)
-        found, joints = np.zeros((len(states), most)), np.zeros((len(states), (most + widest) ** 2))
+        starts, joints = np.zeros((len(states), most)), np.zeros((len(states), (most + widest) ** 2))
         for i, (n, _, k) in enumerate(self.sizes.tolist()):
-            found[i, :n] = _fit(title, "states", states[i], (n,))
+            starts[i, :n] = _fit(title, "states", states[i], (n,))
             joints[i, : (n + k) ** 2] = _fit(title, "covariance", covariances[i], (n + k, n + k)).ravel()
         u = _fit(title, "newest input", np.atleast_1d(input), (len(self._model.plant.drives),))
-        return TwinsNow(found, joints, u, *law_code(self._loop, controller))
+        return TwinsNow(starts, joints, u, *law_code(self._loop, controller))
 
     def ahead(
         self,
@@ -216,12 +216,12 @@ class Foresight:
             PlantError: as `forecast_loop`.
         """
         period, noise, swift = self._then
-        found: tuple[FloatArray, FloatArray] = foresee_each(
+        forecasts: tuple[FloatArray, FloatArray] = foresee_each(
             self._codes, self.sizes, self._vectors, self._which, now.states, now.covariances,
             self._process_noise, self._steps, np.array(wanted), *now[2:],
             *self._rows(signal, disturbances), period, noise, swift,
         )  # fmt: skip
-        return found
+        return forecasts
 
     def _rows(
         self, signal: ArrayLike | None, disturbances: ArrayLike | None

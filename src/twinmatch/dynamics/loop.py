@@ -404,8 +404,8 @@ class LinearLaw(Law):
             at, power = self.A @ at + known[k], self.A @ power
             if len(rows) >= 4 * q + 2:
                 break
-        found: FloatArray = np.linalg.lstsq(np.concatenate(rows), np.concatenate(left), rcond=None)[0]
-        return found
+        state: FloatArray = np.linalg.lstsq(np.concatenate(rows), np.concatenate(left), rcond=None)[0]
+        return state
 
     def saturates(self, u: float | FloatArray) -> bool:
         """Whether a command is on a limit."""
@@ -425,10 +425,10 @@ def state_of(loop: Law, state: ArrayLike | None) -> FloatArray:
     Raises:
         PlantError: it has another size than the law's, or is not finite.
     """
-    found = np.zeros(loop.n_states) if state is None else np.array(state, dtype=np.float64)
-    if found.shape != (loop.n_states,) or not finite(found):
-        raise PlantError(f"controller: state {found.tolist()} given; give {loop.n_states} finite values")
-    return found
+    values = np.zeros(loop.n_states) if state is None else np.array(state, dtype=np.float64)
+    if values.shape != (loop.n_states,) or not finite(values):
+        raise PlantError(f"controller: state {values.tolist()} given; give {loop.n_states} finite values")
+    return values
 
 
 class Controller:

@@ -115,8 +115,8 @@ class Observer:
         """
         if not self.estimated:
             return self._parameters
-        found = zip(self.estimated, self._vector[self._which[1]].tolist(), strict=True)
-        return self._parameters.replace(**dict(found))
+        estimates = zip(self.estimated, self._vector[self._which[1]].tolist(), strict=True)
+        return self._parameters.replace(**dict(estimates))
 
     @parameters.setter
     def parameters(self, parameters: Parameters) -> None:
@@ -168,15 +168,15 @@ class Observer:
         """
         y = self._model.row_of("outputs", output)
         self._row = self._model.disturbance_row(disturbances)
-        found: tuple[FloatArray, FloatArray] = self._kernels.correct(
+        correction: tuple[FloatArray, FloatArray] = self._kernels.correct(
             self._vector, self._states, self._joint, y, self._row, self._noise, self._limit,
             self._which, self._bounds,
         )  # fmt: skip
-        if not math.isfinite(found[0].sum() + found[1].sum()):
+        if not math.isfinite(correction[0].sum() + correction[1].sum()):
             msg = f"{self._title}: its equations have no finite value at the observer's states"
             raise PlantError(f"{msg}; start a new observer")
-        adapt(self._process_noise, self._factor, *found)
-        return found
+        adapt(self._process_noise, self._factor, *correction)
+        return correction
 
     def predict(self, input: ArrayLike) -> None:
         """Move on by one period under inputs, shape (i,), or a number.

@@ -40,10 +40,12 @@ class Plant(PlantDefinition):
         super().__init_subclass__(**rest)
         cls.name = cls.__name__.lower() if name is None else name
         cls.title = cls.title or cls.__name__
-        found: dict[str, Declaration] = {}
+        declarations: dict[str, Declaration] = {}
         for base in reversed(cls.__mro__):
-            found |= {n: v for n, v in vars(base).items() if isinstance(v, Declaration) and v.name == n}
-        cls.declarations = found
+            declarations |= {
+                n: v for n, v in vars(base).items() if isinstance(v, Declaration) and v.name == n
+            }
+        cls.declarations = declarations
         cls.states = cls._of(State)
         cls.parameters = cls._of(Parameter)
         cls.disturbances = cls._of(Disturbance)
@@ -323,18 +325,18 @@ class Parameters(Mapping[str, float]):
                 f"{model.title}: no parameter {unknown[0]!r} in this structure; it has "
                 f"{', '.join(model.names)}"
             )
-        found = {}
+        checked = {}
         for name, declared in model.declared.items():
             value = float(values.get(name, model.defaults[name]))
             if not declared.possible(value):
                 msg = f"{model.title}: {name} is {value:g} {declared.unit}; it must be {declared.requirement}"
                 raise PlantError(msg)
-            found[name] = value
+            checked[name] = value
         self.model = model
-        self._values = found
-        self._hash = hash((model.key, tuple(found.values())))
+        self._values = checked
+        self._hash = hash((model.key, tuple(checked.values())))
         self._steps: dict[float, int] = {}
-        self.vector: FloatArray = np.array(list(found.values()), dtype=np.float64)
+        self.vector: FloatArray = np.array(list(checked.values()), dtype=np.float64)
         """The values in the model's order, shape (n,); not to be changed."""
 
     def __getitem__(self, name: str) -> float:

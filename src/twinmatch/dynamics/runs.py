@@ -266,12 +266,12 @@ def run_with_tangents(  # noqa: PLR0915 (one pass over the samples)
     inputs, outputs, unknown, kind = code[N_INPUTS], code[N_OUTPUTS], code[N_UNKNOWN], law[KIND]
     compared, kept = inputs if kind != GIVEN else 0, size if stored else 0
     width = n + (nx + inputs if stored else 0)
-    found = Tangents(
+    tangents = Tangents(
         np.empty((kept, outputs)), np.empty((kept, inputs)), np.zeros((outputs + inputs, kept, n)),
         np.empty((kept, nx, nx)), np.empty((kept, nx, inputs)), np.empty((kept, inputs + q, q + outputs)),
         np.empty((kept, outputs, nx)),
     )  # fmt: skip
-    by_state, by_input, normal = found.by_state, found.by_input, np.zeros((n + 1, n + 1))
+    by_state, by_input, normal = tangents.by_state, tangents.by_input, np.zeros((n + 1, n + 1))
     dy, of_inputs = np.zeros((outputs, n + 1)), np.zeros((compared, n + 1))
     dz, moved = np.zeros((q, n)), np.zeros((q, n))
     all_columns, du = np.zeros((nx, width)), np.zeros((inputs, width))
@@ -306,7 +306,7 @@ def run_with_tangents(  # noqa: PLR0915 (one pass over the samples)
                 dz[:, first:last] += of_gains[inputs:]
             z[:] = after
         if stored:
-            _store(found, k, y, u, dy, du, slopes, shown, all_columns, n)
+            _store(tangents, k, y, u, dy, du, slopes, shown, all_columns, n)
         else:
             for o in range(outputs):
                 dy[o, n] = y[o] - measured[o, k]
@@ -328,7 +328,7 @@ def run_with_tangents(  # noqa: PLR0915 (one pass over the samples)
     for i in range(n + 1):
         for j in range(i):
             normal[j, i] = normal[i, j]
-    return found, normal
+    return tangents, normal
 
 
 @compiled

@@ -88,10 +88,10 @@ def pid_of(plant: type[Plant]) -> PidGains:
     Raises:
         PlantError: it is not known, or another law.
     """
-    found = law_of(plant, 1.0)
-    if not isinstance(found, PidGains):
-        raise PlantError(f"plant {plant.name}: its controller is a {type(found).__name__}; this needs a PID")
-    return found
+    law = law_of(plant, 1.0)
+    if not isinstance(law, PidGains):
+        raise PlantError(f"plant {plant.name}: its controller is a {type(law).__name__}; this needs a PID")
+    return law
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -62,7 +62,7 @@ class Kernels:
         self.STATES, self.PARAMETERS, self.UNKNOWN, self.QUANTITIES = (
             tuple(names[of]) for of in ("states", "parameters", "unknown", "quantities")
         )
-        known = {**addresses, **sizes, **{f"n_{of}": len(found) for of, found in names.items()}}
+        known = {**addresses, **sizes, **{f"n_{of}": len(listed) for of, listed in names.items()}}
         self.code = np.array([known[name] for name in (*FUNCTIONS, *kernels.SIZES)], dtype=np.int64)
         for kernel in KERNELS:
             setattr(self, kernel.__name__, functools.partial(kernel, self.code))
@@ -180,16 +180,16 @@ def source_hash(plant: type[PlantDefinition]) -> str:
 def _sources(plant: type[PlantDefinition]) -> set[Path]:
     """The files of the class and its bases, and the files beside them that their modules import from."""
     waiting = [sys.modules.get(base.__module__) for base in plant.__mro__ if base is not object]
-    found: set[Path] = set()
+    sources: set[Path] = set()
     while waiting:
         module = waiting.pop()
         file = getattr(module, "__file__", None)
-        if module is None or file is None or Path(file) in found:
+        if module is None or file is None or Path(file) in sources:
             continue
         path = Path(file)
         if path.parent == _HERE:
             continue
-        found.add(path)
+        sources.add(path)
         for value in vars(module).values():
             other = (
                 value if inspect.ismodule(value) else sys.modules.get(getattr(value, "__module__", "") or "")
@@ -197,4 +197,4 @@ def _sources(plant: type[PlantDefinition]) -> set[Path]:
             beside = getattr(other, "__file__", None)
             if beside is not None and Path(beside).parent == path.parent:
                 waiting.append(other)
-    return found
+    return sources

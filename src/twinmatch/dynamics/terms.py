@@ -175,13 +175,13 @@ class Roots:
         varying = sorted(base.free_symbols & self._ranges.keys(), key=str)
         value = sympy.lambdify([*varying, *self._defaults], base, modules="math")
         corners = itertools.islice(itertools.product(*(self._ranges[s] for s in varying)), _MAX_CORNERS)
-        found = []
+        values = []
         for corner in corners:
             try:
-                found.append(float(value(*corner, *self._defaults.values())))
+                values.append(float(value(*corner, *self._defaults.values())))
             except (ArithmeticError, TypeError, ValueError):
                 continue  # such a corner lies outside the range in which the equations hold
-        return [v for v in found if math.isfinite(v)] or [0.0]
+        return [v for v in values if math.isfinite(v)] or [0.0]
 
 
 class Delayed(NamedTuple):

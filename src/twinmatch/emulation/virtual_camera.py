@@ -145,8 +145,8 @@ class VirtualCamera:
         while time.monotonic() < deadline:
             self._listen()
             for line in self._said:
-                if found := re.search(r"serving .*:(\d+)$", line):
-                    return int(found[1])
+                if port := re.search(r"serving .*:(\d+)$", line):
+                    return int(port[1])
             time.sleep(0.01)
         raise VirtualCameraError(f"virtual camera: its program was not ready after {_PATIENCE:g} s")
 

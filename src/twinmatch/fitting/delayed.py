@@ -96,7 +96,7 @@ def first_products(signals: FloatArray, low: int, spans: Spans, corners: NDArray
     """Inner products of the first column of every group with all columns, shape (g, p)."""
     groups, count = spans.shape[0], signals.shape[1] - low
     leads = np.zeros((groups, corners[-1]))
-    found = np.empty(12)
+    sums = np.empty(12)
     for p in range(0, groups, 3):
         second, third = min(p + 1, groups - 1), min(p + 2, groups - 1)
         a = signals[spans[p, SIGNAL], low - spans[p, DELAY] :]
@@ -105,12 +105,12 @@ def first_products(signals: FloatArray, low: int, spans: Spans, corners: NDArray
         for q in range(groups):
             for i in range(0, spans[q, COUNT], 4):
                 at = low - spans[q, DELAY] - i - 3
-                products(a[:count], b, c, signals[spans[q, SIGNAL], at:], found)
+                products(a[:count], b, c, signals[spans[q, SIGNAL], at:], sums)
                 column = corners[q] + i
                 for j in range(min(4, spans[q, COUNT] - i)):
-                    leads[p, column + j] = found[3 - j]
-                    leads[second, column + j] = found[7 - j]
-                    leads[third, column + j] = found[11 - j]
+                    leads[p, column + j] = sums[3 - j]
+                    leads[second, column + j] = sums[7 - j]
+                    leads[third, column + j] = sums[11 - j]
     return leads
 
 

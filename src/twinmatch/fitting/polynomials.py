@@ -187,7 +187,7 @@ def boundary_normals(polynomial: FloatArray, radius: float) -> FloatArray:
     """Gradients of |z| by the free coefficients for the simple roots z that touch the boundary, as rows."""
     degree = polynomial.size - 1
     normals = np.zeros((degree, degree))
-    found = 0
+    count = 0
     if is_stable(polynomial, radius - TOUCHING):
         return normals[:0]
     roots = complex_roots(polynomial)
@@ -202,11 +202,11 @@ def boundary_normals(polynomial: FloatArray, radius: float) -> FloatArray:
             continue
         power = 1.0 + 0.0j
         for i in range(degree - 1, -1, -1):
-            normals[found, i] = -(np.conj(z) * power / slope).real / abs(z)
+            normals[count, i] = -(np.conj(z) * power / slope).real / abs(z)
             power *= z
-        if is_finite(normals[found]):
-            found += 1
-    return normals[:found]
+        if is_finite(normals[count]):
+            count += 1
+    return normals[:count]
 
 
 @compiled(inside=True)

@@ -86,22 +86,22 @@ def unknown_parameters(
             if declared is not None and not declared.possible(end):
                 msg = f"{model.title}: {name} is {end:g} {declared.unit}; it must be {declared.requirement}"
                 raise PlantError(msg)
-    found = []
+    unknowns = []
     for name in names:
         parameter = model.declared[name]
         limits = given.get(name, parameter.bounds)
-        found.append(Unknown(name, parameter.unit, limits, parameter.scale, parameter.relative))
-    return tuple(found)
+        unknowns.append(Unknown(name, parameter.unit, limits, parameter.scale, parameter.relative))
+    return tuple(unknowns)
 
 
 def unknown_starts(model: Model, bounds: Bounds | None = None) -> tuple[Unknown, ...]:
     """The states whose initial value is unknown in this structure."""
-    found = []
+    unknowns = []
     for name in model.structure.free_starts:
         state = model.declared_states[model.states.index(name)]
         limits = (bounds or {}).get(name) or state.start_bounds or state.span
-        found.append(Unknown(name, state.unit, limits, state.scale, relative=False, initial=True))
-    return tuple(found)
+        unknowns.append(Unknown(name, state.unit, limits, state.scale, relative=False, initial=True))
+    return tuple(unknowns)
 
 
 @dataclass(frozen=True, slots=True)

@@ -111,8 +111,8 @@ def arx_denominator(u: FloatArray, y: FloatArray, counts: NDArray[np.int64]) -> 
         return np.ones(1)
     pad = max(nf, nk + nb) + SLACK
     spans = np.array(((0, 1, nf), (1, nk, nb), (0, 0, 1)))
-    found = regression(padded(pad, y, u), pad + max(nf, nk + nb - 1), spans)
-    return stabilise(monic(found[:nf]), LARGEST_ROOT, 1.0)
+    coefficients = regression(padded(pad, y, u), pad + max(nf, nk + nb - 1), spans)
+    return stabilise(monic(coefficients[:nf]), LARGEST_ROOT, 1.0)
 
 
 @compiled(inside=True)
@@ -160,10 +160,10 @@ def noise_model(
     through_pole(F, u, y, signals[:, pad:])
     copy_into(y, signals[0, pad:])
     spans = np.array(((1, nk, nb), (2, 0, states), (0, 0, 1)))
-    found = regression(signals, pad, spans)
+    coefficients = regression(signals, pad, spans)
     B, one = np.zeros(nk + nb), np.ones(1)
-    copy_into(found[:nb], B[nk:])
-    rest = errors_of(u, y, Polynomials(B, one, one, F), -found[nb:])
+    copy_into(coefficients[:nb], B[nk:])
+    rest = errors_of(u, y, Polynomials(B, one, one, F), -coefficients[nb:])
     return hannan_rissanen(rest, nc, nd)
 
 
@@ -179,8 +179,8 @@ def hannan_rissanen(v: FloatArray, nc: int, nd: int) -> tuple[FloatArray, FloatA
     fir_into(A, v, signals[1, pad:])
     signals[1, pad : pad + length] = 0.0
     spans = np.array(((0, 1, nd), (1, 1, nc), (0, 0, 1)))
-    found = regression(signals, pad + length + nc, spans)
-    return stabilise(monic(-found[nd:]), 0.98, 1.0), stabilise(monic(found[:nd]), 0.999, 1.0)
+    coefficients = regression(signals, pad + length + nc, spans)
+    return stabilise(monic(-coefficients[nd:]), 0.98, 1.0), stabilise(monic(coefficients[:nd]), 0.999, 1.0)
 
 
 class Hops:

@@ -132,9 +132,9 @@ def fit_structure(
         others = () if informed else model.structure.starts  # with the prior there is no second valley
         firsts = [problem.values_of(plant.replace(**more)) for more in ({}, *others)]
         looks = [problem.search(first, _LOOK if thorough or informed else 1) for first in firsts]
-        values = min(looks, key=lambda found: found.cost).values
-    found = problem.search(values, _MAX_EVALUATIONS if thorough else _LOOK)
-    return problem.fitted(found)
+        values = min(looks, key=lambda look: look.cost).values
+    best = problem.search(values, _MAX_EVALUATIONS if thorough else _LOOK)
+    return problem.fitted(best)
 
 
 def _known(model: Model, windows: int) -> dict[str, Known]:
@@ -220,9 +220,9 @@ class _Problem:
             return self._runs[0].descend(start, *box)
         return descend(self.normal, start, *box)
 
-    def fitted(self, found: Descended) -> StructureFit:
+    def fitted(self, best: Descended) -> StructureFit:
         """The fit from the result of a search."""
-        parts = [found.values[self._places(window)] for window in range(len(self._runs))]
+        parts = [best.values[self._places(window)] for window in range(len(self._runs))]
         plant = self._runs[0].model.plant
         signals = len(plant.outputs) + (len(plant.drives) if self._runs[0].closed else 0)
         simulated, states = [], []
@@ -242,11 +242,11 @@ class _Problem:
             measured=measured,
             simulated=tuple(simulated),
             seen=seen,
-            converged=found.converged,
-            cost=found.cost / (signals * sum(int(marks.sum()) for marks in seen)),
+            converged=best.converged,
+            cost=best.cost / (signals * sum(int(marks.sum()) for marks in seen)),
             states=tuple(states),
-            covariance=self._covariance(found.hessian)[: self._free, : self._free],
-            charge=self._charge(found),
+            covariance=self._covariance(best.hessian)[: self._free, : self._free],
+            charge=self._charge(best),
         )
 
     def _precision(self, hessian: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -264,6 +264,6 @@ class _Problem:
         after, _ = self._precision(hessian)
         return np.asarray(np.linalg.inv(after) * np.outer(self._scales, self._scales))
 
-    def _charge(self, found: Descended) -> float:
-        after, before = self._precision(found.hessian)
-        return float(found.cost / LASTING + np.linalg.slogdet(after)[1] - np.sum(np.log(before)))
+    def _charge(self, best: Descended) -> float:
+        after, before = self._precision(best.hessian)
+        return float(best.cost / LASTING + np.linalg.slogdet(after)[1] - np.sum(np.log(before)))

@@ -172,7 +172,7 @@ def _map(file: Path, plant: type[Plant], name: str, tree: Any) -> FmuMap:
     kind = str(own.get("kind", ""))
     if kind not in {"", CO_SIMULATION, MODEL_EXCHANGE}:
         raise FmuError(f"{place}: kind is {kind!r}; give {MODEL_EXCHANGE!r} or {CO_SIMULATION!r}")
-    found = FmuMap(
+    fmu = FmuMap(
         place=place,
         plant=plant,
         name=name,
@@ -192,8 +192,8 @@ def _map(file: Path, plant: type[Plant], name: str, tree: Any) -> FmuMap:
         patience=_number(f"{place}, patience", own.get("patience", PATIENCE)),
         watched=bool(own.get("watched", True)),
     )
-    _check(found)
-    return found
+    _check(fmu)
+    return fmu
 
 
 def _check(of: FmuMap) -> None:
@@ -244,7 +244,7 @@ def _link(place: str, tree: Any) -> Link:
 
 
 def _declared(place: str, kind: Any, tree: Any, keys: tuple[str, ...], plant: type[Plant]) -> dict[str, Any]:
-    found = {}
+    declarations = {}
     for name, value in _table(f"{place}, {kind.__name__.lower()}s", tree or {}).items():
         own = dict(_table(f"{place}, {kind.__name__.lower()} {name}", value, keys))
         for key in ("bounds", "span", "start_bounds"):
@@ -257,8 +257,8 @@ def _declared(place: str, kind: Any, tree: Any, keys: tuple[str, ...], plant: ty
             declared.__set_name__(plant, str(name))
         except (PlantError, TypeError, ValueError) as error:
             raise FmuError(f"{place}, {kind.__name__.lower()} {name}: {error}") from error
-        found[str(name)] = declared
-    return found
+        declarations[str(name)] = declared
+    return declarations
 
 
 def _names(place: str, tree: Any) -> tuple[str, ...]:
@@ -349,7 +349,7 @@ def loading(of: FmuMap, described: Described) -> tuple[dict[str, Any], str]:
 
 
 def _references(described: Described, names: list[str]) -> list[int]:
-    return [found.reference for name in names if (found := described.called(name)) is not None]
+    return [variable.reference for name in names if (variable := described.called(name)) is not None]
 
 
 def _check_states(described: Described, own: list[str], named: list[str]) -> None:

@@ -185,8 +185,8 @@ class Followers:
         observers = [each._started for each in following]
         if observers != self._observers or self._bank is None:
             self._observers, self._bank = observers, ObserverBank(observers)
-        found = _move_on(self._bank, following[0]._inputs, samples)
-        for each, taken in zip(following, found, strict=True):
+        numbers = _move_on(self._bank, following[0]._inputs, samples)
+        for each, taken in zip(following, numbers, strict=True):
             each._inputs = samples[-1].inputs
             if taken < len(samples):
                 each.restart()
@@ -316,12 +316,12 @@ class Outlook:
         """Bands of the controller's commands; given inputs have no uncertainty."""
         if self.law is None:
             return tuple(Band(mean, mean, mean) for mean in means)
-        found, law, drives = [], self.law.code, self.parameters.model.plant.drives.values()
+        bands, law, drives = [], self.law.code, self.parameters.model.plant.drives.values()
         for k, (mean, half, drive) in enumerate(zip(means, halves, drives, strict=True)):
             low = max(float(law[LOW + k]), drive.limits[0])
             high = min(float(law[LOW + len(means) + k]), drive.limits[1])
-            found.append(Band(mean, np.clip(mean - half, low, high), np.clip(mean + half, low, high)))
-        return tuple(found)
+            bands.append(Band(mean, np.clip(mean - half, low, high), np.clip(mean + half, low, high)))
+        return tuple(bands)
 
     def _widths(self, samples: int) -> FloatArray:
         ahead, knots = np.log(np.arange(1, samples + 1)), np.log(np.array(self.leads, dtype=np.float64))

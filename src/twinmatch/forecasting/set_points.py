@@ -99,7 +99,7 @@ class SetPoints:
         Raises:
             ForecastError: a row is not a pair of numbers, there is no row, or as the class.
         """
-        found: list[tuple[float, float]] = []
+        pairs: list[tuple[float, float]] = []
         header = True
         for number, row in enumerate(rows, 1):
             cells = _cells(row)
@@ -115,10 +115,10 @@ class SetPoints:
                     f"profile: line {number}: {', '.join(cells)!r} is not a pair of numbers; give the time "
                     "in s ahead and the set-point"
                 )
-            found.append((values[0], values[1]))
-        if not found:
+            pairs.append((values[0], values[1]))
+        if not pairs:
             raise ForecastError("profile: it has no row; give at least one pair of time and set-point")
-        times, levels = zip(*found, strict=True)
+        times, levels = zip(*pairs, strict=True)
         return cls(float(before), times, levels, ramps, signal)
 
     @classmethod

@@ -106,25 +106,25 @@ def described(title: str, unit: str, values: FloatArray, *, ordered: bool) -> Co
 
     `ordered`: whether it may be a time, and whether it holds its value is of interest.
     """
-    found = values[np.isfinite(values)]
-    if not found.size:
+    finite = values[np.isfinite(values)]
+    if not finite.size:
         return Column(title, unit, np.nan, np.nan, 0, values.size, "text")
-    different = int(np.unique(found).size)
-    steps = np.diff(found)
-    grows = found.size > 2 and bool((steps > 0).all())
+    different = int(np.unique(finite).size)
+    steps = np.diff(finite)
+    grows = finite.size > 2 and bool((steps > 0).all())
     # A logger may write a row twice; more repeats are those of another quantity, such as a counter.
     twice = int(np.sum(steps == 0))
-    few = found.size > 2 and bool((steps >= 0).all()) and twice <= max(1, _TWICE * steps.size)
+    few = finite.size > 2 and bool((steps >= 0).all()) and twice <= max(1, _TWICE * steps.size)
     repeats = few and _TIME.search(split_title(title)[0]) is not None
     if different == 1:
         kind = "constant"
     elif ordered and (grows or repeats):
         kind = "time"
     else:
-        kind = "on or off" if set(np.unique(found)) <= {0.0, 1.0} else "numbers"
-    low, high = float(found.min()), float(found.max())
-    empty = values.size - found.size
-    return Column(title, unit, low, high, different, empty, kind, ordered and _stepped(found))
+        kind = "on or off" if set(np.unique(finite)) <= {0.0, 1.0} else "numbers"
+    low, high = float(finite.min()), float(finite.max())
+    empty = values.size - finite.size
+    return Column(title, unit, low, high, different, empty, kind, ordered and _stepped(finite))
 
 
 def _stepped(values: FloatArray) -> bool:
@@ -137,7 +137,7 @@ def _stepped(values: FloatArray) -> bool:
 
 def proposed(columns: Sequence[Column]) -> dict[str, SignalSource]:
     """A guess at the columns of time, output, input, reference and room, for a person to check."""
-    found: dict[str, SignalSource] = {}
+    sources: dict[str, SignalSource] = {}
     taken: set[str] = set()
     named = list(_named(columns, _INPUT, ("on or off", "numbers")))
     for signal, candidates in (
@@ -156,11 +156,11 @@ def proposed(columns: Sequence[Column]) -> dict[str, SignalSource]:
         ("input", _of(columns, "numbers")),
     ):
         choice = next((column.title for column in candidates if column.title not in taken), None)
-        if signal not in found and choice is not None:
-            found[signal] = SignalSource((choice,))
+        if signal not in sources and choice is not None:
+            sources[signal] = SignalSource((choice,))
             taken.add(choice)
     order = ("time", "output", "input", "reference", "room")
-    return {signal: found[signal] for signal in order if signal in found}
+    return {signal: sources[signal] for signal in order if signal in sources}
 
 
 def _named(columns: Sequence[Column], words: re.Pattern[str], kinds: Sequence[str]) -> Iterator[Column]:

@@ -77,9 +77,9 @@ def with_plant_names(table: Table, plant: type[Plant], given: SignalMap) -> Sign
     for signal, names in _names(plant).items():
         if signal not in sources:
             for name in names:
-                found = [title for title in table.columns if split_title(title)[0].lower() == name.lower()]
-                if len(found) == 1:
-                    sources[signal] = SignalSource((found[0],))
+                titles = [title for title in table.columns if split_title(title)[0].lower() == name.lower()]
+                if len(titles) == 1:
+                    sources[signal] = SignalSource((titles[0],))
                     break
     return SignalMap(sources, given.plant, given.period)
 
@@ -176,7 +176,7 @@ def by_signal(plant: type[Plant], sources: Mapping[str, SignalSource]) -> dict[s
         RecordingError: the plant has no signal of that name, or a signal is given twice.
     """
     known = {name: signal for signal, names in _names(plant).items() for name in names}
-    found: dict[str, SignalSource] = {}
+    named: dict[str, SignalSource] = {}
     used: dict[str, str] = {}
     for name, source in sources.items():
         if name not in known:
@@ -184,10 +184,10 @@ def by_signal(plant: type[Plant], sources: Mapping[str, SignalSource]) -> dict[s
                 f"{s} ({n[1]})" if s in (OUTPUT, INPUT) else s for s, n in _names(plant).items()
             )
             raise RecordingError(f"--map: plant {plant.name} has no signal {name!r}; it has {signals}")
-        if known[name] in found:
+        if known[name] in named:
             raise RecordingError(f"--map: {used[known[name]]} and {name} are the same signal; give it once")
-        found[known[name]], used[known[name]] = source, name
-    return found
+        named[known[name]], used[known[name]] = source, name
+    return named
 
 
 def _with_titles(table: Table, source: SignalSource) -> SignalSource:
@@ -303,13 +303,13 @@ def check_range(
     first = int(outside[0])
     others = f" (and in {outside.size - 1} more)" if outside.size > 1 else ""
     what = "limits of its drive" if known.kind == "held" else "span of its output"
-    found = (
+    words = (
         f"{signal} is {values[first]:g} {known.unit}{others}, beyond the {what}, "
         f"{known.low:g} to {known.high:g}"
     )
     if known.kind == "reading" and outside.size <= _ODD * kept.size:
-        return [f"In {table.row} {table.lines[first]}, {found}; kept as readings of a failed sensor."]
-    raise RecordingError(f"{table.place(first)}: {found}; {_hint(signal, known, values[kept])}")
+        return [f"In {table.row} {table.lines[first]}, {words}; kept as readings of a failed sensor."]
+    raise RecordingError(f"{table.place(first)}: {words}; {_hint(signal, known, values[kept])}")
 
 
 def _hint(signal: str, known: PlantSignal, values: FloatArray) -> str:

@@ -103,11 +103,11 @@ def _named(path: Path, present: list[_Variable], name: str, width: int) -> _Vari
 
 def _longest(path: Path, present: list[_Variable]) -> list[_Variable]:
     """The vectors and matrices with the most rows; scalars are not signals."""
-    found = [v for v in present if v.real and len(v.shape) == 2 and min(v.shape) > 0 and max(v.shape) > 1]
-    if not found:
+    tables = [v for v in present if v.real and len(v.shape) == 2 and min(v.shape) > 0 and max(v.shape) > 1]
+    if not tables:
         raise RecordingError(f"{path}: has no vector or matrix of real numbers; save the signals as arrays")
-    rows = {v: max(v.shape) if 1 in v.shape else v.shape[0] for v in found}
-    return [v for v in found if rows[v] == max(rows.values())]
+    rows = {v: max(v.shape) if 1 in v.shape else v.shape[0] for v in tables}
+    return [v for v in tables if rows[v] == max(rows.values())]
 
 
 def _variables(file: BinaryIO, order: str) -> Iterator[_Variable]:
@@ -175,7 +175,7 @@ def _decode(content: bytes, wanted: _Variable) -> FloatArray:
     from scipy.io import loadmat  # noqa: PLC0415 - takes 0.25 s, not needed for sessions
 
     try:
-        found = loadmat(BytesIO(content), variable_names=[wanted.name])[wanted.name]  # type: ignore[arg-type]  # it accepts files too
-        return np.asarray(found, dtype=np.float64).reshape(wanted.shape)
+        loaded = loadmat(BytesIO(content), variable_names=[wanted.name])[wanted.name]  # type: ignore[arg-type]  # it accepts files too
+        return np.asarray(loaded, dtype=np.float64).reshape(wanted.shape)
     except Exception as error:  # the library raises many kinds for damaged bytes
         raise _DamagedError(str(error)) from error

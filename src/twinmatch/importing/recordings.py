@@ -81,7 +81,7 @@ def read_recording(path: Path | str, progress: ProgressCallback | None = None) -
 
 
 def _titles(table: Table) -> dict[str, str]:
-    found: dict[str, str] = {}
+    titles: dict[str, str] = {}
     for title in table.columns:
         name, unit = split_title(re.sub(r" #\d+$", "", title.lower()))  # of two alike
         signal = next((signal for signal, names in _NAMES.items() if name in names), None)
@@ -90,16 +90,16 @@ def _titles(table: Table) -> dict[str, str]:
         if unit and unit not in _UNITS.get(signal, _CELSIUS):
             wanted = {TIME: "s", INPUT: "steps of −255 to 255, without unit"}.get(signal, "°C")
             raise RecordingError(f"{table.path}: column {title!r}: give {signal} in {wanted}")
-        if signal in found:
-            both = f"columns {found[signal]!r} and {title!r} are both {signal}"
+        if signal in titles:
+            both = f"columns {titles[signal]!r} and {title!r} are both {signal}"
             raise RecordingError(f"{table.path}: {both}; rename or remove one")
-        found[signal] = title
-    missing = [f"{signal} ({', '.join(names)})" for signal, names in _NAMES.items() if signal not in found]
+        titles[signal] = title
+    missing = [f"{signal} ({', '.join(names)})" for signal, names in _NAMES.items() if signal not in titles]
     if missing:
         raise RecordingError(
             f"{table.path}: has no column of {' and none of '.join(missing)}; it has {table.titles}"
         )
-    return found
+    return titles
 
 
 def open_any(

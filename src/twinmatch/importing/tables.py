@@ -78,15 +78,15 @@ class Table:
             return wanted
         names = {title: split_title(title)[0] for title in self.columns}
         lower = wanted.lower()
-        for found in (  # t and T (°C) are two columns
+        for titles in (  # t and T (°C) are two columns
             [title for title, short in names.items() if short == wanted],
             [title for title in names if title.lower() == lower],
             [title for title, short in names.items() if short.lower() == lower],
         ):
-            if len(found) == 1:
-                return found[0]
-            if found:
-                msg = f"{self.path}: {name!r} may be {' or '.join(map(repr, found))}; give its full title"
+            if len(titles) == 1:
+                return titles[0]
+            if titles:
+                msg = f"{self.path}: {name!r} may be {' or '.join(map(repr, titles))}; give its full title"
                 raise RecordingError(msg)
         raise RecordingError(f"{self.path}: has no column {name!r}; it has {self.titles}")
 

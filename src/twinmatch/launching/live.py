@@ -155,10 +155,10 @@ class Errors:
                 continue
             if status.name not in self._standing and len(self._standing) >= MAX_NODES:
                 continue
-            found = {_DIGITS.sub("", text): text for text in re.split("; (?=refused: )", status.message)}
+            texts = {_DIGITS.sub("", text): text for text in re.split("; (?=refused: )", status.message)}
             known = frozenset[str]().union(*self._standing.values())
-            self._standing[status.name] = frozenset(found)
-            new = [text for kind, text in found.items() if kind not in known]
+            self._standing[status.name] = frozenset(texts)
+            new = [text for kind, text in texts.items() if kind not in known]
             if new:
                 self._show(status.name, "; ".join(new), "red")
 

@@ -54,8 +54,8 @@ def play(replay: Replay) -> int:
         TwinmatchError: the session or one of the files cannot be used.
     """
     session = replay.session
-    found = read_settings(replay.config, session.plant, driven=not session.has_reference)
-    settings = at_period(found, session.period, replay.config)
+    as_written = read_settings(replay.config, session.plant, driven=not session.has_reference)
+    settings = at_period(as_written, session.period, replay.config)
     with tempfile.TemporaryDirectory(prefix="twinmatch-") as folder:
         playable = _playable(session, Path(folder))
         view = view_on(replay.console, session.name, settings.period, len(session.samples))

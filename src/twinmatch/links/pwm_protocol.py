@@ -69,11 +69,11 @@ class FrameReader:
 
     def feed(self, data: bytes) -> list[bytes | Damage]:
         """Take received bytes; return the payloads and damages they complete, in order."""
-        found = []
+        events = []
         for byte in data:
             if (event := self._take(byte)) is not None:
-                found.append(event)
-        return found
+                events.append(event)
+        return events
 
     def _take(self, byte: int) -> bytes | Damage | None:
         if byte == ord(":"):

@@ -62,9 +62,9 @@ def check_readable(message: Any) -> None:
 
 def _check_size(message: Any, size: int, *names: str, of: str, empty: bool = False) -> None:
     for name in names:
-        found = len(getattr(message, name))
-        if found != size and not (empty and found == 0):
-            raise MessageError(f"{name} has {found} values for {of}; expected {size}")
+        length = len(getattr(message, name))
+        if length != size and not (empty and length == 0):
+            raise MessageError(f"{name} has {length} values for {of}; expected {size}")
 
 
 def _numbers(message: Any, names: Iterable[str]) -> Iterator[tuple[str, float]]:
@@ -124,11 +124,11 @@ def _check_sample(message: Any) -> None:
 
 def _check_signals(message: Any, plant: type[Plant]) -> None:
     """Whether a sample has the signals of a plant."""
-    found, outputs = [len(getattr(message, name)) for name in LOOP], len(plant.outputs)
+    lengths, outputs = [len(getattr(message, name)) for name in LOOP], len(plant.outputs)
     expected = [outputs, outputs, len(plant.drives)]
-    if found != expected:
+    if lengths != expected:
         raise MessageError(
-            f"{counted(message.index, found)}; plant {plant.name} has {', '.join(map(str, expected))} "
+            f"{counted(message.index, lengths)}; plant {plant.name} has {', '.join(map(str, expected))} "
             "(further measured inputs are disturbances)"
         )
 

@@ -52,20 +52,20 @@ Test = Callable[[Any, str, Expected], None]
 @cache
 def _fields_to_check(kind: Any) -> tuple[tuple[str, Test], ...]:
     """The fields of a type that have a check by their type or name, and that check."""
-    found: list[tuple[str, Test]] = []
+    tests: list[tuple[str, Test]] = []
     for name, text in kind.get_fields_and_field_types().items():
         several, base = text.startswith("sequence<"), text.removeprefix("sequence<").rstrip(">").split(",")[0]
         if "/" in base and several:
-            found.append((name, _check_parts))
+            tests.append((name, _check_parts))
         elif "/" in base:
-            found.append((name, _PARTS.get(base, _check_part)))
+            tests.append((name, _PARTS.get(base, _check_part)))
         elif several:
-            found.append((name, _check_texts if base == "string" else _check_list))
+            tests.append((name, _check_texts if base == "string" else _check_list))
         elif base == "string":
-            found.append((name, _check_text))
+            tests.append((name, _check_text))
         elif name in _INDICES and base in ("uint64", "int64"):
-            found.append((name, _check_index))
-    return tuple(found)
+            tests.append((name, _check_index))
+    return tuple(tests)
 
 
 def _check_stamp(stamp: Any, name: str, plant: Expected = None) -> None:  # noqa: ARG001 - one form for all

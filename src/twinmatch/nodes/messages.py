@@ -123,10 +123,10 @@ def parameters_from(message: messages.Parameters) -> Parameters:
     Raises:
         PlantError: the message has none, they are those of another plant, or values are out of range.
     """
-    found = parameters_of(tree_of_message(message))
-    if found is None:
+    parameters = parameters_of(tree_of_message(message))
+    if parameters is None:
         raise PlantError("parameters: the message holds none")
-    return found
+    return parameters
 
 
 def parameters_message(parameters: Parameters | None) -> messages.Parameters:
@@ -270,8 +270,12 @@ def answer_message(answer: WhatIfResult, stamp: int) -> services.WhatIf.Response
     """An answer as a response; `stamp` (ns) is that of the newest sample it was made from."""
     moments = {
         f"{name}{edge}": math.nan if moment is None else moment
-        for name, found in (("reach", answer.reached), ("hold", answer.settled))
-        for edge, moment in (("", found.expected), ("_earliest", found.earliest), ("_latest", found.latest))
+        for name, crossing in (("reach", answer.reached), ("hold", answer.settled))
+        for edge, moment in (
+            ("", crossing.expected),
+            ("_earliest", crossing.earliest),
+            ("_latest", crossing.latest),
+        )
     }
     return services.WhatIf.Response(
         success=True,

@@ -134,13 +134,13 @@ def _with_lease(profile: Path, seconds: str) -> Path:
     if not seconds.isdecimal():
         raise NetworkError(f"network: {LEASE} is {seconds!r}; give whole seconds")
     text = profile.read_text("utf-8")
-    found = re.sub(r"(<leaseDuration><sec>)\d+", rf"\g<1>{seconds}", text)
-    digest = hashlib.sha256(found.encode()).hexdigest()[:12]
+    changed = re.sub(r"(<leaseDuration><sec>)\d+", rf"\g<1>{seconds}", text)
+    digest = hashlib.sha256(changed.encode()).hexdigest()[:12]
     made = cache_folder() / f"{profile.stem}-{digest}.xml"
     try:
         made.parent.mkdir(parents=True, exist_ok=True)
         part = made.with_name(f"{made.name}.{os.getpid()}")
-        part.write_text(found, "utf-8")
+        part.write_text(changed, "utf-8")
         part.replace(made)
     except OSError as error:
         raise NetworkError(f"network: {made} cannot be written ({error.strerror})") from error

@@ -109,10 +109,10 @@ class Readers:
         """Who does not subscribe yet, for a message; empty if nobody is missing."""
         if not (self._names or self._number):
             return ""
-        found = [info.node_name for info in self._node.get_subscriptions_info_by_topic(self._topic)]
-        if missing := sorted(self._names.difference(found)):
+        names = [info.node_name for info in self._node.get_subscriptions_info_by_topic(self._topic)]
+        if missing := sorted(self._names.difference(names)):
             return f"{', '.join(missing)} did not subscribe to {self._topic}"
-        number = sum(name != KEEPER for name in found)  # the keeper runs in the publisher's process
+        number = sum(name != KEEPER for name in names)  # the keeper runs in the publisher's process
         return "" if number >= self._number else f"{self._topic} has {number} of {self._number} subscribers"
 
     @property
@@ -339,7 +339,7 @@ def declare(
     Raises:
         ParameterError: as for `check`.
     """
-    given = {name: found.value for name, found in node.get_parameters_by_prefix("").items()}
+    given = {name: one.value for name, one in node.get_parameters_by_prefix("").items()}
     table, known = table_for(given)
     values = check(node.get_name(), table, known)
     for name in (*(name for name in given if name not in known), *(p.name for p in table)):

@@ -102,11 +102,11 @@ class NodeSettings:
 
     def ask(self) -> None:
         """Ask new nodes; call it periodically."""
-        found = {
+        nodes = {
             f"{namespace.rstrip('/')}/{name}"
             for name, namespace in self._node.get_node_names_and_namespaces()
         }
-        mine = {n for n in found if n.startswith(self._namespace) and n != self._own and "/_" not in n}
+        mine = {n for n in nodes if n.startswith(self._namespace) and n != self._own and "/_" not in n}
         for done in self._answered | (self._clients.keys() - mine):
             self._forget(done)
         self._answered.clear()
@@ -343,8 +343,8 @@ class RecorderNode(TwinmatchNode):
     def _report_topics(self) -> Report:
         now = time.monotonic()
         arrivals = dict(self._arrivals)
-        silent = [name for name, found in arrivals.items() if found.silent(now)]
-        values = {name: found.text() for name, found in arrivals.items()}
+        silent = [name for name, one in arrivals.items() if one.silent(now)]
+        values = {name: one.text() for name, one in arrivals.items()}
         if silent:
             return Report(Level.WARN, f"silent: {', '.join(silent)}", values)
         return Report(Level.OK, f"{len(arrivals)} topics", values)

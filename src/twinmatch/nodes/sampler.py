@@ -91,17 +91,17 @@ def sources_of(place: str, values: Mapping[str, Any]) -> dict[str, SignalSource]
     Raises:
         TwinmatchError: a map entry cannot be parsed, or that of output or input is missing.
     """
-    found = {}
+    sources = {}
     for name in signals_of(find_plant(values["plant"])):
         text = values[f"map.{name}"]
         if text.strip():
-            found[name] = parse_source(f"{place}: map.{name}", text)
-            found[name].channels(name)
+            sources[name] = parse_source(f"{place}: map.{name}", text)
+            sources[name].channels(name)
     for name in (OUTPUT, INPUT):
-        if name not in found:
+        if name not in sources:
             msg = f"{place}: map.{name} is missing; give its topic and field, such as /topic:data"
             raise ParameterError(msg)
-    return found
+    return sources
 
 
 def limits_of(values: Mapping[str, Any], mapped: Mapping[str, SignalSource]) -> dict[str, Limits]:
@@ -122,14 +122,14 @@ def types_of(place: str, text: str) -> dict[str, str]:
     Raises:
         SamplingError: the text is not a list of topics and types.
     """
-    found = {}
+    types = {}
     for entry in filter(str.strip, text.split(",")):
         words = entry.split()
         if len(words) != 2 or words[1].count("/") != 2:
             msg = f"{place}: types has {entry.strip()!r}; write TOPIC TYPE, such as /cmd std_msgs/msg/Float64"
             raise SamplingError(msg)
-        found[words[0]] = words[1]
-    return found
+        types[words[0]] = words[1]
+    return types
 
 
 SEARCH: Final = 0.2

@@ -29,10 +29,10 @@ class Senders:
         node.wall_timer(LOOK, self._look)
 
     def _look(self) -> None:
-        found = "; ".join(filter(None, map(self._report, self._topics)))
-        if found != self._found:
-            self._found = found
-            self._changed(found)
+        report = "; ".join(filter(None, map(self._report, self._topics)))
+        if report != self._found:
+            self._found = report
+            self._changed(report)
             self._node.report_now()
 
     def _report(self, topic: str) -> str:

@@ -144,11 +144,11 @@ class Following:
         count = self._node.count_publishers(name)
         if count == self._counted.get(name, 0):
             return None  # querying their QoS is a hundred times as expensive
-        found: Sequence[Any] = self._node.get_publishers_info_by_topic(name)
-        if count and not found:
+        publishers: Sequence[Any] = self._node.get_publishers_info_by_topic(name)
+        if count and not publishers:
             return None
         self._counted[name] = count
-        return found
+        return publishers
 
     def subscribe(
         self, name: str, kind: str, publishers: Sequence[Any], take: Callable[[Any], None], **options: Any
@@ -234,13 +234,13 @@ class ForeignTopics:
 
     def alternatives(self) -> str:
         """The foreign topics that exist, for the error about one that does not."""
-        found = [
+        others = [
             f"{name} ({', '.join(kinds)})"
             for name, kinds in sorted(self._node.get_topic_names_and_types())
             if not name.startswith(_OURS) and name not in ELSEWHERE and self._node.count_publishers(name)
         ]
-        more = f" and {len(found) - _MAX_LISTED} more" if len(found) > _MAX_LISTED else ""
-        return ", ".join(found[:_MAX_LISTED]) + more or "none, in this domain and from this machine"
+        more = f" and {len(others) - _MAX_LISTED} more" if len(others) > _MAX_LISTED else ""
+        return ", ".join(others[:_MAX_LISTED]) + more or "none, in this domain and from this machine"
 
     def _subscribe(self, topic: str, name: str, publishers: Sequence[Any]) -> None:
         kind = self._kind(topic, name, {publisher.topic_type for publisher in publishers})
@@ -251,13 +251,13 @@ class ForeignTopics:
             raise SamplingError(f"{topic}: {error}") from error
         self.kinds[topic] = kind
 
-    def _kind(self, topic: str, name: str, found: set[str]) -> str:
+    def _kind(self, topic: str, name: str, kinds: set[str]) -> str:
         given = self._types.get(name)
         if given is not None:
             return given
-        if len(found) > 1:
+        if len(kinds) > 1:
             raise SamplingError(
-                f"{topic} is published as {' and '.join(sorted(found))}; choose one with types:="
-                f"'{topic} {min(found)}'"
+                f"{topic} is published as {' and '.join(sorted(kinds))}; choose one with types:="
+                f"'{topic} {min(kinds)}'"
             )
-        return self.kinds.get(topic) or next(iter(found))
+        return self.kinds.get(topic) or next(iter(kinds))

@@ -59,7 +59,7 @@ def prospects(
         ForecastError: the session has no such sample, or the candidate does not exist at it.
     """
     wanted = samples_at(session, at)
-    samples, found = session.samples, {}
+    samples, by_sample = session.samples, {}
     twin = Twin(terms.settings, terms.given, matching=terms.matching)
     ends = max((place for place, s in enumerate(samples) if s.index in wanted), default=-1) + 1
     with held_interrupts() as check_interrupt:
@@ -68,11 +68,11 @@ def prospects(
             if sample.index in wanted:
                 if not twin.discriminator.forecaster.names:
                     raise _no_candidate(session.name, twin, samples[done:])
-                found[sample.index] = _prospect(twin.discriminator.forecaster, sample.index, candidate)
+                by_sample[sample.index] = _prospect(twin.discriminator.forecaster, sample.index, candidate)
             if watch is not None and done % EVERY == 0:
                 watch(done, ends)
             check_interrupt()
-    return found
+    return by_sample
 
 
 def samples_at(session: Session, at: Collection[int]) -> dict[int, Sample]:
@@ -82,8 +82,8 @@ def samples_at(session: Session, at: Collection[int]) -> dict[int, Sample]:
         ForecastError: the session does not have one of them.
     """
     wanted = set(at)
-    found = {sample.index: sample for sample in session.samples if sample.index in wanted}
-    absent = sorted(wanted - found.keys())
+    by_index = {sample.index: sample for sample in session.samples if sample.index in wanted}
+    absent = sorted(wanted - by_index.keys())
     if absent:
         first, last = session.samples[0].index, session.samples[-1].index
         why = " without that one" if first < absent[0] < last else ""
@@ -91,7 +91,7 @@ def samples_at(session: Session, at: Collection[int]) -> dict[int, Sample]:
             f"session {session.name}: has no sample {absent[0]} to forecast from; it has {first} to "
             f"{last}{why}"
         )
-    return found
+    return by_index
 
 
 def _prospect(forecaster: Forecaster, sample: int, candidate: str | None) -> Prospect:

@@ -200,9 +200,9 @@ class _Comparison:
 
     def _differences(self, one: Tree, other: Tree) -> Iterator[tuple[str, Any, Any]]:
         apart: set[str] = set()
-        found = list(differences(one, other, apart=apart))
+        departures = list(differences(one, other, apart=apart))
         self._apart |= {field.removeprefix("candidates.") for field in apart}
-        for field, was, now in found:
+        for field, was, now in departures:
             if field.rsplit(".", 1)[-1] in SENTENCES:
                 self._worded.add(field)
             else:

@@ -163,12 +163,12 @@ def sections_of(path: Path, *nodes: str) -> Values:
     content = read_yaml(path)
     tree = content if isinstance(content, dict) else {}
     given: Values = {}
-    for node in (found := [node for node in nodes if tree.get(node) is not None]):
+    for node in (present := [node for node in nodes if tree.get(node) is not None]):
         parameters = tree[node].get("ros__parameters") if isinstance(tree[node], dict) else None
         if not isinstance(parameters, dict):
             raise ParameterError(f"{path}: section {node} has no ros__parameters; see the files in config/")
         given |= flattened(parameters)
-    if not found:
+    if not present:
         raise ParameterError(f"{path}: has no section {' or '.join(nodes)}; see the files in config/")
     return given
 

@@ -75,11 +75,11 @@ def _fields_of(owner: Any) -> tuple[RecordField, ...]:
     columns: dict[str, int] = dict.fromkeys(getattr(owner, "_fields", ()), 0)
     if dataclasses.is_dataclass(owner):
         columns = {f.name: f.metadata.get("columns", 0) for f in dataclasses.fields(owner)}
-    found = [_field(owner, name, hints[name], wide) for name, wide in columns.items()]
+    fields = [_field(owner, name, hints[name], wide) for name, wide in columns.items()]
     for name in getattr(owner, "DERIVED", ()):
         returned = get_type_hints(getattr(owner, name).fget)["return"]
-        found.append(dataclasses.replace(_field(owner, name, returned, 0), made=True))
-    return tuple(found)
+        fields.append(dataclasses.replace(_field(owner, name, returned, 0), made=True))
+    return tuple(fields)
 
 
 def values_name(name: str) -> str:

@@ -158,10 +158,10 @@ def _read_array(field: RecordField, tree: Tree, columns: int) -> Any:
 
 
 def _read_parameters(field: RecordField, tree: Tree) -> Parameters | None:
-    found = parameters_of(tree[field.name])
-    if found is None and not field.optional:
+    parameters = parameters_of(tree[field.name])
+    if parameters is None and not field.optional:
         raise RecordError(f"record: {field.name} are missing")
-    return found
+    return parameters
 
 
 def _read_part(field: RecordField, tree: Tree) -> Any:

@@ -142,18 +142,18 @@ class OutputGuard:
         limits, before = self.limits, self._temperature
         if self.fault is not None:
             return
-        found = f"the {limits.thing} is at {celsius:.1f} {limits.unit}"
+        state = f"the {limits.thing} is at {celsius:.1f} {limits.unit}"
         if not math.isfinite(celsius):
             message = f"the temperature is {celsius}; check the {limits.sensor}"
             self.trip(FaultKind.TEMPERATURE_INVALID, message, now)
         elif celsius > limits.highest:
-            message = f"{found}, above {limits.highest:g} {limits.unit}; let it cool and find the cause"
+            message = f"{state}, above {limits.highest:g} {limits.unit}; let it cool and find the cause"
             self.trip(FaultKind.OVER_TEMPERATURE, message, now)
         elif celsius < limits.lowest:
-            message = f"{found}, below {limits.lowest:g} {limits.unit}; check sensor and polarity"
+            message = f"{state}, below {limits.lowest:g} {limits.unit}; check sensor and polarity"
             self.trip(FaultKind.UNDER_TEMPERATURE, message, now)
         elif abs(celsius - before.value) > limits.jump + limits.jump_rate * before.age(now):
-            self._doubted = f"{found}, {before.age(now):.1f} s after {before.value:.1f} {limits.unit}"
+            self._doubted = f"{state}, {before.age(now):.1f} s after {before.value:.1f} {limits.unit}"
         else:
             self._doubted = ""
             before.take(celsius, now - max(0.0, age))
@@ -163,9 +163,9 @@ class OutputGuard:
         if self.fault is not None or not all(map(math.isfinite, (reference, temperature, drive))):
             return
         self._reference = reference
-        found = self._runaway.check(now, reference, temperature, drive)
-        if found is not None:
-            self.trip(FaultKind.RUNAWAY, found, now)
+        runaway = self._runaway.check(now, reference, temperature, drive)
+        if runaway is not None:
+            self.trip(FaultKind.RUNAWAY, runaway, now)
 
     def hold(self, why: str, now: float) -> None:
         """Pass nothing as long as it is not known whose inputs these are; empty: it is known again."""

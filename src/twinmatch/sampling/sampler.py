@@ -119,8 +119,8 @@ class Rate:
         if not self._intervals:
             return np.empty(0)
         usual = median(self._intervals)
-        found = np.array(self._intervals)
-        return found[np.abs(found - usual) <= _REGULAR * usual]
+        intervals = np.array(self._intervals)
+        return intervals[np.abs(intervals - usual) <= _REGULAR * usual]
 
 
 @dataclass(frozen=True)
@@ -233,7 +233,7 @@ class Sampler:
         for tick, after in zip_longest(self._ticks, islice(self._ticks, 1, None)):
             if not tick.values and now >= tick.ready:
                 self._read(tick, after)
-        found = []
+        samples = []
         while self._ticks and self._complete(self._ticks[0], now):
             tick = self._ticks.popleft()
             if INPUT not in tick.values:
@@ -241,10 +241,10 @@ class Sampler:
                 tick.values[INPUT] = self._check_value(INPUT, mean, tick.ready + self._step, tick.troubles)
             self.troubles = tick.troubles
             if not tick.troubles:
-                found.append(self._sample(tick.number, tick.time, tick.values))
+                samples.append(self._sample(tick.number, tick.time, tick.values))
             elif self._first is not None:
                 self.idle += 1
-        return found
+        return samples
 
     def _complete(self, tick: _Tick, now: int) -> bool:
         return bool(tick.values) and (self._pacer == INPUT or now >= tick.ready + self._step)

@@ -47,9 +47,9 @@ Number = TypeVar("Number", float, FloatArray)
 
 def signals_of(plant: type[Plant]) -> dict[str, Quantity]:
     """The signals of a plant with one loop: reference, output, input, and its disturbances in their order."""
-    found = description_of(plant)
-    loop = {REFERENCE: found.reference, OUTPUT: found.output, INPUT: found.input}
-    return loop | dict(zip(plant.disturbances, found.disturbances, strict=True))
+    description = description_of(plant)
+    loop = {REFERENCE: description.reference, OUTPUT: description.output, INPUT: description.input}
+    return loop | dict(zip(plant.disturbances, description.disturbances, strict=True))
 
 
 @dataclass(frozen=True)

@@ -242,10 +242,10 @@ def current(message: Message) -> Message:
     topic = current_topic(message.topic)
     if topic == message.topic:
         return message
-    found = decoded(message)
-    stamp = found.header.stamp.sec * NANOSECONDS + found.header.stamp.nanosec
-    sample = Sample(found.index, stamp, found.reference, found.temperature, found.pwm)
-    return message._replace(topic=topic, data=encode_sample(sample, found.header.frame_id))
+    old = decoded(message)
+    stamp = old.header.stamp.sec * NANOSECONDS + old.header.stamp.nanosec
+    sample = Sample(old.index, stamp, old.reference, old.temperature, old.pwm)
+    return message._replace(topic=topic, data=encode_sample(sample, old.header.frame_id))
 
 
 def decoded(message: Message) -> Any:
@@ -369,8 +369,8 @@ def decode_sample(data: bytes) -> Sample:
 
 def _lengths(order: str, data: bytes, at: int) -> tuple[int, ...]:
     """Lengths of the four sequences of float64; `at` is the position of the first."""
-    found = []
+    lengths = []
     for _ in range(4):
-        found.append(_LENGTH[order].unpack_from(data, at)[0])
-        at = 4 + (at + 7) // 8 * 8 + 8 * found[-1] if found[-1] else at + 4
-    return tuple(found)
+        lengths.append(_LENGTH[order].unpack_from(data, at)[0])
+        at = 4 + (at + 7) // 8 * 8 + 8 * lengths[-1] if lengths[-1] else at + 4
+    return tuple(lengths)

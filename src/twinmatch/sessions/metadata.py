@@ -187,11 +187,11 @@ def parameters_of(records: Mapping[str, Mapping[str, str]], node: str) -> dict[s
     Raises:
         SessionError: a value is not valid JSON.
     """
-    found = records.get(parameters_record(node))
-    if found is None:
+    record = records.get(parameters_record(node))
+    if record is None:
         return None
     try:
-        return {name: parse_json(value, name) for name, value in found.items()}
+        return {name: parse_json(value, name) for name, value in record.items()}
     except DocumentError as error:
         raise SessionError(f"session: the recorded parameters of {node} cannot be read: {error}") from error
 

@@ -298,12 +298,12 @@ def repair_session(folder: Path | str) -> Repair:
         if not folder.exists() and broken.is_dir():
             broken.rename(folder)
         files = _files(folder)
-        found = _examine(folder, files)
-        if found.faults:
-            found = _rebuild(folder, broken, files, found)
+        repair = _examine(folder, files)
+        if repair.faults:
+            repair = _rebuild(folder, broken, files, repair)
     except OSError as error:
         raise SessionError(f"session {folder}: cannot be repaired ({error.strerror or error})") from error
-    return found
+    return repair
 
 
 def _files(folder: Path) -> list[Path]:
@@ -334,9 +334,9 @@ def _examine(folder: Path, files: list[Path]) -> Repair:
     return Repair(folder, tuple(faults), count, start if count else 0, end, None)
 
 
-def _rebuild(folder: Path, broken: Path, files: list[Path], found: Repair) -> Repair:
-    if found.messages == 0:
-        msg = f"session {folder}: {'; '.join(found.faults)}; no message can be read, nothing was changed"
+def _rebuild(folder: Path, broken: Path, files: list[Path], repair: Repair) -> Repair:
+    if repair.messages == 0:
+        msg = f"session {folder}: {'; '.join(repair.faults)}; no message can be read, nothing was changed"
         raise SessionError(msg)
     if broken.exists():
         raise SessionError(f"session {folder}: {broken} of an earlier repair exists; move or remove it first")
@@ -346,10 +346,10 @@ def _rebuild(folder: Path, broken: Path, files: list[Path], found: Repair) -> Re
         _rewrite(copy, readable, distro_of(folder))
         _compare(copy, readable)
         _move(copy, folder, broken)
-    if all(TORN in fault or METADATA in fault or "empty" in fault for fault in found.faults):
+    if all(TORN in fault or METADATA in fault or "empty" in fault for fault in repair.faults):
         shutil.rmtree(broken, ignore_errors=True)
-        return found
-    return found._replace(original=broken)
+        return repair
+    return repair._replace(original=broken)
 
 
 def _rewrite(copy: Path, files: list[Path], ros_distro: str) -> None:

@@ -210,7 +210,7 @@ def backtest_tables(backtest: Backtest) -> list[Table]:
     """One table for each horizon with scored forecasts."""
     from rich.table import Table  # noqa: PLC0415 — needed only for printing
 
-    found = []
+    tables = []
     columns = card_columns(backtest.plant, driven=backtest.driven)
     for horizon, held in backtest.at_horizons.items():
         title = f"{backtest.name}: {horizon:g} s ahead, {held[0].count} forecasts"
@@ -220,14 +220,14 @@ def backtest_tables(backtest: Backtest) -> list[Table]:
         for card in held:
             style = "bold" if card.who == LEADER else "" if card.who in TWINS else "dim"
             table.add_row(*(text(card) for _, text in columns), style=style)
-        found.append(table)
-    return found
+        tables.append(table)
+    return tables
 
 
 def backtest_words(backtest: Backtest) -> list[str]:
     """Sentences on the leader's results, one for each horizon."""
     w, noise = signal_names(backtest.plant), backtest.plant.output.noise
-    found = []
+    sentences = []
     for horizon, cards in backtest.at_horizons.items():
         own = next((card for card in cards if card.who == LEADER), None)
         if own is None:
@@ -241,8 +241,8 @@ def backtest_words(backtest: Backtest) -> list[str]:
         if peers:
             best = min(peers, key=lambda card: card.median)
             text += f"; {best.who}, the best of the peers, {_compare(best.median, own.median)}"
-        found.append(f"{text}.")
-    return found
+        sentences.append(f"{text}.")
+    return sentences
 
 
 def _compare(theirs: float, ours: float) -> str:

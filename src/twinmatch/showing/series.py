@@ -58,18 +58,18 @@ def compare(
 ) -> tuple[Comparison, ...]:
     """Run the twins over every stretch of at least four samples, from its measured initial values, or, where
     the loop is not known, from estimated ones."""
-    found, law = [], settings.law
+    comparisons, law = [], settings.law
     for window in stretches:
         if len(window) < SKIPPED + 2:
             continue
         if law is None:
-            found.append(Comparison(window, None, response_on(parameters, window, None).output))
+            comparisons.append(Comparison(window, None, response_on(parameters, window, None).output))
             continue
         states, measured = begin_window(parameters, window), window.disturbances[SKIPPED:]
         inputs, step = window.input[SKIPPED:], window.period
         driven = simulate_driven(parameters, inputs, states=states, period=step, disturbances=measured)
-        found.append(Comparison(window, response_on(parameters, window, law), driven.output))
-    return tuple(found)
+        comparisons.append(Comparison(window, response_on(parameters, window, law), driven.output))
+    return tuple(comparisons)
 
 
 def root_mean_square(parts: Sequence[FloatArray]) -> float:

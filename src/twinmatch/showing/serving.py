@@ -104,8 +104,8 @@ _HOST: Final = re.compile(r"(?:\[([0-9a-f:.]+)\]|([\w.-]+))(?::\d{1,5})?", re.AS
 
 def _name_in(host: str) -> str:
     """The name or address in `name:port`; empty if it is not that."""
-    found = _HOST.fullmatch(host)
-    return "" if found is None else (found[1] or found[2]).lower().removesuffix(".")
+    parts = _HOST.fullmatch(host)
+    return "" if parts is None else (parts[1] or parts[2]).lower().removesuffix(".")
 
 
 def _short(text: str) -> str:

@@ -92,13 +92,13 @@ class Standings:
     @cached_property
     def scores(self) -> tuple[ForecastScore, ...]:
         """Scores of all candidates, in their order."""
-        ledger, found = self._ledger, []
+        ledger, scored = self._ledger, []
         if ledger is None:
             return ()
         for name, (total, gains) in self._saved.items():
             candidate = self._entrants[name].candidate
             first, last = candidate.samples
-            found.append(
+            scored.append(
                 ForecastScore(
                     name=name,
                     parameters=candidate.parameters,
@@ -112,7 +112,7 @@ class Standings:
                     ),
                 )
             )
-        return tuple(found)
+        return tuple(scored)
 
     @cached_property
     def _saved(self) -> dict[str, tuple[float, list[float]]]:

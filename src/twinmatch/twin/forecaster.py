@@ -317,8 +317,8 @@ class Forecaster:
         rows, counted = came[-samples:], came[-samples:, -1] > 0.0
         if not counted.any():
             return None
-        found = rows[:, outputs].T, None if self._law is None else rows[:, inputs].T
-        return check_band(forecast, *found, None if counted.all() else counted)
+        measured = rows[:, outputs].T, None if self._law is None else rows[:, inputs].T
+        return check_band(forecast, *measured, None if counted.all() else counted)
 
     @contextmanager
     def _removing_lost(self, name: str) -> Iterator[None]:
@@ -387,19 +387,21 @@ class Forecaster:
         measured = measured[:, 1:]
         skipped = sample // self._stride % _OTHERS_EVERY
         banded = {n for n in self._twins if not skipped or n == departure.leader}
-        found: dict[str, tuple[FloatArray, FloatArray]] = {}
+        forecasts: dict[str, tuple[FloatArray, FloatArray]] = {}
         if departure.foresight is not None and departure.now is not None:
             wanted = [(n in self._twins) * (BANDED if n in banded else MEAN) for n in departure.names]
             told = departure.foresight.each(departure.now, wanted, given, rows)
-            found = {n: (m, v) for n, m, v, use in zip(departure.names, *told, wanted, strict=True) if use}
+            forecasts = {
+                n: (m, v) for n, m, v, use in zip(departure.names, *told, wanted, strict=True) if use
+            }
         for name in self._twins.external:
             if name in departure.outlooks:
                 with self._removing_lost(name):
                     predicted = departure.outlooks[name].predicted(given, rows, banded=name in banded)
-                    found[name] = predicted.means, predicted.variances
-        means = np.array([means[:signals] for means, _ in found.values()])
+                    forecasts[name] = predicted.means, predicted.variances
+        means = np.array([means[:signals] for means, _ in forecasts.values()])
         off = measured - means.reshape(-1, signals, ahead)
-        for error, (name, (_, variances)) in zip(off, found.items(), strict=True):
+        for error, (name, (_, variances)) in zip(off, forecasts.items(), strict=True):
             if name in banded:
                 twin = self._twins[name]
                 quotients = np.abs(error) / deviations(twin.candidate.parameters.model, variances)[:signals]
@@ -408,11 +410,11 @@ class Forecaster:
         kept = np.flatnonzero(seen)
         new = kept[kept >= before]
         baselines = measured - departure.arx.referees(given, rows)[:, :signals]
-        ledger.add(tuple(found), off[:, :, new], baselines[:, :, new], place)
+        ledger.add(tuple(forecasts), off[:, :, new], baselines[:, :, new], place)
         self.standings = Standings(self._twins, ledger)
-        if ahead == self._longest and departure.leader in found:
+        if ahead == self._longest and departure.leader in forecasts:
             paths = rms(rms(off[:, :, kept], ledger.noise[:, None]))
-            leading = paths[list(found).index(departure.leader)]
+            leading = paths[list(forecasts).index(departure.leader)]
             self._leader_confidence.add(float(leading), float(paths.min()))
 
 

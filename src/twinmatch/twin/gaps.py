@@ -75,18 +75,18 @@ def _fill_by_law(law: Law, past: Sequence[Sample], lost: list[Sample], after: Sa
     for sample in past[2:]:
         rows = (np.array(row) for row in (sample.references, sample.outputs, sample.inputs))
         state = law.follow(state, *rows)
-    found, nearest = lost, np.inf
+    stand_ins, nearest = lost, np.inf
     for references, outputs in _courses(past[-1], [*lost, after]):
         inputs, _ = commands_of(law.code, state, references, outputs)
         off = float(np.linalg.norm(inputs[-1] - after.inputs))
         if off <= nearest:
             nearest = off
             of_all = (references.tolist(), outputs.tolist(), inputs.tolist())
-            found = [
+            stand_ins = [
                 replace(one, references=tuple(r), outputs=tuple(y), inputs=tuple(u))
                 for one, r, y, u in zip(lost, *of_all, strict=False)
             ]
-    return found
+    return stand_ins
 
 
 def _courses(before: Sample, behind: Sequence[Sample]) -> Iterator[tuple[FloatArray, FloatArray]]:

@@ -120,10 +120,12 @@ class Mirror:
     @parameters.setter
     def parameters(self, new: Parameters) -> None:
         if self._previous is not None and new.model is not self._parameters.model:
-            found = self._estimate_states(new)
-            self._driven = self._transfer_states(self._driven, new, found)
-            absent = np.full(found.size, np.nan)
-            self._closed = absent if self._pid is None else self._transfer_states(self._closed, new, found)
+            estimated = self._estimate_states(new)
+            self._driven = self._transfer_states(self._driven, new, estimated)
+            absent = np.full(estimated.size, np.nan)
+            self._closed = (
+                absent if self._pid is None else self._transfer_states(self._closed, new, estimated)
+            )
         self._parameters = new
 
     def push(self, sample: Sample) -> MirrorState:
@@ -173,10 +175,10 @@ class Mirror:
         self._samples.clear()
         self._started = 0
 
-    def _transfer_states(self, states: FloatArray, new: Parameters, found: FloatArray) -> FloatArray:
+    def _transfer_states(self, states: FloatArray, new: Parameters, estimated: FloatArray) -> FloatArray:
         """States of another structure: those of the present one where it has them, the rest from `found`."""
         kept = dict(zip(self._parameters.model.states, states.tolist(), strict=True))
-        here = zip(new.model.states, found.tolist(), strict=True)
+        here = zip(new.model.states, estimated.tolist(), strict=True)
         return np.array([kept.get(name, there) for name, there in here])
 
     def _estimate_states(self, new: Parameters) -> FloatArray:
@@ -285,8 +287,8 @@ def hidden_starts(parameters: Parameters, window: Window) -> dict[str, float]:
     low, high = np.array([u.bounds for u in unknown]).T
     scales = np.array([u.scale for u in unknown])
     begun = np.clip(runs.values_of(parameters), low, high)
-    found = runs.descend(begun, low, high, scales, _EVALUATIONS)
-    return runs.starts_at(found.values) if found.converged else {}
+    fit = runs.descend(begun, low, high, scales, _EVALUATIONS)
+    return runs.starts_at(fit.values) if fit.converged else {}
 
 
 def nrmse(measured: FloatArray, simulated: FloatArray) -> float:

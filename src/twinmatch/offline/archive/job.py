@@ -212,11 +212,11 @@ def _check_workers(client: Client, address: str, paths: list[Path]) -> None:
         msg = f"scheduler {address}: has no workers; start some with: dask worker {address} --nthreads 1"
         raise ClusterError(msg) from error
     try:
-        found: dict[str, Any] = client.run(_look, paths)
+        reports: dict[str, Any] = client.run(_look, paths)
     except ImportError as error:
         msg = f"scheduler {address}: a worker has no twinmatch ({error}); install it where the workers run"
         raise ClusterError(msg) from error
-    for worker, (theirs, missing) in sorted(found.items()):
+    for worker, (theirs, missing) in sorted(reports.items()):
         if theirs != software():
             msg = f"worker {worker}: has {theirs}; here it is {software()}; install the same on both"
             raise ClusterError(msg)

@@ -140,14 +140,12 @@ def _signal(
     error = x - mean
     inside = np.where(np.isnan(high - low), np.nan, (low <= x) & (x <= high))
     scores = interval_score(low, high, x, confidence)
-    everything, found = np.array([inside, high - low, scores]), []
+    everything, made = np.array([inside, high - low, scores]), []
     for count in counts:
         received = slice(count) if seen is None else np.flatnonzero(seen[:count])
         coverage, width, score = everything[:, received].mean(axis=1).tolist()
-        found.append(
-            SignalMarks(float(rms(error[received])), float(error[count - 1]), coverage, width, score)
-        )
-    return found
+        made.append(SignalMarks(float(rms(error[received])), float(error[count - 1]), coverage, width, score))
+    return made
 
 
 HINDSIGHT = "best in hindsight"
@@ -316,8 +314,8 @@ class Backtest:
     @property
     def at_horizons(self) -> dict[float, list[Card]]:
         """The cards of each horizon with scored forecasts, from near to far."""
-        found = {h: [card for card in self.cards if card.horizon == h] for h in self.horizons}
-        return {horizon: held for horizon, held in found.items() if held}
+        by_horizon = {h: [card for card in self.cards if card.horizon == h] for h in self.horizons}
+        return {horizon: held for horizon, held in by_horizon.items() if held}
 
     @property
     def driven(self) -> bool:
@@ -330,19 +328,19 @@ class Backtest:
         return len({(one.session, one.sample) for one in self.marked})
 
 
-def over_all(found: Sequence[Backtest]) -> Backtest:
+def over_all(tests: Sequence[Backtest]) -> Backtest:
     """Combine several sessions of one plant; every forecast has the same weight."""
-    first, names = found[0], [each.name for each in found]
+    first, names = tests[0], [each.name for each in tests]
     marked: list[Marked] = []
-    for number, each in enumerate(found, 1):
+    for number, each in enumerate(tests, 1):
         mine = f"{each.name} ({number})" if names.count(each.name) > 1 else each.name
         marked += [replace(one, session=mine) for one in each.marked]
     return replace(
         first,
-        name=f"all {len(found)} sessions",
+        name=f"all {len(tests)} sessions",
         marked=tuple(marked),
         pictured=first.name,
-        notes=tuple(f"{each.name}: {note}" for each in found for note in each.notes),
+        notes=tuple(f"{each.name}: {note}" for each in tests for note in each.notes),
     )
 
 
@@ -352,7 +350,7 @@ def document(backtest: Backtest, *, forecasts: bool = True) -> dict[str, Any]:
     Errors, ends, widths and scores are in units of the noise in the same document.
     """
     plant = backtest.plant
-    found: dict[str, Any] = {
+    tree: dict[str, Any] = {
         "name": backtest.name,
         "plant": plant.name,
         "confidence": backtest.confidence,
@@ -363,7 +361,7 @@ def document(backtest: Backtest, *, forecasts: bool = True) -> dict[str, Any]:
         "notes": list(backtest.notes),
     }
     if forecasts:
-        found["forecasts"] = [
+        tree["forecasts"] = [
             {
                 "session": one.session,
                 "sample": one.sample,
@@ -375,4 +373,4 @@ def document(backtest: Backtest, *, forecasts: bool = True) -> dict[str, Any]:
             }
             for one in backtest.marked
         ]
-    return found
+    return tree

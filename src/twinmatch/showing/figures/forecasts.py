@@ -120,12 +120,12 @@ def draw_backtest(backtest: Backtest) -> Figure:
     """Errors and coverage of all forecasters by horizon; forecasts of the leader with their bands."""
     figure = new_figure(11, 9.5)
     grid = figure.add_gridspec(4, 2, height_ratios=(2.4, 1.8, 1.2, 1.2))
-    found = backtest.cards
+    cards = backtest.cards
     errors, held = (figure.add_subplot(grid[0, k]) for k in range(2))
-    if found:
-        looks = _looks(found)
-        _draw_errors(errors, found, backtest.horizons, looks)
-        _draw_coverage(held, backtest, found, looks)
+    if cards:
+        looks = _looks(cards)
+        _draw_errors(errors, cards, backtest.horizons, looks)
+        _draw_coverage(held, backtest, cards, looks)
         figure.legend(*errors.get_legend_handles_labels(), loc="outside upper center", ncols=len(looks))
     else:
         empty(errors, "no forecast could be judged")
@@ -142,29 +142,29 @@ def draw_backtest(backtest: Backtest) -> Figure:
     return figure
 
 
-def _looks(found: Sequence[Card]) -> dict[str, tuple[str, str]]:
+def _looks(cards: Sequence[Card]) -> dict[str, tuple[str, str]]:
     peers = cycle(_PEERS)
-    names = dict.fromkeys(card.who for card in found)
+    names = dict.fromkeys(card.who for card in cards)
     return {name: _LOOKS.get(name) or next(peers) for name in names}
 
 
 def _marks(
-    found: Sequence[Card], horizons: Sequence[float], looks: dict[str, tuple[str, str]]
+    cards: Sequence[Card], horizons: Sequence[float], looks: dict[str, tuple[str, str]]
 ) -> Iterator[tuple[str, list[float], list[Card]]]:
     """Every forecaster with its cards and their places, side by side around the horizons."""
     for k, who in enumerate(looks):
         shift = (k - (len(looks) - 1) / 2) * 0.8 / len(looks)
-        own = [card for card in found if card.who == who]
+        own = [card for card in cards if card.who == who]
         yield who, [horizons.index(card.horizon) + shift for card in own], own
 
 
 def _draw_errors(
-    axes: Axes, found: Sequence[Card], horizons: Sequence[float], looks: dict[str, tuple[str, str]]
+    axes: Axes, cards: Sequence[Card], horizons: Sequence[float], looks: dict[str, tuple[str, str]]
 ) -> None:
     """Median, and a line up to the value below which nine in ten are."""
     from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter  # noqa: PLC0415 — slow
 
-    for who, places, own in _marks(found, horizons, looks):
+    for who, places, own in _marks(cards, horizons, looks):
         (colour, marker), medians = looks[who], [c.median for c in own]
         axes.vlines(places, medians, [c.nine_in_ten for c in own], color=colour, lw=1.2)
         axes.plot(places, medians, marker, color=colour, ms=6, label=who)
@@ -178,10 +178,10 @@ def _draw_errors(
 
 
 def _draw_coverage(
-    axes: Axes, backtest: Backtest, found: Sequence[Card], looks: dict[str, tuple[str, str]]
+    axes: Axes, backtest: Backtest, cards: Sequence[Card], looks: dict[str, tuple[str, str]]
 ) -> None:
     """Share of the samples in the band: output filled, input hollow."""
-    for who, places, own in _marks(found, backtest.horizons, looks):
+    for who, places, own in _marks(cards, backtest.horizons, looks):
         colour, marker = looks[who]
         axes.plot(places, [100 * c.coverage_output for c in own], marker, color=colour, ms=6)
         axes.plot(places, [100 * c.coverage_input for c in own], marker, color=colour, ms=6, mfc="white")

@@ -95,12 +95,12 @@ class Relay:
 
     def _refusal(self, request: bytes) -> str:
         """Why a request is refused; empty if it is not."""
-        found: dict[str, str] = {}
+        headers: dict[str, str] = {}
         for line in request.decode("latin-1").split("\r\n")[1:]:
             name, _, value = line.partition(":")
             name = name.strip().lower()
-            found[name] = f"{found[name]}, {value.strip()}" if name in found else value.strip()
-        why = self._hosts.refusal(found.get("host"), found.get("origin"), beside=True)
+            headers[name] = f"{headers[name]}, {value.strip()}" if name in headers else value.strip()
+        why = self._hosts.refusal(headers.get("host"), headers.get("origin"), beside=True)
         if why and why not in self._told and len(self._told) < MAX_TOLD:
             self._told.add(why)
             print(f"foxglove: refused: {why}", flush=True)

@@ -123,5 +123,5 @@ class NodeReports:
 
     def silent(self, name: str, now: float) -> bool:
         """Whether a node has not reported for more than `PATIENCE` seconds."""
-        found = self.reports.get(name)
-        return found is None or now - found.at > PATIENCE
+        report = self.reports.get(name)
+        return report is None or now - report.at > PATIENCE

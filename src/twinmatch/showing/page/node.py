@@ -86,8 +86,8 @@ class Dashboard(TwinmatchNode):
             state.push_drive(DriveReport(applied, current, message.fault, stamp or None))
 
         def take_twin(message: TwinState) -> None:
-            found = (one_of_each(name, getattr(message, name)) for name in TwinRow._fields)
-            state.push_twin(message.index, TwinRow(*map(float, found)))
+            values = (one_of_each(name, getattr(message, name)) for name in TwinRow._fields)
+            state.push_twin(message.index, TwinRow(*map(float, values)))
 
         for kind, topic, take, qos in (
             (PlantDescription, "plant/description", self._on_description, LATCHED),

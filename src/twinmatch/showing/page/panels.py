@@ -69,8 +69,8 @@ def what_to_do(state: DashboardState) -> str:
 def _advice(verdict: Verdict, output: Quantity) -> str:
     """What to do after a verdict."""
     if verdict.level is TrustLevel.FAULT:
-        _, found, where = verdict.reason.partition(_PLACE)
-        first = f"Look at {where}" if found else "Look at drive, sensor and cables"
+        _, placed, where = verdict.reason.partition(_PLACE)
+        first = f"Look at {where}" if placed else "Look at drive, sensor and cables"
         return f"{first}. Do not rely on forecasts until the fault is fixed."
     if verdict.level is TrustLevel.DOUBTFUL:
         return (

@@ -106,13 +106,13 @@ class Requests:
             self._call(self._limits, request, "the controller", send)
 
     def _send_set_point(self, level: float, answer: Any) -> None:
-        found = {name: value for name, value in zip(SOURCE, answer.values, strict=False) if value.type}
-        if len(found) < len(SOURCE):
+        values = {name: value for name, value in zip(SOURCE, answer.values, strict=False) if value.type}
+        if len(values) < len(SOURCE):
             self._state.notify(False, "the controller does not report which set-points it follows")
             return
         unit = self._state.described.reference.unit
-        low, high = found["profile.lowest"].double_value, found["profile.highest"].double_value
-        if found["reference_source"].string_value != "topic":
+        low, high = values["profile.lowest"].double_value, values["profile.highest"].double_value
+        if values["reference_source"].string_value != "topic":
             why = "the controller follows its own profile; start it with reference_source: topic"
             self._state.notify(False, why)
         elif not (math.isfinite(level) and low <= level <= high):

@@ -150,7 +150,7 @@ def fans_of(tested: Backtest, judgement: Judgement) -> tuple[Fan, ...]:
     return tuple(fan(one, judgement.stretches) for one in sorted(hardest, key=lambda f: f.sample))
 
 
-def write_pictures(found: dict[str, Picture], folder: Path, ending: str) -> list[Path]:
+def write_pictures(named: dict[str, Picture], folder: Path, ending: str) -> list[Path]:
     """Write every figure into a folder, which is created if it does not exist.
 
     Raises:
@@ -161,7 +161,7 @@ def write_pictures(found: dict[str, Picture], folder: Path, ending: str) -> list
     except OSError as error:
         msg = f"{folder}: the folder for the figures cannot be created: {error.strerror}"
         raise TwinmatchError(msg) from error
-    paths = {folder / f"{name}.{ending}": picture for name, picture in found.items()}
+    paths = {folder / f"{name}.{ending}": picture for name, picture in named.items()}
     for path, picture in paths.items():
         save(picture.draw(), path)
     return list(paths)

@@ -191,17 +191,17 @@ def _verify(session: Session, judgement: Judgement, unlike: str) -> tuple[str, b
         return "The session has no recorded verdicts; all of them were computed for this report.", None
     again = "They were computed again for this report and"
     try:
-        found = None if unlike else compare(session, judgement)
+        comparison = None if unlike else compare(session, judgement)
     except TwinmatchError as error:
-        found, unlike = None, str(error)
-    if found is None:
+        comparison, unlike = None, str(error)
+    if comparison is None:
         held = f"The session has {count} recorded verdicts."
         return f"{held} {again} could not be compared with the recorded ones: {unlike}.", None
-    matches = f"{found.matches} match{'' if found.matches == 1 else 'es'}"
-    held = f"The session has {found.verdicts} recorded verdicts and {matches}."
-    if found.identical:
+    matches = f"{comparison.matches} match{'' if comparison.matches == 1 else 'es'}"
+    held = f"The session has {comparison.verdicts} recorded verdicts and {matches}."
+    if comparison.identical:
         return f"{held} {again} are the same, bit for bit.", True
-    return f"{held} {again} differ from the recorded ones. First difference: {found.difference}.", False
+    return f"{held} {again} differ from the recorded ones. First difference: {comparison.difference}.", False
 
 
 @dataclass(frozen=True, eq=False)
