@@ -99,7 +99,7 @@ STILL = Movement(0.0, 0.0, 0.0)
 def test_the_share_is_what_the_plate_shows_of_the_drive() -> None:
     effect = Effect(1.0, NOISE)
     for _ in range(20):
-        effect.push(Movement(2.0, -1.0, -0.3), 0.05)  # 0.3 of 2 °C are missing every second
+        effect.push(Movement(2.0, -1.0, -0.3), 0.05, earned=True)  # 0.3 of 2 °C are missing every second
     assert effect.share == pytest.approx(0.85)
     assert effect.follows
 
@@ -110,14 +110,14 @@ def test_any_share_is_found_in_heating_and_in_cooling(share: float, drive: float
     for k in range(24):
         # It comes on as a drive does that the controller turns up, so that no step looks like the camera's.
         part = sign * drive * min(1.0, k / 10)
-        effect.push(Movement(part, 0.0, (share - 1.0) * part), 0.05)
+        effect.push(Movement(part, 0.0, (share - 1.0) * part), 0.05, earned=True)
     assert effect.share == pytest.approx(share, abs=0.35)
 
 
 def test_too_little_drive_is_not_judged() -> None:
     effect = Effect(1.0, NOISE)
     for _ in range(60):
-        effect.push(Movement(0.4, -0.4, -0.4), 0.05)
+        effect.push(Movement(0.4, -0.4, -0.4), 0.05, earned=True)
     assert np.isnan(effect.share)
     assert not effect.follows
 
@@ -125,14 +125,14 @@ def test_too_little_drive_is_not_judged() -> None:
 def test_a_rough_balance_wants_more_drive() -> None:
     effect = Effect(1.0, NOISE)
     for _ in range(60):
-        effect.push(Movement(1.0, -1.0, -0.4), 0.6)
+        effect.push(Movement(1.0, -1.0, -0.4), 0.6, earned=True)
     assert np.isnan(effect.share)
 
 
 def test_a_step_of_the_camera_is_not_taken_for_movement() -> None:
     effect = Effect(1.0, NOISE)
     for k in range(40):
-        effect.push(Movement(1.0, -1.0, -5.0 if k == 30 else 0.0), 0.05)
+        effect.push(Movement(1.0, -1.0, -5.0 if k == 30 else 0.0), 0.05, earned=True)
     assert effect.share == pytest.approx(1.0)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -88,3 +89,10 @@ def test_a_real_kit_whose_table_holds_the_input_early_is_not_accused(name: str) 
         for k, row in enumerate(rows)
     ]
     assert alarms(samples) == ()
+
+
+def test_lost_samples_leave_the_delay_known() -> None:
+    late = LateInput(SETTINGS.followed, PERIOD)
+    for sample in kit(2, 1):
+        late.push(replace(sample, seen=sample.index % 7 != 3))
+    assert late.delay == 2

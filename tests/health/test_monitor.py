@@ -67,13 +67,11 @@ def test_another_matched_twin_does_as_the_first_one(
     assert [a for a in monitor.alarms if a.fault is not Fault.DRIFT] == []
 
 
-def test_a_camera_late_at_the_start_is_suspected_and_no_alarm(recorded_hour: Callable[[int], Window]) -> None:
+def test_a_camera_late_at_the_start_accuses_nobody(recorded_hour: Callable[[int], Window]) -> None:
+    """Nobody has predicted this plant yet."""
     monitor, healths = rig.watch(samples_of(recorded_hour(1)))
     assert monitor.alarms == ()
-    suspects = [h for h in healths if h.state is HealthState.SUSPECT]
-    assert {h.fault for h in suspects} == {None, Fault.SENSOR_LATE}
-    assert max(h.index for h in suspects) < 30
-    assert all(h.reason.startswith("during start-up") for h in suspects)
+    assert all(h.state is HealthState.HEALTHY for h in healths)
 
 
 def test_the_real_failure_is_reported_in_time_and_by_name(recorded_hour: Callable[[int], Window]) -> None:
@@ -179,7 +177,7 @@ def test_a_nominal_twin_is_taken_where_the_own_one_is_rough() -> None:
     plant = rig.RICH_RIG.replace(heat_capacity=80.0)  # a third of the heat the monitor's own twin would give
     samples, _ = rig.run(rig.profile(1, 1500), rig.Break("drive-lost", 1200, 20), rig=plant, seed=1)
     alone, _ = rig.watch(samples)
-    assert alone.alarms[0].flagged < 1200  # by so much the own twin must not be off
+    assert alone.alarms == ()  # a twin that is so far off accuses nobody
     helped, _ = rig.watch(samples, plant)
     assert [a.fault for a in helped.alarms] == [Fault.DRIVE_LOST]
     assert 1200 < helped.alarms[0].flagged <= 1230

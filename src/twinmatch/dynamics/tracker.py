@@ -42,6 +42,8 @@ _LOG_SPREAD: Final = 0.6
 """Initial standard deviation of the logarithm of a parameter …"""
 _SPREAD: Final = 0.5
 """… or of a parameter tracked without logarithm, in its scale."""
+_IMPOSSIBLE: Final = 50.0
+"""Code length of a reading that a belief excludes, nats: as if it were off by ten standard deviations."""
 _MODEL_ERROR: Final = np.array([0.6, 0.001, 5e-4, 0.2, 0.15])
 """Model error of a real rig, as standard deviations: drift of a state that the output shows, in noises, and
 of another, in scales, per root of a sample; drift of a parameter, in scales, per root of a second; the fading
@@ -188,6 +190,9 @@ class Tracker:
     ) -> tuple[Belief, float]:
         """The belief after some samples, and the code length of their readings, in nats.
 
+        If the equations have no solution where this belief leads, it starts again from the newest reading,
+        and these were all far from what it expected.
+
         Args:
             belief: the belief before them.
             readings: the samples.
@@ -202,9 +207,28 @@ class Tracker:
         cost = self._track(
             self._fixed, values, covariance, self._drifts[level], readings, opening, traces or self._none
         )
-        return Belief(values, covariance), float(cost)
+        if math.isfinite(cost) and np.isfinite(values.sum() + covariance.sum()):
+            return Belief(values, covariance), float(cost)
+        output, row = readings.output[np.isfinite(readings.output)][-1], readings.disturbances[-1]
+        again = self.again(belief, float(output), float(readings.input[-1]), row)
+        return again, _IMPOSSIBLE * readings.input.size
 
     def named(self, belief: Belief, name: str) -> float:
         """The believed value of a parameter."""
         q, start = float(belief.values[self.at[name]]), self.parameters[name]
         return start * math.exp(q) if self.logged[self.free.index(name)] else start + q
+
+    def expected(self, belief: Belief, disturbances: FloatArray) -> tuple[float, float]:
+        """The reading that is expected next, and its variance without noise, in the output's unit."""
+        model, n, fixed = self.parameters.model, len(self.parameters.model.states), self._fixed
+        vector, x = fixed.vector.copy(), belief.values[:n]
+        vector[fixed.places] = [self.named(belief, name) for name in self.free]
+        output = model.kernels.outputs_at(vector, x, model.rest, disturbances)[0][0]
+        shown = model.kernels.slopes_at(vector, x, model.rest, disturbances)
+        slope = np.zeros(self.size)
+        slope[:n], slope[[self.offset, self.passing]] = shown[4][0], 1.0
+        slope[n : n + len(self.free)] = shown[5][0, fixed.which] * np.where(
+            self.logged, vector[fixed.places], 1.0
+        )
+        offset = belief.values[self.offset] + belief.values[self.passing]
+        return float(output + offset), float(slope @ belief.covariance @ slope)

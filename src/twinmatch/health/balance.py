@@ -21,6 +21,7 @@ import numpy as np
 
 from twinmatch.dynamics import Parameters
 from twinmatch.dynamics.pace import slow_scale
+from twinmatch.health.earned import Record
 from twinmatch.signals import FloatArray, Sample
 
 BLOCK: Final = 10.0
@@ -37,6 +38,10 @@ _LARGEST_ERROR: Final = 3.0
 """Limit on the error of a block that is learned from."""
 _CONFIRMING: Final = 3
 """Healthy blocks that must follow before a block is learned from."""
+_COUNTED_AFTER: Final = 6
+"""Blocks after which one counts against a record that was earned: by then a fault has been reported."""
+_KEPT: Final = 1.0 - 1.0 / 60.0
+"""What a block leaves of the record before: ten minutes; a start that went wrong is soon forgotten."""
 TRIAL: Final = 30
 """Number of newest blocks on which other parameters are tried."""
 _ROUGH: Final = 1.5
@@ -91,6 +96,7 @@ class Balance:
         # Rates are per second of a plant as fast as the rig.
         self._period = period / slow_scale(parameters.model.plant, period)
         self._block = max(2, round(BLOCK / self._period))
+        self._block_time = self._block * self._period
         self._correction = _Correction(self.noise)
         self._values = [0.0, 0.0, 0.0, 0.0]
         self._states: FloatArray = np.full(len(parameters.model.states), np.nan)
@@ -98,6 +104,7 @@ class Balance:
         self._waiting: deque[tuple[FloatArray, float]] = deque()
         self._past: deque[Sample] = deque(maxlen=TRIAL * self._block)
         self._errors: deque[float] = deque(maxlen=TRIAL)
+        self._record, self._unsettled = Record(), deque[tuple[float, float]]()
         self.roughness = 0.0
         """RMS error of the corrected balance over the newest blocks, per second."""
         self._clear()
@@ -145,15 +152,37 @@ class Balance:
 
     def learn(self, parts: FloatArray, surplus: float, *, healthy: bool) -> None:
         """Queue a block; it is learned from once the blocks after it were healthy too."""
+        error = surplus - float(parts @ self._correction.values)
         if not healthy:
             self._waiting.clear()
             return
-        self._errors.append(surplus - float(parts @ self._correction.values))
+        self._errors.append(error)
         self.roughness = math.sqrt(sum(e * e for e in self._errors) / len(self._errors))
         self._waiting.append((parts, surplus))
         if len(self._waiting) > _CONFIRMING:
             self._correction.learn(*self._waiting.popleft())
             self._values = self._correction.values.tolist()
+
+    @property
+    def earned(self) -> bool:
+        """Whether it has predicted the plant."""
+        return self._record.earned(self.noise / self._block_time)
+
+    @property
+    def sees_drive(self) -> bool:
+        """Whether it may say that the drive is missing."""
+        return self._record.sees_drive(self.noise / self._block_time)
+
+    def compare(self, parts: FloatArray, surplus: float) -> None:
+        """Compare a block with what was expected of it; it counts unless a fault is reported soon after."""
+        error = surplus - float(parts @ self._correction.values)
+        self._unsettled.append((error, surplus + float(parts[0] + parts[1])))
+        while len(self._unsettled) > (_COUNTED_AFTER if self.earned else 0):
+            self._record = self._record.after(*self._unsettled.popleft(), _KEPT)
+
+    def forget_newest(self) -> None:
+        """A fault began: the newest blocks do not count."""
+        self._unsettled.clear()
 
     @property
     def rough(self) -> bool:

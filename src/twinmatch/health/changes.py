@@ -22,6 +22,7 @@ from twinmatch.dynamics import Parameters
 from twinmatch.dynamics.filters import Readings, Traces
 from twinmatch.dynamics.pace import slow_scale, time_scale
 from twinmatch.dynamics.tracker import Belief, Tracker
+from twinmatch.health.track_record import TrackRecord
 from twinmatch.health.tracking import REACH, Block, TrackedBlocks, joined
 from twinmatch.signals import FloatArray, Sample
 
@@ -150,6 +151,8 @@ def hypotheses(tracker: Tracker, noise: float, period: float) -> Sequence[Hypoth
 
 _EVERY: Final = 2
 """Spacing of the moments at which a change may have begun, blocks."""
+_HOUR: Final = 360
+"""Blocks of an hour of a plant as fast as the rig."""
 _MIN_AGE: Final = 3
 """Least age of a change that is reported, blocks."""
 _CAME_BACK: Final = 0.5
@@ -166,6 +169,10 @@ _PATIENCE: Final = 12
 """Comparisons without result after which they are made less often …"""
 _RAREST: Final = 6
 """… down to once in so many blocks."""
+
+
+_UNIVERSAL: Final = 2.865064
+"""Sum over all whole numbers n of 1 / (n log₂ n log₂ log₂ n …), as far as the factors are positive."""
 
 
 class _Found(NamedTuple):
@@ -186,6 +193,7 @@ class ChangeDetector:
         self._period = period
         self._tracked = TrackedBlocks(parameters, period)
         self.tracker = self._tracked.tracker
+        self.track_record = TrackRecord(self.tracker)
         noise = parameters.model.plant.output.noise
         self.hypotheses = hypotheses(self.tracker, noise, period)
         self._jumps = list({h.index: h for h in self.hypotheses if h.kind is not Kind.PASSING}.values())
@@ -221,6 +229,7 @@ class ChangeDetector:
 
         With `offset`, the offset of the reading is unknown again.
         """
+        self.track_record.forget_newest()
         opening = (self._offset.index, self._offset.spread) if offset else None
         self._tracked.restart(opening)
         self._reset()
@@ -235,7 +244,11 @@ class ChangeDetector:
         self._tracked.take(stretch, self._traces, settled=self.suspected)
         if self._tracked.moved_level:
             self._clear()
-        if self._tracked.known < _LEARN or self._tracked.blind:
+        newcomer = self._tracked.known < _LEARN
+        self.track_record.push(
+            list(self._tracked.blocks), self._tracked.count, self._tracked.level, newcomer=newcomer
+        )
+        if newcomer or self._tracked.blind:
             self._best = None
             return None
         return self._search()
@@ -284,7 +297,7 @@ class ChangeDetector:
         age = count - self._started
         fits = (self._started >= 0) & (age >= _MIN_AGE) & (age <= longest)
         worth = np.where(fits, worth, 0.0)
-        if worth.max() < _WORTH and self._best is None:
+        if worth.max() < _WORTH * self.track_record.dispersion and self._best is None:
             self._asking = 0
             return None
         self._idle += 1
@@ -301,12 +314,13 @@ class ChangeDetector:
     def _compare(self, ages: Sequence[int]) -> DetectedChange | None:
         """Compare every hypothesis of a change, `ages` blocks ago, with no change."""
         nothing, before = self._tracked.unchanged()
+        dispersion = self.track_record.dispersion
         found: dict[Kind, _Found] = {}
         for age, h, level in itertools.product(ages, self.hypotheses, self._tracked.levels):
             if level > self._tracked.level and h.kind not in _LESS_ACCURATE:
                 continue
             cost, belief = self._run(h, age, level)
-            gain = nothing - float(before[-age - 1]) - cost
+            gain = (nothing - float(before[-age - 1]) - cost) / dispersion
             if h.kind not in found or gain > found[h.kind].gain:
                 found[h.kind] = _Found(gain, h, age, level, belief)
         order = sorted(found.values(), key=lambda f: -f.gain)
@@ -318,25 +332,27 @@ class ChangeDetector:
         if gain < _WORTH:
             self._best = None
             return None
+        # The hour in which it began, when in it, and what has changed have to be said, too.
+        gain -= code_length_of(1 + self._tracked.known // _HOUR) + math.log(_HOUR / _EVERY * len(found))
         # A change has an onset; one that explains as much from long before was there from the start.
         oldest = len(self._tracked.blocks)
         dated = oldest
         if oldest - age >= 2 * _EVERY:
             cost, early = self._run(h, oldest, level)
-            longer = nothing - float(before[-oldest - 1]) - cost
-            if longer > gain - _WORTH:
+            longer = (nothing - float(before[-oldest - 1]) - cost) / dispersion
+            if longer > order[0].gain - _WORTH:
                 belief, dated = early, 0
         onset = self._tracked.blocks[-age]
         change = DetectedChange(
             hypothesis=h,
             gain=gain,
-            lead=gain - max([0.0, *(f.gain for f in order[1:])]),
+            lead=order[0].gain - max([0.0, *(f.gain for f in order[1:])]),
             first=onset.first,
             before=float(onset.before[self._tracked.level].values[h.index]),
             value=float(belief.values[h.index]),
             begun=dated > 0,
             rivals=tuple(f.hypothesis.kind for f in order[1:]),
-            gains=tuple(f.gain for f in order[1:]),
+            gains=tuple(f.gain - (order[0].gain - gain) for f in order[1:]),
         )
         self._best = (change, order[0]._replace(belief=belief))
         return change
@@ -373,3 +389,14 @@ class ChangeDetector:
             lasting=round(h.lasting / self._period),
         )
         return cost, belief
+
+
+def code_length_of(number: int) -> float:
+    """Length of a code for a whole number from 1 on, in nats.
+
+    Rissanen's universal prior (Annals of Statistics 11, 1983), whose probabilities add up to 1.
+    """
+    bits, rest = math.log2(_UNIVERSAL), math.log2(max(number, 1))
+    while rest > 0.0:
+        bits, rest = bits + rest, math.log2(rest)
+    return bits * math.log(2.0)

@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final, NamedTuple, cast
 
 import numpy as np
@@ -26,6 +26,7 @@ from twinmatch.dynamics.kernels import OUTPUTS, SWITCHES, Code, call, tick, work
 from twinmatch.dynamics.observer import Observer, RandomWalk
 from twinmatch.dynamics.pace import slow_scale
 from twinmatch.health.balance import Movement
+from twinmatch.health.earned import NOTHING, Record
 from twinmatch.health.traces import FOLLOWS, DriveEffect
 from twinmatch.signals import FloatArray, Sample
 
@@ -39,6 +40,8 @@ _FIRST_ERROR: Final = 3.0
 """Assumed error at rest before anything is learned, in standard deviations of a reading's noise …"""
 _FIRST_SHARE: Final = 0.3
 """… and share of the movement by which equations with typical parameters are usually wrong."""
+_KEPT: Final = 1.0 - 1.0 / 2000.0
+"""What a stretch leaves of the record before."""
 _MIN_SHARE: Final = 0.15
 """That share is never trusted to be smaller: other movements may show other errors."""
 
@@ -61,6 +64,8 @@ class ErrorModel:
     """Variance of the error as a share of the movement."""
     seen: tuple[float, float] = _FIRST
     """Stretches each of them is known from."""
+    record: Record = field(default_factory=Record)
+    """Of all stretches so far."""
 
     @classmethod
     def of(cls, noise: float) -> ErrorModel:
@@ -83,7 +88,10 @@ class ErrorModel:
         share = self.share * at_rest / total + (self.share * moved / total) ** 2 * square
         seen = (min(self.seen[0] + 1.0, _MEMORY[0]), min(self.seen[1] + moving / total, _MEMORY[1]))
         return ErrorModel(
-            self.rest + (rest - self.rest) / seen[0], self.share + (share - self.share) / seen[1], seen
+            self.rest + (rest - self.rest) / seen[0],
+            self.share + (share - self.share) / seen[1],
+            seen,
+            self.record.after(error, moved, _KEPT),
         )
 
 
@@ -240,6 +248,11 @@ class LaggedEffect(DriveEffect):
         self._standing: FloatArray | None = None
         self._reading = math.nan
 
+    @property
+    def earned(self) -> bool:
+        """Whether it has predicted the plant over every stretch."""
+        return all(errors.record.earned(self._noise) for errors in self._errors)
+
     def take(self, parameters: Parameters) -> None:
         """Continue with other parameters of the same model; those of another model are ignored."""
         if parameters.model is self._parameters.model and not self._frozen:
@@ -349,6 +362,9 @@ class LaggedEffect(DriveEffect):
         share = 1.0 + error / effect
         likely = errors.error(stretch.moved, changed if changed * effect < 0.0 else 0.0)
         least = max(_MIN_NOISES * self._noise, _MIN_ERRORS * likely)
+        nothing = len(stretch) >= self._spans[-1] and share <= NOTHING
+        if share < FOLLOWS[0] and not (nothing or errors.record.sees_drive(self._noise)):
+            return
         missing = abs(error) if share < 1.0 else 0.0
         counts = abs(effect) >= least
         if len(stretch) >= self._spans[_LONG]:

@@ -93,7 +93,6 @@ class LateInput:
         seen = np.array([s.seen for s in samples])
         output = np.array([*self._before, *(s.output for s in samples)])
         self._before = output[-2:].tolist()
-        output[2:][~seen] = np.nan
         noise = np.where(seen, model.plant.output.noise, np.inf)
         first, costs = samples[0], np.zeros(len(self._delays))
         for place, delay in enumerate(self._delays):

@@ -33,11 +33,15 @@ _WEAKLY: Final = 20.0
 """Time for which a drive must show too small an effect, s."""
 _RECOVERED: Final = 15.0
 """Time without any trace after which a sensor counts as recovered, s."""
+_OF_THE_DRIVE: Final = (Fault.DRIVE_LOST, Fault.DRIVE_WEAK)
+_OVER: Final = 7.0
+"""Nats, a thousand to one, by which the whole effect of a drive explains more than the share reported."""
 _PROVE: Final = 10.0
 """Time for which the plant must follow the drive before the drive counts as recovered, s."""
 _REFUSED: Final = Fault.SENSOR_IMPLAUSIBLE
 _KEPT: Final = 1000
 """Number of alarms kept: more than any window that is still matched can overlap."""
+_NEWCOMER: Final = "the twin does not describe this plant yet"
 _UNPROVEN: Final = 120.0
 """Time without any trace after which the drive counts as recovered without proof, s."""
 
@@ -139,6 +143,14 @@ class Monitor:
         return self._health(sample.index, evidence, starting, news)
 
     @property
+    def reservation(self) -> str:
+        """Why nobody can be accused yet, in words; empty once somebody has predicted the plant."""
+        if self._predictor.earned:
+            return ""
+        late = self._delay * self.settings.period
+        return f"{_NEWCOMER}: its input seems to act {late:g} s late" if late else _NEWCOMER
+
+    @property
     def _brief(self) -> bool:
         """Whether the fault that is on consists of a few refused readings, which count nowhere."""
         return self._open and not self._alarms[-1].spoils and self._alarms[-1].fault is _REFUSED
@@ -188,23 +200,30 @@ class Monitor:
         low, high = self.settings.reference.model.plant.output.span
         inward = float(sample.output <= low) - float(sample.output >= high)
         if not self._known:
-            self._repeats.push(sample.output - before.output, movement, inward)
+            self._repeats.push(sample.output - before.output, movement, inward, earned=False)
             return self._sentences.frozen(sample, self._repeats) if self._repeats.stands else None
         stood = self._repeats.stands
         after, acting = movement, self._acting(sample)
         if self._late is not None:
             self._late.freeze(self._open and self._alarms[-1].fault is Fault.DRIVE_LOST)
             after = self._late.push(sample)
-        self._repeats.push(sample.output - before.output, after, inward)
+        self._repeats.push(sample.output - before.output, after, inward, earned=self._predictor.earned)
         if stood and not self._repeats.stands:  # it moves again, from wherever the plant went meanwhile
             self._restart_traces()
             return None
         self._lag.push(movement)
         if self._prompt and isinstance(self._effect, Effect):
-            self._effect.push(movement, self._balance.roughness)
+            self._effect.push(movement, self._balance.roughness, earned=self._balance.sees_drive)
         self._learn()
         self._track(acting)
         return self._weigh(sample)
+
+    @property
+    def _predictor(self) -> Balance | LaggedEffect | SlowChanges:
+        """The one that sees best how the plant moves."""
+        if self._late is not None:
+            return self._late
+        return self._balance if self._prompt else self._slow
 
     def _acting(self, sample: Sample) -> Sample:
         """The sample with the input that acts now, if inputs act later than the equations say."""
@@ -259,6 +278,8 @@ class Monitor:
         if full is None:
             return
         quiet = self._quiet * self.settings.pace >= BLOCK
+        if not self._open:
+            self._balance.compare(*full)
         self._balance.learn(*full, healthy=quiet and not self._slow.suspected)
         if quiet:
             self._try()
@@ -312,6 +333,9 @@ class Monitor:
             )
         )
         self._open, self._slow_alarm = True, evidence.slow
+        self._balance.forget_newest()
+        if evidence.fault in _OF_THE_DRIVE and isinstance(self._effect, Effect):
+            self._effect.accuse()
         if self._blind:
             self._slow.restart()
         elif evidence.slow:
@@ -324,7 +348,13 @@ class Monitor:
         quiet, proven = self._quiet * self.settings.pace, self._proofs * self.settings.pace
         if self._slow_alarm:
             return self._slow.over(self._index)
-        if fault in (Fault.DRIVE_LOST, Fault.DRIVE_WEAK, Fault.SENSOR_LATE):
+        if fault in _OF_THE_DRIVE and self._prompt and isinstance(self._effect, Effect):
+            if self._effect.returned < _OVER:
+                return False
+            self._restart_traces()  # stretches that reach back into the fault show it still
+            self._slow.restart()
+            return True
+        if fault in (*_OF_THE_DRIVE, Fault.SENSOR_LATE):
             return proven >= _PROVE or quiet >= _UNPROVEN
         if self._brief:
             return (self._index - self._refused_at) * self.settings.pace >= _RECOVERED

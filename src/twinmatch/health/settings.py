@@ -46,7 +46,7 @@ class HealthSettings:
     frozen: float = setting(10.0, "Time for which one repeated reading means a frozen sensor.", "s", 1.0, 1e7)
     """Healthy cameras repeat theirs for 5 s at most."""
     change: float = setting(
-        9.0, "Log-likelihood gain over no change from which a change is reported.", "nats", 0.1, 1e3
+        3.0, "Log-likelihood gain over no change from which a change is reported.", "nats", 0.1, 1e3
     )
     lead: float = setting(
         4.0, "Log-likelihood gain over the next best from which it is named.", "nats", 0.1, 1e3

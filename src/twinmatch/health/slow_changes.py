@@ -29,10 +29,11 @@ _CAUSES: Final = {
     Kind.OTHER: "something unknown",
     Kind.PASSING: "something that passes",
 }
+_NAMED: Final = frozenset(_NAMES.values()) - {Fault.DRIFT, Fault.DISTURBANCE}
 _AGREEING: Final = 2
 """Consecutive comparisons that must agree on the kind of change."""
 _UNNAMED_FACTOR: Final = 2.0
-"""Factor on the gain required of a change that cannot be named, over that of one that can."""
+"""Factor on the gain required of a change that has no cause, over that of one that has."""
 _NAME_WAIT: Final = 60.0
 """Time to wait for a name before an unnamed change is reported, s."""
 _ACCEPT: Final = 600.0
@@ -72,6 +73,11 @@ class SlowChanges:
         return self._reported.fault if self._reported is not None else None
 
     @property
+    def earned(self) -> bool:
+        """Whether the plant has been predicted far better than by saying that nothing changes."""
+        return self._detector.track_record.earned
+
+    @property
     def suspected(self) -> bool:
         """Whether something seems to have changed."""
         return self.evidence is not None
@@ -99,6 +105,8 @@ class SlowChanges:
         assert change is not None and self.evidence is not None  # noqa: S101, PT018 — only evidence are reported
         self._reported = _Reported(self.evidence.fault, change.hypothesis, change.before, index)
         self._over = False
+        if self.evidence.fault in _NAMED:  # what has no name is an error of the twin
+            self._detector.track_record.forget_newest()
         if self.evidence.fault is not Fault.DRIFT or change.hypothesis.kind is Kind.OTHER:
             self._detector.adopt()
             self._clear_suspicion()
@@ -155,6 +163,7 @@ class SlowChanges:
             self._over = self._over or same
         elif not same or change.lead < self._settings.lead:
             return False
+        self._detector.track_record.forget_newest()
         self._detector.adopt()
         self._clear_suspicion()
         return True
@@ -169,8 +178,13 @@ class SlowChanges:
 
     def _surely_passed(self, change: DetectedChange) -> bool:
         """Whether something that has passed explains far more than anything that would have lasted."""
-        clearly = change.gain >= _UNNAMED_FACTOR * self._settings.change
+        clearly = change.gain >= self._enough_unnamed
         return clearly and change.lead >= self._settings.lead and self._running >= _AGREEING
+
+    @property
+    def _enough_unnamed(self) -> float:
+        """Gain required of what has no cause: a wrong twin, which misses such movements, is its rival."""
+        return _UNNAMED_FACTOR * self._settings.change * self._detector.track_record.missed
 
     def _passage(self) -> tuple[float, float] | None:
         """How far something that has passed moved the output, and how long it lasted, s; None if that is too
@@ -187,6 +201,7 @@ class SlowChanges:
         """The evidence for a change."""
         h, settings = change.hypothesis, self._settings
         enough = self._running >= _AGREEING and change.gain >= settings.change and change.begun
+        enough = enough and self.earned
         material = abs(change.shift) >= h.least
         named = change.lead >= settings.lead and h.kind is not Kind.OTHER
         if h.kind is Kind.DRIVE and not settings.lost - 1.0 <= change.shift < 0.0:
@@ -194,7 +209,7 @@ class SlowChanges:
         if h.kind is Kind.SENSOR and not any(rival in (Kind.ROOM, Kind.LOSSES) for rival in change.rivals):
             named = False  # changed surroundings, if not modelled, look the same as an offset
         if named and h.kind is Kind.PASSING:
-            passed = self._surely_passed(change) and change.begun
+            passed = self._surely_passed(change) and enough
             reason = self._sentences.passed(*self._passage() or (0.0, 0.0))
             return Evidence(Fault.DISTURBANCE, passed, change.first, reason, slow=True)
         if named:
@@ -207,7 +222,7 @@ class SlowChanges:
         waited = self._unnamed_since is not None and (
             (index - self._unnamed_since) * settings.pace >= _NAME_WAIT
         )
-        sure = enough and material and waited and change.gain >= _UNNAMED_FACTOR * settings.change
+        sure = enough and material and waited and change.gain >= self._enough_unnamed
         return Evidence(Fault.DRIFT, sure, change.first, self._ambiguous(change), slow=True)
 
     def _ambiguous(self, change: DetectedChange) -> str:

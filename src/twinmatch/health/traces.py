@@ -12,6 +12,7 @@ from typing import Final
 import numpy as np
 
 from twinmatch.health.balance import Movement
+from twinmatch.health.earned import NOTHING
 
 _SPANS: Final = (6.0, 8.0, 10.0, 12.0, 16.0, 20.0)
 """Lengths of the stretches over which the drive's effect is estimated, s."""
@@ -21,6 +22,12 @@ _MIN_RATE: Final = 4.5
 """… plus this for every second: twice the error of a twin over minutes …"""
 _ROUGHNESS: Final = 2.0
 """… or, with a less accurate twin, so many times the roughness of the balance."""
+_ROUGH_RATE: Final = 1.0
+"""Least usual error of a balance, in noises per second …"""
+_ERROR_SHARE: Final = 0.25
+"""… and as a share of what the drive does …"""
+_ERRORS_LAST: Final = 10.0
+"""… and time for which it lasts, s: errors of a twin are alike for some seconds."""
 _STEP: Final = 8.0
 """A larger unexplained step is attributed to the sensor unless one like it came just before."""
 _LIKE: Final = 4.0
@@ -28,6 +35,8 @@ _LIKE: Final = 4.0
 FOLLOWS: Final = (0.6, 2.5)
 """Range of shares of the expected effect that prove that the drive works."""
 
+_LONGER: Final = 2.0
+"""Factor by which a reading must be repeated more often than any before it: repeats come in runs."""
 _CHANCE: Final = 1e-9
 """Probability below which repeated readings are not chance; a year has 3e7 seconds."""
 _MIN_NOISE: Final = 0.1
@@ -76,18 +85,27 @@ class Effect(DriveEffect):
         """`period` in s, `noise` of a reading."""
         self._period, self._noise = period, noise
         self._spans = [max(2, round(s / period)) for s in _SPANS]
+        self._accused = 0.0  # the share that was last reported
         self.restart()
+
+    def accuse(self) -> None:
+        """The share was reported as a fault: from now on, what speaks against it is weighed."""
+        self._accused, self.returned = min(self.share, FOLLOWS[0]), 0.0
 
     def restart(self) -> None:
         """Forget what was pushed."""
         super().restart()
+        self.returned = 0.0
+        """Log-likelihood ratio of the whole effect to the share reported, nats, since it was least."""
         self._sums: deque[tuple[float, float]] = deque([(0.0, 0.0)], maxlen=self._spans[-1] + 1)
         self._last = 0.0
 
-    def push(self, movement: Movement, roughness: float) -> None:
-        """Take the movement of one period, and the roughness (per second) of the balance it comes from."""
+    def push(self, movement: Movement, roughness: float, *, earned: bool) -> None:
+        """Take the movement of one period, the roughness (per second) of the balance that it comes from, and
+        whether that balance has predicted the plant."""
         least = max(_MIN_RATE * self._noise, _ROUGHNESS * roughness) * self._period
         left = movement.unexplained
+        self._weigh(movement, max(roughness, _ROUGH_RATE * self._noise) * self._period)
         like = abs(self._last) > _LIKE * self._noise and left * self._last > 0
         isolated = abs(left) > _STEP * self._noise and not like
         self._last = left
@@ -103,8 +121,18 @@ class Effect(DriveEffect):
             if abs(expected) < _MIN_EFFECT * self._noise + least * length:
                 continue
             share = 1.0 + (newest[1] - then[1]) / expected
-            if not share >= self.share:
+            counts = earned or share >= FOLLOWS[0] or (length == self._spans[-1] and share <= NOTHING)
+            if counts and not share >= self.share:
                 self.share, self.length, self.expected = share, length, expected
+
+    def _weigh(self, movement: Movement, usual: float) -> None:
+        """Weigh a movement, whose usual error is `usual` and lasts for several samples."""
+        drive, usual = movement.drive, math.hypot(usual, _ERROR_SHARE * movement.drive)
+        most = 1.5 * abs(drive) + 3.0 * usual
+        left = min(max(movement.unexplained, -most), most)
+        missing = left + (1.0 - self._accused) * drive
+        ratio = 0.5 * (missing**2 - left**2) / usual**2 * min(self._period / _ERRORS_LAST, 1.0)
+        self.returned = max(self.returned + ratio, 0.0)
 
 
 class Repeats:
@@ -117,7 +145,8 @@ class Repeats:
         At an end of its span it does so until the plant has moved far back from there.
         """
         self._noise = noise
-        self._coarse = step > noise
+        self._stated = step
+        self._longest = 0  # most repeats of one reading so far
         self._most = max(3, round(longest / period))
         self._often = self._lately = 0.1  # share of readings that repeat the one before: of 300, of 30
         self._change = 0.0  # mean change from reading to reading
@@ -130,15 +159,16 @@ class Repeats:
         """Movement expected since the first of them."""
         self._inward = 0.0
 
-    def push(self, change: float, movement: Movement, inward: float = 0.0) -> None:
-        """Take the newest change of the reading and the movement it belongs to.
+    def push(self, change: float, movement: Movement, inward: float = 0.0, *, earned: bool = True) -> None:
+        """Take the newest change of the reading and the movement it belongs to; this counts if the one who
+        expected it has `earned` that.
 
         `inward`: 1 for a reading at the low end of the sensor's span, -1 at the high end, 0 between them.
         """
         self._inward = inward
         if change == 0.0:
             self.count += 1
-            self.expected += movement.drive + movement.passive
+            self.expected += (movement.drive + movement.passive) if earned else 0.0
             return
         if not self.stands:
             for repeats in (1.0,) * self.count + (0.0,):
@@ -151,7 +181,14 @@ class Repeats:
                 self._last = now
             self._moves += 1
             self._step = min(self._step, abs(change))
+            self._longest = max(self._longest, self.count)
         self.count, self.expected = 0, 0.0
+
+    @property
+    def _coarse(self) -> bool:
+        """Whether the readings' steps, as the file says or as they have shown, are coarser than the noise."""
+        shown = self._step if self._moves >= _MIN_MOVES else 0.0
+        return max(self._stated, shown) > self._noise
 
     @property
     def unusual(self) -> bool:
@@ -170,6 +207,7 @@ class Repeats:
         noisy = self._moves >= _MIN_MOVES and self._change >= _MIN_NOISE * self._noise
         # A reading whose noise is smaller than its last digit repeats whenever the plant is at rest.
         noisy = noisy and not self._coarse and self._jitter >= _STEPS * self._step
+        noisy = noisy and self.count >= _LONGER * self._longest
         return abs(self.expected) > _MOVED * self._noise or (noisy and chance < _CHANCE)
 
 

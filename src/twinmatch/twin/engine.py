@@ -272,6 +272,7 @@ class Discriminator:
             held=self._bands.levels or (float("nan"), float("nan")),
             residuals=self._residuals(window),
             health=self._health,
+            reservation=self.monitor.reservation,
             structure=choice.chosen if choice else "",
             decimals=self.settings.decimals,
         )

@@ -68,6 +68,8 @@ class Knowledge:
     """Lowest and highest output of the range in which the bands have held; NaN without one."""
     residuals: Residuals
     health: Health | None
+    reservation: str
+    """Why nobody can be accused of a fault yet; empty if somebody can."""
     structure: str
     """The structure that the samples justify; empty before the first comparison."""
     decimals: int
@@ -102,7 +104,7 @@ def trust_of(known: Knowledge) -> Trust:
         level = TrustLevel.DOUBTFUL if known.fault in _ADAPTABLE else TrustLevel.FAULT
         reason = f"the plant shows {known.fault.value}"
     elif math.isnan(miss):
-        level, reason = TrustLevel.UNKNOWN, LEVEL_WORDS[TrustLevel.UNKNOWN]
+        level, reason = TrustLevel.UNKNOWN, known.reservation or LEVEL_WORDS[TrustLevel.UNKNOWN]
     elif miss < known.miss_limit and known.match.unexplained:
         reason = _UNEXPLAINED
     elif miss < known.miss_limit and leading is not None and leading.useless:

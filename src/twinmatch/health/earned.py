@@ -1,0 +1,45 @@
+"""Who may accuse: only who has predicted this plant far better than to say that nothing changes.
+
+Equations with a wrong gain, or without the plant's dead time, miss what the plant does, and then miss it also
+in a plant that is healthy. So every judge keeps a record of them over the same time ahead.
+"""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+_MIN_MOVED: Final = 20.0
+"""Least root of the sum of squared movements, in noises of a reading, …"""
+_MAX_SHARE: Final = 0.5
+"""… and greatest share of it by which the forecasts may have been off …"""
+_MAX_MISSING: Final = 0.35
+"""… if a missing effect is to be told from it: 0.6 of an effect are missing when it is lost."""
+
+NOTHING: Final = 0.1
+"""Greatest share of an expected effect that counts as nothing. This a newcomer may say, too, over the longest
+of the times that are looked at."""
+
+
+class Record(NamedTuple):
+    """Sums of squares over the forecasts of one judge; immutable."""
+
+    error: float = 0.0
+    """Of measurements minus forecasts, in the output's unit squared."""
+    moved: float = 0.0
+    """Of how far the output moved: the error of saying that nothing changes."""
+
+    def after(self, error: float, moved: float, kept: float = 1.0) -> Record:
+        """The record with one more forecast; `kept` is the factor on past sums."""
+        return Record(kept * self.error + error**2, kept * self.moved + moved**2)
+
+    def earned(self, noise: float) -> bool:
+        """Whether these forecasts are a reason to believe the next; `noise` of a reading (1 σ)."""
+        return self._off_by(_MAX_SHARE, noise)
+
+    def sees_drive(self, noise: float) -> bool:
+        """Whether they were so near that the missing effect of a drive would show."""
+        return self._off_by(_MAX_MISSING, noise)
+
+    def _off_by(self, share: float, noise: float) -> bool:
+        """Whether they were off by at most a share of considerable movements."""
+        return self.moved >= (_MIN_MOVED * noise) ** 2 and self.error <= share**2 * self.moved
