@@ -12,6 +12,8 @@ from __future__ import annotations
 from typing import ClassVar
 
 EXIT_USER_ERROR = 2
+EXIT_INTERRUPTED = 130
+"""As shells say of a program that Ctrl-C ended."""
 
 
 class TwinmatchError(ValueError):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from copy import deepcopy
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -129,3 +129,18 @@ def test_roles_and_the_structure_to_be_followed_are_checked() -> None:
     assert Peltier.followed in Peltier.structures
     with pytest.raises(PlantError, match="`followed` is 'none'; name one of its structures"):
         type("Other", (Motor,), {"followed": "none"})
+
+
+class Stronger:
+    """A supply that is first far too strong, then less so."""
+
+    kind, start = "", 500
+
+    def on(self, k: int) -> bool:
+        self.kind = "supply*1.6" if k < 1000 else "supply*1.25"
+        return k >= 500
+
+
+def test_a_drive_that_does_more_than_it_should_is_not_weak() -> None:
+    samples, _ = rig.run(rig.profile(1004, 1200), cast("Any", Stronger()), rig=rig.some_rig(4), seed=4)
+    assert {a.fault for a in rig.watch(samples)[0].alarms} == {Fault.DRIFT}

@@ -350,6 +350,23 @@ def test_the_end_is_notes_leader_nominal_structure_and_the_sentence() -> None:
     assert closing_lines(summary, None) == [lines[0], lines[4]]
 
 
+def test_the_end_names_the_faults_on_the_way() -> None:
+    lost = {"fault": "drive-lost", "fault_since": 310}
+    said = [
+        verdict(TrustLevel.TRUSTED),
+        verdict(TrustLevel.FAULT, 320, **lost),
+        verdict(TrustLevel.FAULT, 360, **lost),
+        verdict(TrustLevel.UNKNOWN, 400),
+        verdict(TrustLevel.DOUBTFUL, 500, fault="room-changed", fault_since=470),
+    ]
+    summary = replace(SUMMARY, faults=tuple(Tally(said).faults))
+    line = "Faults: drive-lost from sample 310 to 400; room-changed since sample 470."
+    assert closing_lines(summary, None)[-2:] == [line, sentence(summary)]
+    often = replace(summary, faults=summary.faults * 4)
+    assert closing_lines(often, None)[-2].startswith("Faults: 3 before; room-changed")
+    assert not any(line.startswith("Faults") for line in closing_lines(SUMMARY, None))
+
+
 def test_where_forecasts_held_is_rounded_to_the_inside_and_to_the_plants_places() -> None:
     found = trust_range(replace(LED, held_low=22.3, held_high=89.7), Peltier.output)
     assert found == TrustRange(22.3, 89.7, "°C")

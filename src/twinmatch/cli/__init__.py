@@ -14,13 +14,11 @@ from importlib import import_module
 from typing import Any, Final
 
 from twinmatch import __version__
-from twinmatch.errors import EXIT_USER_ERROR, TwinmatchError
+from twinmatch.errors import EXIT_INTERRUPTED, EXIT_USER_ERROR, TwinmatchError
 from twinmatch.offline.processes import GARBAGE
 from twinmatch.printing import printable_output
 
 __all__ = ["main"]
-
-EXIT_INTERRUPTED = 130
 
 _COMMANDS: Final[dict[str, str]] = {
     "demo": "see twinmatch work, on a virtual rig or a recorded session",

@@ -162,13 +162,15 @@ class FaultSentences:
         reason = f"{self.output} follows the drive with a delay of {lag:g} s: look at {self.sensor}"
         return Evidence(Fault.SENSOR_LATE, sure, index - effect.length, reason)
 
-    def lost(self, index: int, effect: DriveEffect, *, sure: bool) -> Evidence:
-        """A drive without effect."""
+    def lost(self, index: int, effect: DriveEffect, *, sure: bool, lagged: bool = False) -> Evidence:
+        """A drive without effect. Behind a lag, much larger losses look the same for minutes."""
         moved, shown = signed(effect.expected), signed(effect.share * effect.expected)
+        other = ", or the plant loses far more than before" if lagged else ""
+        where = f", and at {self.surroundings}" if lagged else ""
         reason = (
             f"the drive should have moved {self.output} by {moved}{self.unit} in "
             f"{effect.length * self._period:g} s; the readings show {shown}{self.unit} of that: the drive is "
-            f"lost, or {self.sensor} does not see it; look at drive, wires, supply and sensor"
+            f"lost, or {self.sensor} does not see it{other}; look at drive, wires, supply and sensor{where}"
         )
         return Evidence(Fault.DRIVE_LOST, sure, index - effect.length, reason)
 

@@ -269,7 +269,7 @@ class Monitor:
             return self._sentences.late(index, self._effect, lag, sure=sure)
         weakly = self._balance.smooth and self._feeble * self.settings.pace >= _WEAKLY
         if lost and (sure or not weakly):
-            return self._sentences.lost(index, self._effect, sure=sure)
+            return self._sentences.lost(index, self._effect, sure=sure, lagged=self._late is not None)
         return self._sentences.weak(index, self._effect, self._feeble, sure=weakly)
 
     def _learn(self) -> None:

@@ -204,7 +204,7 @@ class SlowChanges:
         enough = enough and self.earned
         material = abs(change.shift) >= h.least
         named = change.lead >= settings.lead and h.kind is not Kind.OTHER
-        if h.kind is Kind.DRIVE and not settings.lost - 1.0 <= change.shift < 0.0:
+        if h.kind is Kind.DRIVE and not (change.shift < 0.0 and settings.lost - 1.0 <= change.value < 0.0):
             named = False  # a lost drive is found by `Effect`, and one that does more has no fault name
         if h.kind is Kind.SENSOR and not any(rival in (Kind.ROOM, Kind.LOSSES) for rival in change.rivals):
             named = False  # changed surroundings, if not modelled, look the same as an offset

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from twinmatch.comparing import Verdict
+from twinmatch.errors import EXIT_INTERRUPTED
 from twinmatch.launching.plan import ros_arguments
 from twinmatch.launching.processes import LaunchError
 from twinmatch.launching.watch import Supervised, Watch
@@ -21,7 +22,6 @@ from twinmatch.showing.summary import closing_lines
 from twinmatch.showing.terminal import Screen, view_on
 from twinmatch.twin import MatchReport, TwinSettings, filled_stretches
 
-EXIT_INTERRUPTED = 130
 READERS = "twin_simulator discriminator keeper"
 """Nodes that must receive every sample."""
 RESTARTS = 3

@@ -67,6 +67,21 @@ def trust_range(verdict: Verdict, output: Output) -> TrustRange | None:
     return TrustRange(verdict.held_low, verdict.held_high, output.unit, max(0, output.decimals - 1))
 
 
+class FaultSpan(NamedTuple):
+    """A fault of the plant that was reported."""
+
+    fault: str
+    first: int
+    """Sample since which it was there."""
+    last: int | None = None
+    """Sample of the first verdict without it; None while it lasts."""
+
+    def __str__(self) -> str:
+        """Its name and when it was there."""
+        ended = "" if self.last is None else f" to {self.last}"
+        return f"{self.fault} {'since' if self.last is None else 'from'} sample {self.first}{ended}"
+
+
 @dataclass(frozen=True)
 class SessionSummary:
     """State at the end of a session: leader, its fit to the whole session, and nominal candidate."""
@@ -101,6 +116,8 @@ class SessionSummary:
     """Why no match came of the last excited window that gave none; empty without one."""
     closed: bool = True
     """Whether the loop is known; otherwise the fit is that of the driven twin."""
+    faults: tuple[FaultSpan, ...] = ()
+    """Faults of the plant, oldest first."""
 
 
 class Tally:
@@ -113,6 +130,7 @@ class Tally:
         self.refusal = ""
         self.matches: Counter[str] = Counter()
         """How many matches were admitted, and how many refused."""
+        self.faults: list[FaultSpan] = []
         for verdict in verdicts:
             self.push(verdict)
 
@@ -125,6 +143,13 @@ class Tally:
             self.matches[verdict.match] += 1
         if verdict.match == REFUSED:
             self.refusal = verdict.reason
+        lasting = self.faults[-1] if self.faults and self.faults[-1].last is None else None
+        now = (verdict.fault, verdict.fault_since)
+        if lasting is not None and now != lasting[:2]:
+            self.faults[-1] = lasting._replace(last=verdict.sample)
+            lasting = None
+        if lasting is None and verdict.fault and verdict.fault_since is not None:
+            self.faults.append(FaultSpan(verdict.fault, verdict.fault_since))
 
 
 def summarise(
@@ -175,4 +200,5 @@ def conclude(
         leader_confidence=last.leader_confidence if last else math.nan,
         refusal=tally.refusal,
         closed=law is not None,
+        faults=tuple(tally.faults),
     )

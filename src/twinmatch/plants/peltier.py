@@ -31,8 +31,8 @@ from twinmatch.dynamics import (
     limited,
     magnitude,
 )
+from twinmatch.signals import KELVIN
 
-KELVIN: Final = 273.15
 SEEBECK_REFERENCE: Final = 298.15
 """Temperature at which a module has its nominal Seebeck coefficient, K; data sheets use it too."""
 COUNTS: Final = 255.0

@@ -12,6 +12,8 @@ from twinmatch.record import document_of, finite
 from twinmatch.showing.quantities import parameter_format, percent, signal_names
 from twinmatch.twin import MatchReport
 
+MAX_FAULTS: Final = 5
+"""Most faults in the closing lines: the newest."""
 _POOR: Final = 0.5
 """A fit over the whole session below this needs an explanation beside forecasts that hold."""
 
@@ -95,6 +97,10 @@ def closing_lines(summary: SessionSummary, verdict: Verdict | None) -> list[str]
             lines.append(f"Certainty: {verdict.certainty}.")
         if verdict.structure:
             lines.append(f"Structure: the samples justify {verdict.structure}{_plant(verdict)}.")
+    if summary.faults:
+        older = len(summary.faults) - MAX_FAULTS
+        before = [f"{older} before"] if older > 0 else []
+        lines.append(f"Faults: {'; '.join([*before, *map(str, summary.faults[-MAX_FAULTS:])])}.")
     return [*lines, sentence(summary)]
 
 
