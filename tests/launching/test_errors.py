@@ -12,7 +12,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
 from tests.support.nonsense import Nonsense
 from twinmatch.errors import TwinmatchError
-from twinmatch.launching.live import MAX_LINES, MAX_NODES, MAX_TEXT, Errors
+from twinmatch.launching.live import MAX_LINES, MAX_NODES, MAX_REPEATS, MAX_TEXT, Errors
 from twinmatch.nodes.entrance import Entrance
 from twinmatch.nodes.expected import MESSAGES, check
 from twinmatch.nodes.health import NodeHealth
@@ -78,6 +78,16 @@ def test_refusals_of_a_whole_graph_are_a_page_and_not_a_log(told: Told) -> None:
     counted = sum(int(value) for value in entrances[0]._health.report().values.values())
     assert counted > 500
     assert sum(map(len, told.lines)) < 5000
+
+
+def test_an_error_that_comes_and_goes_hides_no_other(told: Told) -> None:
+    """A busy machine makes inputs late again and again; then the rig is switched off."""
+    for k in range(100):
+        told.take("sampler", f"input arrives every 0.1{k} s")
+        told.take("sampler", "well", DiagnosticStatus.OK)
+    assert len(told.lines) == 2 * MAX_REPEATS
+    told.take("sampler", "/heater no longer has a publisher")
+    assert told.lines[-1] == "sampler: /heater no longer has a publisher"
 
 
 def test_a_flood_of_errors_ends(told: Told) -> None:

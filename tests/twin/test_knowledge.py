@@ -46,7 +46,7 @@ def known(**more: Any) -> Knowledge:
         **{"scores": UNSCORED, "leader": "leader", "confidence": 0.95, "forecasts": (score(),)},
         **{"standing": "it leads", "horizons": (10.0, 60.0), "bands": INSIDE, "miss_limit": 2.0},
         **{"miss_since": None, "held": (30.0, 50.0), "residuals": Residuals(0.5, 7.0), "health": None},
-        **{"structure": "", "decimals": 2},
+        **{"reservation": "", "structure": "", "decimals": 2},
     }
     return Knowledge(**said | more)
 
@@ -98,6 +98,8 @@ def faulty(fault: Fault, state: HealthState = HealthState.FAULT) -> Health:
         ({"match": NO_MATCH, "bands": OUTSIDE}, TrustLevel.DOUBTFUL, "measurements lie outside"),
         ({"match": NO_MATCH, "forecasts": (score(skill=POOR),)}, TrustLevel.DOUBTFUL, "no match explains"),
         ({"match": NO_MATCH, "bands": BandCheck()}, TrustLevel.UNKNOWN, "no forecast has been compared"),
+        ({"reservation": "not yet", "bands": BandCheck()}, TrustLevel.UNKNOWN, "not yet"),
+        ({"reservation": "not yet"}, TrustLevel.TRUSTED, "measurements lie within the forecast bands"),
     ],
 )
 def test_the_level_has_one_reason(more: dict[str, Any], level: TrustLevel, reason: str) -> None:

@@ -128,6 +128,8 @@ MAX_NODES = 64
 """Most parts of nodes whose errors are followed at a time; one graph does not have more."""
 MAX_LINES = 10
 """Most lines about a part of a node within `SPAN`; the page and /diagnostics show the others."""
+MAX_REPEATS = 2
+"""Most of these that say the same: one that comes and goes must not hide another."""
 MAX_TEXT = 400
 """Longest error shown, characters."""
 _DIGITS = re.compile(r"[\d.,]+")
@@ -144,7 +146,8 @@ class Errors:
         """Show lines, with their style, by `say`."""
         self._say = say
         self._standing: dict[str, frozenset[str]] = {}
-        self._shown: dict[str, deque[float]] = {}
+        self._shown: dict[str, deque[tuple[float, str]]] = {}
+        """Time and kind of the newest lines about each part."""
 
     def take(self, message: DiagnosticArray) -> None:
         """Take a message."""
@@ -164,14 +167,16 @@ class Errors:
 
     def _show(self, name: str, text: str, style: str) -> None:
         now = time.monotonic()
-        for old in [key for key, at in self._shown.items() if now - at[-1] > SPAN]:
+        for old in [key for key, lines in self._shown.items() if now - lines[-1][0] > SPAN]:
             del self._shown[old]
         if name not in self._shown and len(self._shown) >= 2 * MAX_NODES:
             return
         shown = self._shown.setdefault(name, deque(maxlen=MAX_LINES))
-        if len(shown) == MAX_LINES and now - shown[0] < SPAN:
+        kind = _DIGITS.sub("", text)[:MAX_TEXT]
+        repeats = sum(before == kind and now - at < SPAN for at, before in shown)
+        if repeats >= MAX_REPEATS or (len(shown) == MAX_LINES and now - shown[0][0] < SPAN):
             return
-        shown.append(now)
+        shown.append((now, kind))
         text = text if len(text) <= MAX_TEXT else f"{text[:MAX_TEXT]}…"
         self._say(one_line(f"{name[:MAX_TEXT]}: {text}"), style)
 
