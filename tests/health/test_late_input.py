@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import csv
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from tests.support.places import OTHERS
+from tests.support.recorded_kits import kit_rows
 from twinmatch.dynamics import advance, begin, read
 from twinmatch.health import Alarm, Fault, HealthSettings, Monitor
 from twinmatch.health.late_input import LateInput
@@ -79,11 +78,7 @@ def test_a_heater_that_is_lost_is_still_reported(delay: int) -> None:
 
 @pytest.mark.parametrize("name", ["mpc_1", "mpc_44"])
 def test_a_real_kit_whose_table_holds_the_input_early_is_not_accused(name: str) -> None:
-    path = OTHERS / "tclab_other" / f"{name}.csv"
-    if not path.exists():
-        pytest.skip(f"no {path}; set TWINMATCH_PLANT_RECORDINGS to the folder of other plants' recordings")
-    with path.open(encoding="utf-8") as table:
-        rows = [{k: float(v) for k, v in row.items()} for row in csv.DictReader(table)]
+    rows = kit_rows("tclab_other", name)
     samples = [
         Sample(k, round(row["Time"] * 1e9), row["TSP1"], row["T1"], row["Q1"], (row["Q2"],))
         for k, row in enumerate(rows)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 
 import numpy as np
@@ -13,7 +12,7 @@ from hypothesis import strategies as st
 from tests.support import faulty_incubator as incubators
 from tests.support import faulty_rig as rig
 from tests.support.abroad import KINDS, AbroadPlant
-from tests.support.places import OTHERS
+from tests.support.recorded_kits import kit_rows
 from twinmatch.dynamics.filters import Readings
 from twinmatch.dynamics.tracker import Tracker
 from twinmatch.health import Alarm, Fault, HealthSettings, Monitor, Refusals
@@ -114,14 +113,9 @@ def test_a_plant_with_more_than_its_file_has_is_not_accused(name: str, seed: int
 
 @pytest.mark.parametrize("name", ["closed_loop_lqg", "prbs_open_loop"])
 def test_a_kit_whose_second_heater_no_equation_has_is_not_accused(name: str) -> None:
-    path = OTHERS / "tclab_2x2" / f"{name}.csv"
-    if not path.is_file():
-        pytest.skip(f"{path} is not here")
-    with path.open(encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
+    rows = kit_rows("tclab_2x2", name)
     samples = [
-        Sample(k, k * 1_000_000_000, float(r["T1"]), float(r["T1"]), float(r["Q1"]), (float(r["Q2"]),))
-        for k, r in enumerate(rows)
+        Sample(k, k * 1_000_000_000, r["T1"], r["T1"], r["Q1"], (r["Q2"],)) for k, r in enumerate(rows)
     ]
     assert alarms(samples, HealthSettings.of(TCLab, 1.0)) == ()
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import csv
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from tests.support.places import OTHERS
+from tests.support.recorded_kits import kit_rows
 from twinmatch.comparing import Verdict
 from twinmatch.dynamics import advance, begin, read
 from twinmatch.fitting import Match, Status
@@ -96,11 +95,7 @@ def test_who_says_what_is_free_has_chosen() -> None:
 
 @pytest.mark.parametrize("name", ["mpc_1", "mpc_44"])
 def test_a_real_kit_whose_table_holds_the_input_early_is_matched(name: str) -> None:
-    path = OTHERS / "tclab_other" / f"{name}.csv"
-    if not path.exists():
-        pytest.skip(f"no {path}; set TWINMATCH_PLANT_RECORDINGS to the folder of other plants' recordings")
-    with path.open(encoding="utf-8") as table:
-        rows = [{k: float(v) for k, v in row.items()} for row in csv.DictReader(table)]
+    rows = kit_rows("tclab_other", name)
     found = judged(
         [Sample(k, round(r["Time"] * 1e9), r["T1"], r["T1"], r["Q1"], (r["Q2"],)) for k, r in enumerate(rows)]
     )

@@ -152,11 +152,10 @@ class Balance:
 
     def learn(self, parts: FloatArray, surplus: float, *, healthy: bool) -> None:
         """Queue a block; it is learned from once the blocks after it were healthy too."""
-        error = surplus - float(parts @ self._correction.values)
         if not healthy:
             self._waiting.clear()
             return
-        self._errors.append(error)
+        self._errors.append(self._error_of(parts, surplus))
         self.roughness = math.sqrt(sum(e * e for e in self._errors) / len(self._errors))
         self._waiting.append((parts, surplus))
         if len(self._waiting) > _CONFIRMING:
@@ -175,8 +174,7 @@ class Balance:
 
     def compare(self, parts: FloatArray, surplus: float) -> None:
         """Compare a block with what was expected of it; it counts unless a fault is reported soon after."""
-        error = surplus - float(parts @ self._correction.values)
-        self._unsettled.append((error, surplus + float(parts[0] + parts[1])))
+        self._unsettled.append((self._error_of(parts, surplus), surplus + float(parts[0] + parts[1])))
         while len(self._unsettled) > (_COUNTED_AFTER if self.earned else 0):
             self._record = self._record.after(*self._unsettled.popleft(), _KEPT)
 
@@ -222,6 +220,10 @@ class Balance:
             float(model.plant.drive.rest), row, self._sampled, self._steps,
         )  # fmt: skip
         return drive, passive
+
+    def _error_of(self, parts: FloatArray, surplus: float) -> float:
+        """Error of the corrected balance in a block, per second."""
+        return surplus - float(parts @ self._correction.values)
 
     def _clear(self) -> None:
         self._sums = [0.0, 0.0, 0.0, 0.0]

@@ -246,7 +246,7 @@ class ChangeDetector:
             self._clear()
         newcomer = self._tracked.known < _LEARN
         self.track_record.push(
-            list(self._tracked.blocks), self._tracked.count, self._tracked.level, newcomer=newcomer
+            self._tracked.blocks, self._tracked.count, self._tracked.level, newcomer=newcomer
         )
         if newcomer or self._tracked.blind:
             self._best = None

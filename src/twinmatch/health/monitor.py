@@ -297,6 +297,9 @@ class Monitor:
             if news is not None:
                 return news
         if self._open and self._recovered():
+            if self._alarms[-1].fault in _OF_THE_DRIVE and self._prompt and not self._slow_alarm:
+                self._restart_traces()  # stretches that reach back into the fault show it still
+                self._slow.restart()
             if self._brief:
                 return self._close(self._refused_at)
             return self._close(index - (1 if self._slow_alarm else self._quiet))
@@ -349,11 +352,7 @@ class Monitor:
         if self._slow_alarm:
             return self._slow.over(self._index)
         if fault in _OF_THE_DRIVE and self._prompt and isinstance(self._effect, Effect):
-            if self._effect.returned < _OVER:
-                return False
-            self._restart_traces()  # stretches that reach back into the fault show it still
-            self._slow.restart()
-            return True
+            return self._effect.returned >= _OVER
         if fault in (*_OF_THE_DRIVE, Fault.SENSOR_LATE):
             return proven >= _PROVE or quiet >= _UNPROVEN
         if self._brief:

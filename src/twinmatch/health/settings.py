@@ -46,8 +46,9 @@ class HealthSettings:
     frozen: float = setting(10.0, "Time for which one repeated reading means a frozen sensor.", "s", 1.0, 1e7)
     """Healthy cameras repeat theirs for 5 s at most."""
     change: float = setting(
-        3.0, "Log-likelihood gain over no change from which a change is reported.", "nats", 0.1, 1e3
+        3.0, "Log-likelihood gain from which a change is reported, beyond its price.", "nats", 0.1, 1e3
     )
+    """The price is that of saying what has changed and when; exp(−change) of healthy sessions reach both."""
     lead: float = setting(
         4.0, "Log-likelihood gain over the next best from which it is named.", "nats", 0.1, 1e3
     )

@@ -85,7 +85,7 @@ class Effect(DriveEffect):
         """`period` in s, `noise` of a reading."""
         self._period, self._noise = period, noise
         self._spans = [max(2, round(s / period)) for s in _SPANS]
-        self._accused = 0.0  # the share that was last reported
+        self._accused: float | None = None  # the share that was last reported
         self.restart()
 
     def accuse(self) -> None:
@@ -105,7 +105,9 @@ class Effect(DriveEffect):
         whether that balance has predicted the plant."""
         least = max(_MIN_RATE * self._noise, _ROUGHNESS * roughness) * self._period
         left = movement.unexplained
-        self._weigh(movement, max(roughness, _ROUGH_RATE * self._noise) * self._period)
+        if self._accused is not None:
+            usual = max(roughness, _ROUGH_RATE * self._noise) * self._period
+            self._weigh(movement, usual, self._accused)
         like = abs(self._last) > _LIKE * self._noise and left * self._last > 0
         isolated = abs(left) > _STEP * self._noise and not like
         self._last = left
@@ -125,12 +127,12 @@ class Effect(DriveEffect):
             if counts and not share >= self.share:
                 self.share, self.length, self.expected = share, length, expected
 
-    def _weigh(self, movement: Movement, usual: float) -> None:
-        """Weigh a movement, whose usual error is `usual` and lasts for several samples."""
+    def _weigh(self, movement: Movement, usual: float, share: float) -> None:
+        """Weigh a movement, whose usual error is `usual` and lasts for several samples, against a share."""
         drive, usual = movement.drive, math.hypot(usual, _ERROR_SHARE * movement.drive)
         most = 1.5 * abs(drive) + 3.0 * usual
         left = min(max(movement.unexplained, -most), most)
-        missing = left + (1.0 - self._accused) * drive
+        missing = left + (1.0 - share) * drive
         ratio = 0.5 * (missing**2 - left**2) / usual**2 * min(self._period / _ERRORS_LAST, 1.0)
         self.returned = max(self.returned + ratio, 0.0)
 

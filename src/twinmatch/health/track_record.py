@@ -84,7 +84,7 @@ class TrackRecord:
         once. `count`: blocks so far."""
         if len(blocks) <= HORIZONS[-1] or count % _EVERY:
             return
-        outcome = self._outcome(blocks[-HORIZONS[-1] - 1 :], level)
+        outcome = self._outcome(list(blocks)[-HORIZONS[-1] - 1 :], level)
         if outcome is not None:
             self._waiting.append(outcome)
         while self._waiting and (newcomer or len(self._waiting) > _COUNTED_AFTER):

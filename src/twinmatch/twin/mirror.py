@@ -176,7 +176,7 @@ class Mirror:
         self._started = 0
 
     def _transfer_states(self, states: FloatArray, new: Parameters, estimated: FloatArray) -> FloatArray:
-        """States of another structure: those of the present one where it has them, the rest from `found`."""
+        """States of another structure: those of the present one where it has them, the rest as estimated."""
         kept = dict(zip(self._parameters.model.states, states.tolist(), strict=True))
         here = zip(new.model.states, estimated.tolist(), strict=True)
         return np.array([kept.get(name, there) for name, there in here])
