@@ -1,0 +1,117 @@
+"""PIDs with a filtered derivative and set-point weights, written as one linear law; several act side by side.
+
+v = Kp·(β·r − y) + I + D, u = clip(v), I ← I + Ts·(Ki·(r − y) + Kb·(u − v)), and D is Kd times the
+derivative of γ·r − y through a first-order filter with time constant Tf, by backward differences (Åström and
+Hägglund, Advanced PID Control, section 13.4). With Tf = 0, β = 1 and γ = 1 or 0 it is `PidGains`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from twinmatch.dynamics import Law, LinearLaw, PidGains, PlantError
+
+
+@dataclass(frozen=True, kw_only=True)
+class FilteredPid:
+    """A PID of one reading, in units of its command u and its reading y.
+
+    Raises:
+        PlantError: a value is not finite, a time is negative, or the limits are not in increasing order.
+    """
+
+    proportional: float
+    """Kp, u per y."""
+    integral: float = 0.0
+    """Ki, u per y and second."""
+    derivative: float = 0.0
+    """Kd, u per y/s."""
+    back_calculation: float = 0.0
+    """Kb, by which the integral tracks the limited command, 1/s."""
+    filter: float = 0.0
+    """Time constant Tf of the derivative's filter, s."""
+    weight: float = 1.0
+    """Set-point weight β of the proportional part."""
+    derivative_weight: float = 1.0
+    """Set-point weight γ of the derivative; 0: the derivative is that of −y."""
+    offset: float = 0.0
+    """Added to the command, u."""
+    low: float
+    """Least u."""
+    high: float
+    """Greatest u."""
+
+    def __post_init__(self) -> None:
+        for each in fields(self):
+            if not math.isfinite(getattr(self, each.name)):
+                raise PlantError(f"pid: {each.name} is {getattr(self, each.name)}; give a finite number")
+        if self.filter < 0 or not self.low < self.high:
+            raise PlantError(
+                f"pid: the filter {self.filter:g} s must not be negative, and the limits {self.low:g} and "
+                f"{self.high:g} must be in increasing order"
+            )
+
+    @classmethod
+    def of(cls, gains: PidGains) -> FilteredPid:
+        """The same controller."""
+        return cls(
+            proportional=gains.proportional,
+            integral=gains.integral,
+            derivative=gains.derivative,
+            back_calculation=gains.back_calculation,
+            derivative_weight=0.0 if gains.on_measurement else 1.0,
+            low=gains.low,
+            high=gains.high,
+        )
+
+
+def pid_law(pids: Sequence[FilteredPid], period: float) -> LinearLaw:
+    """The PIDs side by side as one law at a sample time, s: the k-th takes reading and set-point k and gives
+    command k. Each has two states, its integral and what its filter remembers.
+
+    Raises:
+        PlantError: there is none, or the sample time is not positive.
+    """
+    if not pids or not (math.isfinite(period) and period > 0):
+        raise PlantError(
+            f"pid: {len(pids)} given at a period of {period:g} s; give one, and a positive period"
+        )
+    parts = [_matrices(each, period) for each in pids]
+    a, b, c, d, e, f, g = (block_diag(*matrices) for matrices in zip(*parts, strict=True))
+    offset = np.array([each.offset for each in pids])
+    windup = np.concatenate([[-period * each.back_calculation * each.offset, 0.0] for each in pids])
+    low, high = ([getattr(each, end) for each in pids] for end in ("low", "high"))
+    return LinearLaw(a, b, c, d, e, f, g, offset, windup, np.array(low), np.array(high), period)
+
+
+def _matrices(pid: FilteredPid, period: float) -> tuple[np.ndarray, ...]:
+    """A, B, C, D, E, F and G of one; its second state is what the filter adds to the next derivative."""
+    kept = pid.filter / (pid.filter + period)
+    rate = pid.derivative / (pid.filter + period)
+    wound = period * pid.back_calculation
+    c = np.array([[1.0, 1.0]])
+    d = np.array([[-pid.proportional - rate]])
+    e = np.array([[pid.proportional * pid.weight + rate * pid.derivative_weight]])
+    a = np.array([[1.0, 0.0], [0.0, kept]]) - wound * np.array([[1.0], [0.0]]) @ c
+    moved = rate * (1.0 - kept)
+    b = np.array([[-period * pid.integral - wound * d[0, 0]], [moved]])
+    f = np.array([[period * pid.integral - wound * e[0, 0]], [-moved * pid.derivative_weight]])
+    return a, b, c, d, e, f, np.array([[wound], [0.0]])
+
+
+def as_linear(law: Law) -> LinearLaw:
+    """The law as a linear one.
+
+    Raises:
+        PlantError: it switches between two levels.
+    """
+    if isinstance(law, LinearLaw):
+        return law
+    if isinstance(law, PidGains):
+        return pid_law([FilteredPid.of(law)], law.period)
+    raise PlantError(f"{type(law).__name__}: it is not linear; its cycle says what eigenvalues say of others")

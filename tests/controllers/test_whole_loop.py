@@ -1,0 +1,206 @@
+"""The whole loop: published margins, an independent program, and what eigenvalues promise in simulation."""
+
+from __future__ import annotations
+
+import math
+
+import control
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.signal import cont2discrete, lfilter
+
+from tests.support.exchanging import Heaters
+from twinmatch.controllers import UNSTABLE, FilteredPid, WholeLoop, as_linear, pid_law
+from twinmatch.dynamics import (
+    Linear,
+    LinearLaw,
+    PidGains,
+    PlantError,
+    Rest,
+    TwoLevel,
+    commands_of,
+    linearised,
+    rest_at,
+    simulate_closed_loop,
+)
+
+WIDE = {"low": -1e9, "high": 1e9}
+REST = Rest(np.zeros(0), np.zeros(0))
+
+
+def sampled(system: control.StateSpace, period: float, delay: int = 0) -> Linear:
+    """A continuous plant, sampled, with a whole number of samples of dead time at its input."""
+    a, b, c, _, _ = cont2discrete((system.A, system.B, system.C, system.D), period)
+    n = len(a)
+    whole, entry = np.zeros((n + delay, n + delay)), np.zeros((n + delay, 1))
+    whole[:n, :n] = a
+    if delay:
+        whole[:n, n] = b[:, 0]
+        whole[n:-1, n + 1 :] = np.eye(delay - 1)
+        entry[-1] = 1.0
+    else:
+        entry[:] = b
+    return Linear(whole, entry, np.hstack([c, np.zeros((1, delay))]), period, REST)
+
+
+@pytest.mark.parametrize(
+    ("integrating", "up", "sensitivity", "delay"), [(False, 3.14, 1.59, 2.14), (True, 2.96, 1.70, 1.59)]
+)
+def test_margins_that_skogestad_published(
+    integrating: bool, up: float, sensitivity: float, delay: float
+) -> None:
+    """Skogestad, Simple analytic rules for model reduction and PID controller tuning, J. Process Control 13
+    (2003), table 1: SIMC settings with τc = θ, for a first order with dead time and for k·e^(−θs)/s."""
+    dead, period = 60, 1.0 / 60.0  # in units of θ
+    lag = 4.0
+    plant = control.tf([1.0], [1.0, 0.0] if integrating else [lag, 1.0])
+    gain, time = (0.5, 8.0) if integrating else (lag / 2.0, lag)
+    law = pid_law([FilteredPid(proportional=gain, integral=gain / time, **WIDE)], period)
+    [found] = WholeLoop(sampled(control.ss(plant), period, dead), law).margins()
+    # a sample lasts θ/60, and holding it is half of that as additional dead time
+    assert found.gain_up == pytest.approx(up, rel=0.015)
+    assert found.sensitivity == pytest.approx(sensitivity, rel=0.01)
+    assert found.delay == pytest.approx(delay, rel=0.015)
+    assert found.gain_down == 0.0
+
+
+@pytest.mark.filterwarnings("ignore:stability_margins. Falling back")
+@settings(max_examples=30)
+@given(st.integers(0, 10**9))
+def test_margins_are_those_of_python_control(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    poles = -rng.uniform(0.05, 1.0, 3)
+    system = control.ss(control.zpk([], poles, -np.prod(poles)))
+    plant = sampled(system, 1.0)
+    pid = FilteredPid(
+        proportional=rng.uniform(0.1, 1.5), integral=rng.uniform(0.001, 0.1),
+        derivative=rng.uniform(0.0, 2.0), filter=rng.uniform(0.5, 3.0), **WIDE,
+    )  # fmt: skip
+    law = pid_law([pid], 1.0)
+    loop = WholeLoop(plant, law)
+    theirs = control.ss(plant.A, plant.B, plant.C, 0, 1.0) * control.ss(law.A, law.B, law.C, law.D, 1.0)
+    closed = np.linalg.eigvals(control.feedback(-theirs, 1).A)
+    assert loop.eigenvalue == pytest.approx(np.abs(closed).max(), rel=1e-6)
+    [found] = loop.margins()
+    if not loop.stable:
+        assert found == UNSTABLE
+        return
+    gains, _, sensitivities, _, crossover, _ = control.stability_margins(-theirs, returnall=True)
+    ours = [k for k in (found.gain_down, found.gain_up) if 0 < k < math.inf]
+    for k in ours:
+        assert min(abs(np.array(gains) - k)) < 1e-3 * k
+    for k in gains:
+        assert k < 1e-9 or k <= found.gain_down * (1 + 1e-3) or k >= found.gain_up * (1 - 1e-3)
+    assert 1.0 / found.sensitivity == pytest.approx(min(sensitivities), rel=1e-3)
+    assert np.isfinite(found.delay) == bool(np.size(crossover))
+    assert loop.sensitivity() == pytest.approx(found.sensitivity, rel=2e-3)
+
+
+POINT = [45.0, 38.0]
+PLANT = Heaters.model().parameters()
+TWO = pid_law(
+    [FilteredPid(proportional=4.0, integral=0.2, derivative=6.0, filter=4.0, **WIDE),
+     FilteredPid(proportional=6.0, integral=0.3, weight=0.5, **WIDE)], 2.0,
+)  # fmt: skip
+
+
+def scaled(law: LinearLaw, channel: int, by: float) -> Linear:
+    """The plant with a command that acts `by` times as strongly."""
+    plant = linearised(PLANT, POINT, law.period)
+    b = plant.B.copy()
+    b[:, channel] *= by
+    return plant._replace(B=b)
+
+
+@pytest.mark.parametrize("channel", [0, 1])
+def test_the_loop_is_unstable_just_beyond_its_margins(channel: int) -> None:
+    found = WholeLoop(linearised(PLANT, POINT, 2.0), TWO).margins()[channel]
+    assert 1.0 < found.gain_up < math.inf
+    assert found.gain_change <= found.gain_up
+    assert WholeLoop(scaled(TWO, channel, found.gain_up * (1 - 1e-6)), TWO).stable
+    assert not WholeLoop(scaled(TWO, channel, found.gain_up * (1 + 1e-6)), TWO).stable
+    longest = int(found.delay / 2.0)
+    for samples, stable in ((longest, True), (longest + 1, False)):
+        assert WholeLoop(delayed(linearised(PLANT, POINT, 2.0), channel, samples), TWO).stable is stable
+
+
+def delayed(plant: Linear, channel: int, samples: int) -> Linear:
+    for _ in range(samples):
+        a = np.block([[plant.A, plant.B[:, [channel]]], [np.zeros((1, len(plant.A) + 1))]])
+        b = np.vstack([plant.B, np.zeros(plant.B.shape[1])])
+        b[:, channel] = 0.0
+        b[-1, channel] = 1.0
+        plant = plant._replace(A=a, B=b, C=np.hstack([plant.C, np.zeros((len(plant.C), 1))]))
+    return plant
+
+
+@pytest.mark.parametrize(("by", "stable"), [(0.97, True), (1.03, False)])
+def test_eigenvalues_say_what_the_simulation_does(by: float, stable: bool) -> None:
+    """Gains at a margin, a little less and a little more: a small deviation decays, or grows as the
+    eigenvalue says, over 200 samples of the compiled simulation of the nonlinear plant."""
+    up = WholeLoop(linearised(PLANT, POINT, 2.0), TWO).margins()[0].gain_up * by
+    law = pid_law(
+        [FilteredPid(proportional=4.0 * up, integral=0.2 * up, derivative=6.0 * up, filter=4.0, **WIDE),
+         FilteredPid(proportional=6.0, integral=0.3, weight=0.5, **WIDE)], 2.0,
+    )  # fmt: skip
+    loop = WholeLoop(linearised(PLANT, POINT, 2.0), law)
+    assert loop.stable is stable
+    rest = rest_at(PLANT, POINT)
+    run = simulate_closed_loop(
+        PLANT, np.tile(POINT, (200, 1)), states=rest.states + np.array([1e-4, 0.0]), law=law,
+        controller=np.array([rest.inputs[0], 0.0, rest.inputs[1] + 0.5 * 6.0 * POINT[1], 0.0]),
+    )  # fmt: skip
+    size = np.abs(run.outputs[:, 0] - POINT[0])
+    growth = (size[150:].max() / size[50:100].max()) ** (1 / 100)
+    assert growth == pytest.approx(loop.eigenvalue, abs=2e-3)
+
+
+@settings(max_examples=30)
+@given(st.integers(0, 10**9))
+def test_it_gives_the_commands_of_a_pid_of_the_plant_file(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    gains = PidGains(3.0, 0.4, 2.0, float(rng.uniform(0.0, 1.0)), -4.0, 9.0, 1.0, bool(rng.integers(2)))
+    r, y = rng.normal(0.0, 2.0, (2, 60, 1))
+    previous = rng.normal()
+    theirs, _ = commands_of(gains.code, np.array([0.5, previous]), r, y)
+    law = as_linear(gains)
+    ours, _ = commands_of(law.code, np.array([0.5, -2.0 * previous]), r, y)
+    np.testing.assert_allclose(ours, theirs, atol=1e-9)
+    assert ((theirs == -4.0) | (theirs == 9.0)).any()
+
+
+def test_the_filter_is_the_sampled_transfer_function() -> None:
+    """Kp + Kd·s/(1 + Tf·s), s ← (1 − z⁻¹)/Ts, computed by SciPy; the set-point with its weights."""
+    ts, tf = 0.5, 3.0
+    pid = FilteredPid(proportional=2.0, derivative=7.0, filter=tf, weight=0.3, derivative_weight=0.1, **WIDE)
+    r, y = np.random.default_rng(4).normal(size=(2, 80))
+    u, _ = commands_of(pid_law([pid], ts).code, np.zeros(2), r[:, None], y[:, None])
+    expected = 2.0 * (0.3 * r - y) + lfilter([7.0, -7.0], [tf + ts, -tf], 0.1 * r - y)
+    np.testing.assert_allclose(u[:, 0], expected, atol=1e-12)
+
+
+def test_an_offset_changes_where_it_rests_and_nothing_else() -> None:
+    """With back-calculation too: the integral tracks what the offset leaves."""
+    rng = np.random.default_rng(1)
+    r, y = rng.normal(0.0, 2.0, (2, 50, 1))
+    plain, moved = (
+        pid_law([FilteredPid(proportional=1.0, integral=0.2, back_calculation=0.5, offset=o, low=-2.0 + o,
+                             high=1.0 + o)], 1.0) for o in (0.0, 5.0)
+    )  # fmt: skip
+    before, after = (commands_of(law.code, np.zeros(2), r, y)[0] for law in (plain, moved))
+    np.testing.assert_allclose(after - 5.0, before, atol=1e-12)
+
+
+def test_what_it_refuses() -> None:
+    with pytest.raises(PlantError, match="filter -1 s must not be negative"):
+        FilteredPid(proportional=1.0, filter=-1.0, **WIDE)
+    with pytest.raises(PlantError, match="proportional is nan"):
+        FilteredPid(proportional=math.nan, **WIDE)
+    with pytest.raises(PlantError, match="positive period"):
+        pid_law([], 1.0)
+    with pytest.raises(PlantError, match="not linear"):
+        as_linear(TwoLevel(0.0, 1.0, 0.5, 0.5))
+    with pytest.raises(PlantError, match=r"sampled every 1 s, the law every 2 s"):
+        WholeLoop(linearised(PLANT, POINT, 1.0), TWO).margins()
