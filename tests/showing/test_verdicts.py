@@ -18,7 +18,7 @@ from tests.support.verdicts import CANDIDATE, LED, NONE_YET, verdict
 from twinmatch.comparing import ADMITTED, REFUSED, TrustLevel, Verdict
 from twinmatch.errors import TwinmatchError
 from twinmatch.fitting import Match, Status
-from twinmatch.offline.summary import SessionSummary, Tally, TrustRange, summarise, trust_range
+from twinmatch.offline.summary import FaultSpan, SessionSummary, Tally, TrustRange, summarise, trust_range
 from twinmatch.plants import Peltier
 from twinmatch.showing.console import Console
 from twinmatch.showing.figures.session import draw_verdict
@@ -224,7 +224,7 @@ def test_the_fate_of_a_match_is_the_verdicts_word() -> None:
 
 
 LOSSES = {"fault": "losses-changed", "fault_since": 410}
-LOST = {"fault": "drive-lost"}
+DRIVE = {"fault": "drive-lost"}
 
 
 @pytest.mark.parametrize(
@@ -246,7 +246,7 @@ LOST = {"fault": "drive-lost"}
             [(10, 409, TRUSTED), (410, 448, DOUBTFUL), (449, 509, TRUSTED)],
         ),
         (
-            [verdict(TRUSTED, 119), *(verdict(FAULT, k, fault_since=k - 5, **LOST) for k in (145, 179))],
+            [verdict(TRUSTED, 119), *(verdict(FAULT, k, fault_since=k - 5, **DRIVE) for k in (145, 179))],
             [(10, 139, TRUSTED), (140, 179, FAULT)],
         ),
     ],
@@ -261,8 +261,10 @@ def test_trust_over_time(story: list[Verdict], spans: list[tuple[int, int, Trust
 
 SINK = Peltier.model("sink with mass").parameters()
 SUMMARY = SessionSummary(
+    leader="50 °C",
     nominal="70 °C",
     level=TrustLevel.TRUSTED,
+    proven=(10.0, 60.0, 300.0),
     parameters=rig(),
     fit_y=0.9881,
     fit_u=0.9,
@@ -274,61 +276,73 @@ SUMMARY = SessionSummary(
 )
 
 
-NOMINAL = "Nominal: 70 °C set; orders 22221"
-FIT, TRUST = "temperature fit 98.8 %", "trust it between 25 and 92 °C"
-HELD = "(it held between 25 and 92 °C)"
+FIT, HELD = "temperature fit 98.8 %", "10, 60 and 300 s ahead between 25 and 92 °C"
 ARX = "10 s ahead its forecasts are worse than saying that nothing changes, with 1.10 times the error"
-SUNK = {"leader": SINK.model.structure_name, "parameters": SINK, "nominal": None, "order": None}
-NO_RANGE = {"range": None, "fit_y": math.nan}
-NONE = {"nominal": None, "level": UNKNOWN}
-NO_MATCH = "No nominal twin: 5 verdicts, but no valid match."
+NONE = {"leader": None, "nominal": None, "level": UNKNOWN}
+NO_MATCH = "No twin to trust yet: 5 verdicts, but no valid match."
+LOST = FaultSpan("drive-lost", 310, 400)
+AGAIN = {"level": FAULT, "why": "the plant shows drive-lost", "faults": (LOST, LOST._replace(last=None))}
 
 
 @pytest.mark.parametrize(
     ("changes", "text"),
     [
-        ({}, f"{NOMINAL}; {FIT}; {TRUST}."),
-        ({"leader": "70 °C"}, f"Leader and nominal: 70 °C set; orders 22221; {FIT}; {TRUST}."),
-        ({"leader": "50 °C"}, f"Leader: 50 °C set; {FIT}; {TRUST}. Nominal: 70 °C set, orders 22221."),
-        (SUNK, f"Leader: sink with mass; {FIT}; {TRUST}. Nominal: none, no valid match."),
+        ({}, f"Leader: match at 50 °C; trust it {HELD}; {FIT}."),
         (
-            {"leader": "50 °C", "nominal": "sink with mass", "order": ""},
-            f"Leader: 50 °C set; {FIT}; {TRUST}. Nominal: sink with mass.",
+            {"leader": SINK.model.structure_name, "parameters": SINK},
+            f"Leader: sink with mass; trust it {HELD}; {FIT}.",
         ),
+        ({"closed": False}, f"Leader: match near 50 °C; trust it {HELD}; {FIT}."),
+        ({"leader": None}, f"Nominal: match at 70 °C; trust it {HELD}; {FIT}."),
         (
-            {"leader": "50 °C", "closed": False},
-            f"Leader: match near 50 °C; {FIT}; {TRUST}. Nominal: match near 70 °C, orders 22221.",
+            {"proven": (60.0, 300.0), "beaten": ARX},
+            f"Leader: match at 50 °C; trust it 60 and 300 s ahead between 25 and 92 °C, but {ARX}; {FIT}.",
         ),
         (
             {"level": DOUBTFUL, "why": "no match explains the newest window", "beaten": ARX},
-            f"{NOMINAL}; {FIT}; doubtful now: no match explains the newest window {HELD}.",
+            "Leader: match at 50 °C; doubtful now: no match explains the newest window "
+            f"(its forecasts held {HELD}); {FIT}.",
         ),
         (
-            {"level": FAULT, "why": "the plant shows drive-lost"},
-            f"{NOMINAL}; {FIT}; do not trust it now: the plant shows drive-lost {HELD}.",
+            {**AGAIN, "period": 0.5},
+            "Leader: match at 50 °C; do not trust it now: the plant shows drive-lost "
+            f"(its forecasts held {HELD}). Faults: drive-lost from 155 to 200 s; drive-lost since 155 s.",
         ),
         (
-            {"level": FAULT, "why": "the plant shows drive-lost", **NO_RANGE},
-            f"{NOMINAL}; do not trust it now: the plant shows drive-lost.",
+            {**AGAIN, "range": None, "faults": ()},
+            "Leader: match at 50 °C; do not trust it now: the plant shows drive-lost.",
+        ),
+        (
+            {"faults": (LOST,)},
+            f"Leader: match at 50 °C; trust it {HELD}; {FIT}. Faults: drive-lost from 310 to 400 s.",
         ),
         (
             {"fit_y": -1.003},
-            f"{NOMINAL}; left without readings it drifts off (temperature fit −100.3 %), from the newest "
-            f"readings it forecasts well; {TRUST}.",
+            f"Leader: match at 50 °C; trust it {HELD}; left without readings it drifts off "
+            "(temperature fit −100.3 %).",
         ),
-        ({"beaten": ARX}, f"{NOMINAL}; {FIT}; {TRUST}, but {ARX}."),
-        ({"range": None}, f"{NOMINAL}; {FIT}; how far to trust it is not known yet."),
+        ({"range": None}, f"Leader: match at 50 °C; how far to trust it is not known yet; {FIT}."),
+        ({"proven": ()}, f"Leader: match at 50 °C; how far to trust it is not known yet; {FIT}."),
+        (
+            {"level": UNKNOWN, "why": "its input acts late"},
+            f"Leader: match at 50 °C; how far to trust it is not known yet: its input acts late; {FIT}.",
+        ),
         (
             NONE,
             f"{NO_MATCH} The loop needs set-point steps far above the noise, some minutes apart.",
         ),
         (
-            {**NONE, "refusal": "match refused: C ended on 5 J/K"},
-            f"{NO_MATCH} Match refused: C ended on 5 J/K.",
+            {**NONE, "closed": False},
+            f"{NO_MATCH} The input has to move far above its noise, for some minutes in total.",
+        ),
+        ({**NONE, "why": "its input acts late"}, f"{NO_MATCH} Its input acts late."),
+        (
+            {**NONE, "refusal": "match refused: C ended on 5 J/K", "faults": (LOST,)},
+            f"{NO_MATCH} Match refused: C ended on 5 J/K. Faults: drive-lost from 310 to 400 s.",
         ),
         (
-            {"nominal": None, "level": FAULT, "why": "the plant shows drive-lost"},
-            "No nominal twin: the plant shows drive-lost. Look at the plant first.",
+            {**NONE, "level": FAULT, "why": "the plant shows drive-lost"},
+            "No twin to trust yet: the plant shows drive-lost. Look at the plant first.",
         ),
     ],
 )
@@ -336,21 +350,24 @@ def test_the_sentence(changes: dict[str, object], text: str) -> None:
     assert sentence(replace(SUMMARY, **changes)) == text  # type: ignore[arg-type]
 
 
-def test_the_end_is_notes_leader_nominal_structure_and_the_sentence() -> None:
-    summary = SessionSummary("50 °C", TrustLevel.TRUSTED, None, 0.98, 0.9, 5, 2, {}, notes=("cut short",))
+def test_the_end_is_notes_structure_the_sentence_and_below_it_the_family() -> None:
+    summary = replace(SUMMARY, nominal="50 °C", notes=("cut short",))
     lines = closing_lines(summary, LED)
-    assert lines[:3] == [
-        "Note: cut short",
-        "The leader is the twin to ask what comes next, the nominal one the centre of the family.",
+    assert lines[0] == "Note: cut short"
+    assert lines[1].startswith("Structure: the samples justify sink with mass (α 63.0 mV/K, R 3.30 Ω, ")
+    assert lines[1].endswith(", L 5.00 A).")
+    assert lines[2:] == [
+        sentence(summary),
+        "Nominal, the centre of the family: match at 50 °C (orders 22221).",
         "Certainty: 50 °C is the only candidate.",
     ]
-    assert lines[3].startswith("Structure: the samples justify sink with mass (α 63.0 mV/K, R 3.30 Ω, ")
-    assert lines[3].endswith(", L 5.00 A).")
-    assert lines[4] == sentence(summary)
-    assert closing_lines(summary, None) == [lines[0], lines[4]]
+    assert closing_lines(summary, None) == [lines[0], *lines[2:4]]
+    of_structure = replace(summary, nominal="sink with mass", order="")
+    assert closing_lines(of_structure, None)[-1] == "Nominal, the centre of the family: sink with mass."
+    assert closing_lines(replace(summary, nominal=None, order=None), None)[-1] == sentence(summary)
 
 
-def test_the_end_names_the_faults_on_the_way() -> None:
+def test_the_sentence_names_the_newest_faults() -> None:
     lost = {"fault": "drive-lost", "fault_since": 310}
     said = [
         verdict(TrustLevel.TRUSTED),
@@ -359,12 +376,19 @@ def test_the_end_names_the_faults_on_the_way() -> None:
         verdict(TrustLevel.UNKNOWN, 400),
         verdict(TrustLevel.DOUBTFUL, 500, fault="room-changed", fault_since=470),
     ]
-    summary = replace(SUMMARY, faults=tuple(Tally(said).faults))
-    line = "Faults: drive-lost from sample 310 to 400; room-changed since sample 470."
-    assert closing_lines(summary, None)[-2:] == [line, sentence(summary)]
-    often = replace(summary, faults=summary.faults * 4)
-    assert closing_lines(often, None)[-2].startswith("Faults: 3 before; room-changed")
-    assert not any(line.startswith("Faults") for line in closing_lines(SUMMARY, None))
+    faults = tuple(Tally(said).faults)
+    assert faults == (LOST, FaultSpan("room-changed", 470))
+    often = sentence(replace(SUMMARY, faults=faults * 4))
+    assert " Faults: 3 before; room-changed since 470 s; drive-lost from 310 to 400 s; " in often
+
+
+def test_proven_is_what_was_compared_and_beats_every_baseline() -> None:
+    """Not compared, worse than one baseline, equal to one, better than both; ARX may not be there yet."""
+    nan = math.nan
+    score = replace(LED.forecasts[0], persistence_skill=(nan, 0.4, 0.0, 0.3, 0.2))
+    beside = replace(score, arx_skill=(nan, -0.1, 0.5, 0.2, nan))
+    assert beside.proven((1.0, 10.0, 60.0, 300.0, 600.0)) == (300.0, 600.0)
+    assert replace(LED, leader=None).proven == ()
 
 
 def test_where_forecasts_held_is_rounded_to_the_inside_and_to_the_plants_places() -> None:

@@ -68,7 +68,7 @@ VERDICT = r"^ *\d+ +(unknown|doubtful|trusted|fault)"
 
 RUNS = {
     "source .venv/bin/activate": Runs("twinmatch", {"activate": "activate && command -v twinmatch"}),
-    "twinmatch replay bags/four_setpoints": Runs("Leader: .*trust it between"),
+    "twinmatch replay bags/four_setpoints": Runs("Leader: .*trust it .* s ahead between"),
     "twinmatch report bags/four_setpoints -o report.html": Runs("report.html", SHIPPED_SHORT),
     "twinmatch forecast bags/four_setpoints --at 1200 --hold 80": Runs(r"leader.*confidence"),
     "python launch_scripts/replay.py bags/four_setpoints --dashboard": Runs(VERDICT, FREE, 130),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
@@ -69,16 +71,21 @@ def test_only_a_wrong_twin_is_beaten_by_forecasts_that_need_none(samples: list[S
     assert all(skill > 0.9 for skill in truth.persistence_skill[1:])
     assert wrong.useless
     assert set(wrong.beaten(horizons)) == set(horizons)
-    assert "worse than" not in forecaster.sentence
+    assert not wrong.proven(horizons)
+    assert truth.proven(horizons)[-2:] == horizons[-2:]
+    assert re.match(
+        r"truth forecasts best: it saves [\d.]+ characters .*, and in \d+ % of cases", forecaster.sentence
+    )
 
 
-def test_a_leader_that_is_beaten_says_by_what() -> None:
+def test_a_leader_that_is_beaten_boasts_of_no_savings() -> None:
     """At rest nobody is better than the newest reading; a twin of another plant is far off."""
     truth = Forecaster(GAINS)
     truth.enter(given(wrong=rig(seebeck=0.15, heat_capacity=8.0)))
     for sample in samples_of(run(TRUTH, np.repeat([45.0, 46.0], 400), seed=5)):
         truth.push(sample)
-    assert "its forecasts are worse than" in truth.sentence
+    assert truth.scores[0].gain < 0.0
+    assert truth.sentence == "no twin forecasts better than saying that nothing changes; wrong comes nearest"
 
 
 def test_bands_of_the_truth_hold(samples: list[Sample]) -> None:

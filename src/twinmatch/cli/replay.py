@@ -151,7 +151,8 @@ def _print(archive: Archive) -> None:
         print(f"No nominal twin: {', '.join(without)}")
     reused = f", {archive.reused} of them earlier" if archive.reused else ""
     skipped = f"; {len(archive.failed)} skipped" if archive.failed else ""
-    print(f"{len(archive.sessions)} sessions judged{reused}, {len(archive.candidates)} candidates{skipped}")
+    sessions = f"{len(archive.sessions)} session{'s' * (len(archive.sessions) != 1)}"
+    print(f"{sessions} judged{reused}, {len(archive.candidates)} candidates{skipped}")
 
 
 def _table(archive: Archive) -> Table:

@@ -52,6 +52,7 @@ from twinmatch.comparing.verdict import (
     beaten_words,
     judge_uncertainty,
     nominal_of,
+    number_list,
     with_margins,
 )
 
@@ -97,6 +98,7 @@ __all__ = [
     "nominal_of",
     "nu_gap",
     "nu_gap_matrix",
+    "number_list",
     "plant_gap",
     "plant_gaps",
     "score",

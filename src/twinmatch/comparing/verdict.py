@@ -42,14 +42,15 @@ def beaten_words(beaten: Mapping[float, tuple[str, float]]) -> str:
     for baseline, words in BASELINES.items():
         held = {horizon: times for horizon, (name, times) in beaten.items() if name == baseline}
         if held:
-            ahead, times = _number_list(held, "g"), _number_list(held.values(), ".2f")
+            ahead, times = number_list(held), number_list(held.values(), ".2f")
             clauses.append(
                 f"{ahead} s ahead its forecasts are worse than {words}, with {times} times the error"
             )
     return ", and ".join(clauses)
 
 
-def _number_list(numbers: Iterable[float], digits: str) -> str:
+def number_list(numbers: Iterable[float], digits: str = "g") -> str:
+    """Numbers in words, at least one: 10, 60 and 300."""
     *first, last = (format(number, digits) for number in numbers)
     return f"{', '.join(first)} and {last}" if first else last
 
@@ -157,6 +158,11 @@ class ForecastScore:
                 winners[horizon] = name, 1.0 - skills[name]
         return winners
 
+    def proven(self, horizons: Sequence[float]) -> tuple[float, ...]:
+        """The horizons, s, at which its errors were compared, and smaller than those of every baseline."""
+        skills = zip(horizons, self.persistence_skill, self.arx_skill, strict=False)
+        return tuple(h for h, persistence, arx in skills if persistence > 0.0 and not arx <= 0.0)
+
     def _surely_worse(self, baseline: str, k: int) -> bool:
         """Whether it is worse than a baseline at the k-th horizon by more than chance."""
         highs = getattr(self, f"{baseline}_skill_high")
@@ -252,6 +258,11 @@ class Verdict:
     def beaten(self) -> str:
         """Where forecasts that need no twin are better than the leader's, in words; empty if nowhere."""
         return beaten_words(self.leading.beaten(self.horizons)) if self.leading else ""
+
+    @property
+    def proven(self) -> tuple[float, ...]:
+        """Horizons, s, at which the leader's forecasts have been better than those that need no twin."""
+        return self.leading.proven(self.horizons) if self.leading else ()
 
     @property
     def modelled(self) -> tuple[CandidateScore, ...]:

@@ -118,7 +118,9 @@ def _run_live(live: Live) -> int:
         view.say(f"recorded: {session}")
     view.say(f"ended: {live.ending}; {live.received} samples, {live.verdicts.verdicts} verdicts")
     if len(live.samples):
-        live.summary = conclude(live.verdicts, lambda: live.longest(settings.period), settings.law)
+        live.summary = conclude(
+            live.verdicts, lambda: live.longest(settings.period), settings.law, period=settings.period
+        )
         for line in closing_lines(live.summary, live.verdicts.last):
             view.say(line)
     return code

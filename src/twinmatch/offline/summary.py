@@ -76,10 +76,11 @@ class FaultSpan(NamedTuple):
     last: int | None = None
     """Sample of the first verdict without it; None while it lasts."""
 
-    def __str__(self) -> str:
-        """Its name and when it was there."""
-        ended = "" if self.last is None else f" to {self.last}"
-        return f"{self.fault} {'since' if self.last is None else 'from'} sample {self.first}{ended}"
+    def words(self, period: float) -> str:
+        """Its name and when it was there, for a sampling period in s."""
+        if self.last is None:
+            return f"{self.fault} since {self.first * period:.0f} s"
+        return f"{self.fault} from {self.first * period:.0f} to {self.last * period:.0f} s"
 
 
 @dataclass(frozen=True)
@@ -106,6 +107,8 @@ class SessionSummary:
     """Range of the output in which forecasts have held."""
     why: str = ""
     """The reason of the level."""
+    proven: tuple[float, ...] = ()
+    """Horizons, s, at which the leader's forecasts have been better than those that need no twin."""
     beaten: str = ""
     """Where a forecast that needs no twin is better, in words; empty if nowhere."""
     leader: str | None = None
@@ -118,6 +121,8 @@ class SessionSummary:
     """Whether the loop is known; otherwise the fit is that of the driven twin."""
     faults: tuple[FaultSpan, ...] = ()
     """Faults of the plant, oldest first."""
+    period: float = 1.0
+    """Sample time, s."""
 
 
 class Tally:
@@ -159,7 +164,8 @@ def summarise(
     notes: Sequence[str] = (),
 ) -> SessionSummary:
     """Summarise a judged session from its stretches, as `filled_stretches` gives them, and its verdicts."""
-    return conclude(Tally(verdicts), lambda: (max(stretches, key=len), len(stretches)), law, notes)
+    period = stretches[0].period if stretches else 1.0
+    return conclude(Tally(verdicts), lambda: (max(stretches, key=len), len(stretches)), law, notes, period)
 
 
 def conclude(
@@ -167,9 +173,10 @@ def conclude(
     longest: Callable[[], tuple[Window, int]],
     law: Law | None,
     notes: Sequence[str] = (),
+    period: float = 1.0,
 ) -> SessionSummary:
-    """Summarise a session; `longest` returns its longest unbroken stretch and the number of
-    stretches, and is called only if there is a twin to compare it with."""
+    """Summarise a session with this sample time, s; `longest` returns its longest unbroken stretch and the
+    number of stretches, and is called only if there is a twin to compare it with."""
     last = tally.last
     nominal, shown = nominal_score(last), shown_twin(last)
     fit = (math.nan, math.nan)
@@ -195,10 +202,12 @@ def conclude(
         order=nominal.chosen_order if nominal else None,
         range=trust_range(last, shown.parameters.model.plant.output) if last and shown else None,
         why=last.level_reason if last else "",
+        proven=last.proven if last else (),
         beaten=last.beaten if last else "",
         leader=last.leader if last else None,
         leader_confidence=last.leader_confidence if last else math.nan,
         refusal=tally.refusal,
         closed=law is not None,
         faults=tuple(tally.faults),
+        period=period,
     )

@@ -1,4 +1,4 @@
-"""The summary of a judged session: in figures, in one sentence, as closing lines and as JSON."""
+"""The summary of a judged session: in one sentence, as closing lines and as JSON."""
 
 from __future__ import annotations
 
@@ -6,102 +6,94 @@ import math
 from collections.abc import Sequence
 from typing import Any, Final
 
-from twinmatch.comparing import TrustLevel, Verdict
+from twinmatch.comparing import LEVEL_WORDS, TrustLevel, Verdict, number_list
 from twinmatch.offline.summary import SessionSummary, ShownTwin
 from twinmatch.record import document_of, finite
 from twinmatch.showing.quantities import parameter_format, percent, signal_names
 from twinmatch.twin import MatchReport
 
 MAX_FAULTS: Final = 5
-"""Most faults in the closing lines: the newest."""
+"""Most faults in the sentence: the newest."""
 _POOR: Final = 0.5
 """A fit over the whole session below this needs an explanation beside forecasts that hold."""
 
 
 def sentence(summary: SessionSummary) -> str:
-    """The summary in one line: leader, fit, trust, and nominal candidate."""
+    """What the session comes down to: whom to trust, how far ahead and where, and the faults."""
+    return " ".join(filter(None, (_judgement(summary), _faults(summary))))
+
+
+def _judgement(summary: SessionSummary) -> str:
     if summary.leader is None and summary.nominal is None:
-        if summary.level is TrustLevel.FAULT:
-            return f"No nominal twin: {summary.why}. Look at the plant first."
-        if summary.refusal:
-            last = f"{summary.refusal[0].upper()}{summary.refusal[1:].rstrip('.')}."
-            return f"No nominal twin: {summary.verdicts} verdicts, but no valid match. {last}"
-        needed = "The loop needs set-point steps far above the noise, some minutes apart."
-        if not summary.closed:
-            needed = "The input has to move far above its noise, for some minutes in total."
-        return f"No nominal twin: {summary.verdicts} verdicts, but no valid match. {needed}"
-    parts = [_who(summary)]
-    if math.isfinite(summary.fit_y):
+        return f"No twin to trust yet: {_missing(summary)}"
+    shown = summary.leader or str(summary.nominal)
+    given = summary.parameters and ShownTwin(shown, summary.parameters).is_structure
+    parts = [f"{'Leader' if summary.leader else 'Nominal'}: {shown if given else _match(summary, shown)}"]
+    parts.append(_trust(summary))
+    if math.isfinite(summary.fit_y) and summary.level is not TrustLevel.FAULT:
         output = signal_names(summary.parameters.model.plant).output.name if summary.parameters else "output"
         fit = f"{output} fit {percent(summary.fit_y)} %"
-        if summary.fit_y < _POOR and summary.level is TrustLevel.TRUSTED and summary.range:
-            fit = f"left without readings it drifts off ({fit}), from the newest readings it forecasts well"
+        if summary.fit_y < _POOR and summary.level is TrustLevel.TRUSTED:
+            fit = f"left without readings it drifts off ({fit})"
         parts.append(fit)
-    return f"{'; '.join([*parts, _trust(summary)])}.{_center(summary)}"
+    return f"{'; '.join(parts)}."
 
 
-def _who(summary: SessionSummary) -> str:
-    """The leader, or the nominal candidate without one."""
-    if summary.leader is None:
-        return f"Nominal: {_match(summary, str(summary.nominal))}{_order(summary, '; ')}"
-    matched = summary.parameters and not ShownTwin(summary.leader, summary.parameters).is_structure
-    name = _match(summary, summary.leader) if matched else summary.leader
-    if summary.leader == summary.nominal:
-        return f"Leader and nominal: {name}{_order(summary, '; ')}"
-    return f"Leader: {name}"
-
-
-def _center(summary: SessionSummary) -> str:
-    """The nominal candidate, where it is not the leader."""
-    if summary.leader is None or summary.leader == summary.nominal:
-        return ""
-    if summary.nominal is None:
-        return " Nominal: none, no valid match."
-    name = _match(summary, summary.nominal) if summary.order else summary.nominal
-    return f" Nominal: {name}{_order(summary, ', ')}."
+def _missing(summary: SessionSummary) -> str:
+    """Why there is no twin, and what to do."""
+    if summary.level is TrustLevel.FAULT:
+        return f"{summary.why}. Look at the plant first."
+    verdicts = f"{summary.verdicts} verdicts, but no valid match."
+    if summary.refusal:
+        return f"{verdicts} {summary.refusal[0].upper()}{summary.refusal[1:].rstrip('.')}."
+    if summary.why and summary.why != LEVEL_WORDS[TrustLevel.UNKNOWN]:
+        return f"{verdicts} {summary.why[0].upper()}{summary.why[1:]}."
+    if summary.closed:
+        return f"{verdicts} The loop needs set-point steps far above the noise, some minutes apart."
+    return f"{verdicts} The input has to move far above its noise, for some minutes in total."
 
 
 def _match(summary: SessionSummary, name: str) -> str:
     """A match in words: by its set-point, or, if the loop is not known, by the output it was near."""
-    return f"{name} set" if summary.closed else f"match near {name}"
-
-
-def _order(summary: SessionSummary, before: str) -> str:
-    """Orders of the nominal candidate; empty for a structure, which has no Box–Jenkins models."""
-    return f"{before}orders {summary.order}" if summary.order else ""
+    return f"match {'at' if summary.closed else 'near'} {name}"
 
 
 def _trust(summary: SessionSummary) -> str:
-    held = f"between {summary.range}" if summary.range else ""
-    before = f" (it held {held})" if held else ""
-    if summary.level is TrustLevel.FAULT:
-        return f"do not trust it now: {summary.why}{before}"
-    if summary.level is TrustLevel.DOUBTFUL:
-        return f"doubtful now: {summary.why}{before}"
-    if not held:
-        return "how far to trust it is not known yet"
+    """How far to trust the leader now: names only horizons and levels at which it has been better than the
+    baselines."""
+    ahead = f"{number_list(summary.proven)} s ahead between {summary.range}" if summary.proven else ""
+    held = ahead if summary.range else ""
+    if summary.level in {TrustLevel.FAULT, TrustLevel.DOUBTFUL}:
+        word = "doubtful now" if summary.level is TrustLevel.DOUBTFUL else "do not trust it now"
+        return f"{word}: {summary.why}{f' (its forecasts held {held})' if held else ''}"
+    if summary.level is TrustLevel.UNKNOWN or not held:
+        why = summary.why if summary.level is TrustLevel.UNKNOWN else ""
+        return f"how far to trust it is not known yet{f': {why}' if why else ''}"
     return f"trust it {held}, but {summary.beaten}" if summary.beaten else f"trust it {held}"
 
 
+def _faults(summary: SessionSummary) -> str:
+    older, newest = len(summary.faults) - MAX_FAULTS, summary.faults[-MAX_FAULTS:]
+    spans = [*([f"{older} before"] if older > 0 else []), *(span.words(summary.period) for span in newest)]
+    return f"Faults: {'; '.join(spans)}." if spans else ""
+
+
 def closing_lines(summary: SessionSummary, verdict: Verdict | None) -> list[str]:
-    """The last lines of a run: notes, the meaning of leader and nominal, the plant's structure, the summary.
+    """The last lines of a run: notes, the plant's structure, the summary, and below it the family.
 
     `verdict` is the last one.
     """
     lines = [f"Note: {note}" for note in summary.notes]
-    if verdict is not None:
-        if verdict.leader is not None:
-            text = "The leader is the twin to ask what comes next, the nominal one the centre of the family."
-            lines.append(text)
-        if verdict.certainty:
-            lines.append(f"Certainty: {verdict.certainty}.")
-        if verdict.structure:
-            lines.append(f"Structure: the samples justify {verdict.structure}{_plant(verdict)}.")
-    if summary.faults:
-        older = len(summary.faults) - MAX_FAULTS
-        before = [f"{older} before"] if older > 0 else []
-        lines.append(f"Faults: {'; '.join([*before, *map(str, summary.faults[-MAX_FAULTS:])])}.")
-    return [*lines, sentence(summary)]
+    if verdict is not None and verdict.structure:
+        lines.append(f"Structure: the samples justify {verdict.structure}{_plant(verdict)}.")
+    lines.append(sentence(summary))
+    if summary.nominal is not None:
+        order = f" (orders {summary.order})" if summary.order else ""
+        name = _match(summary, summary.nominal) if summary.order else summary.nominal
+        lines.append(f"Nominal, the centre of the family: {name}{order}.")
+    if verdict is not None and verdict.certainty:
+        lines.append(f"Certainty: {verdict.certainty}.")
+    return lines
 
 
 def _plant(verdict: Verdict) -> str:

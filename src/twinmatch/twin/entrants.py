@@ -4,7 +4,7 @@ what is derived from them is derived once."""
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from twinmatch.comparing import BASELINES, Candidate, ForecastScore, beaten_words
+from twinmatch.comparing import BASELINES, Candidate, ForecastScore
 from twinmatch.dynamics import Foresight, Law
 from twinmatch.forecasting import Calibration, Ledger, StateFilter
 from twinmatch.forecasting.outlook import foresight_of
@@ -77,17 +77,18 @@ class Standings:
         """The leader's score; None without candidates."""
         return next((score for score in self.scores if score.name == self.leader), None)
 
-    def sentence(self, confidence: float, horizons: Sequence[float]) -> str:
-        """Who leads and how certain that is; empty without candidates. The horizons are in seconds."""
+    def sentence(self, confidence: float) -> str:
+        """Who leads and how certain that is; empty without candidates."""
         best = self.leading
         if best is None:
             return ""
         if math.isnan(best.gain):
             return f"{best.name} leads until a forecast can be compared with the samples"
+        if best.gain <= 0.0:
+            return f"no twin forecasts better than saying that nothing changes; {best.name} comes nearest"
         saved = f"{best.name} forecasts best: it saves {best.gain:.2f} characters per forecast"
-        right = f"in {100 * confidence:.0f} % of cases no other was more than 3 % better"
-        beaten = beaten_words(best.beaten(horizons))
-        return f"{saved}, and {right}; {beaten}" if beaten else f"{saved}, and {right}"
+        right = f", and in {100 * confidence:.0f} % of cases no other was more than 3 % better"
+        return saved + (right if len(self._entrants) > 1 else "")
 
     @cached_property
     def scores(self) -> tuple[ForecastScore, ...]:

@@ -147,7 +147,7 @@ class Forecaster:
     @property
     def sentence(self) -> str:
         """A sentence on which candidate leads and how certain that is; empty without candidates."""
-        return self.standings.sentence(self.confidence, self.settings.horizons)
+        return self.standings.sentence(self.confidence)
 
     def forecasts_of(self, name: str) -> float:
         """Effective number of a candidate's forecasts that could be scored, older ones weighted less."""

@@ -23,7 +23,7 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
     session = write_session(folder / "quarter", quarter_of_an_hour()[:400])
     done = run_twinmatch("report", session, "--figures", "figures", "--format", "pdf", folder=folder)
     assert done.returncode == 0, done.stderr
-    assert "ominal: " in done.stdout
+    assert done.stdout.startswith("Leader: ")
     assert "report: quarter.html" in done.stdout
     return folder / "quarter.html"
 

@@ -299,7 +299,7 @@ def test_a_session_without_a_verdict_says_so(reference: np.ndarray, words: str, 
     report = make_report(session)
     document = parse(report.html())
     assert words in next(document.all("main")).text
-    assert "No nominal twin" in next(document.all("header")).text
+    assert "No twin to trust yet" in next(document.all("header")).text
     assert "unknown" in next(document.all("header")).text
     assert set(report.pictures) == {"session", "health"}
 
