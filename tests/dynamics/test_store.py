@@ -8,6 +8,7 @@ import re
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ import pytest
 from tests.support.plants import Box, Lag, Motor
 from tests.support.processes import Process, Processes
 from twinmatch.dynamics import store
+from twinmatch.dynamics.equations import derive
 from twinmatch.dynamics.prepare import prepare
 
 SOURCE = Path(__file__).resolve().parents[2] / "src" / "twinmatch"
@@ -104,6 +106,28 @@ def test_a_changed_plant_is_derived_again(start: Start, tmp_path: Path) -> None:
     assert float(ended(start())) == pytest.approx(1.5)
     (tmp_path / "tank.py").write_text(PLANT.replace("self.inflow / self.area", "2 * self.inflow / self.area"))
     assert float(ended(start())) == pytest.approx(2.0)
+
+
+def test_equations_are_recognised_whatever_else_changes_in_the_file(tmp_path: Path) -> None:
+    def equations(**changes: str) -> str:
+        text = PLANT
+        for before, after in changes.values():
+            assert before in text
+            text = text.replace(before, after)
+        file = tmp_path / f"tank_{len(list(tmp_path.iterdir()))}.py"
+        file.write_text(text)
+        scope: dict[str, Any] = {"__name__": file.stem}
+        exec(compile(text, str(file), "exec"), scope)
+        return store.digest_of(derive(scope["Tank"](), frozenset(), frozenset()))
+
+    now = equations()
+    assert equations(comment=("    def equations", "    # m3\n    def equations")) == now
+    assert equations(default=("default=2.0, bounds=(0.5, 8.0)", "default=3.0, bounds=(0.1, 9.0)")) == now
+    assert equations(order=("self.inflow / self.area", "1 / self.area * self.inflow")) == now
+    assert equations(rate=("self.inflow / self.area", "2 * self.inflow / self.area")) != now
+    assert equations(start=("self.height: self.level", "self.height: self.level / 2")) != now
+    assert equations(output=("output=self.height", "output=self.height + 1")) != now
+    assert Motor.model("with friction").equations != Motor.model("without friction").equations
 
 
 def test_kernels_are_compiled_once_for_all_plants() -> None:

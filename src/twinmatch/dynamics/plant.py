@@ -152,6 +152,11 @@ class Model:
             )
         return kernels
 
+    @property
+    def equations(self) -> str:
+        """A digest of its equations, which changes only if they do; empty if they are external."""
+        return "" if self.structure.external is not None else str(self.kernels.EQUATIONS)
+
     def kernels_by(self, names: Iterable[str]) -> Any:
         """Functions with tangents for these parameters."""
         if self.structure.external is not None:

@@ -26,7 +26,7 @@ from twinmatch.dynamics import filters, kernels, runs
 from twinmatch.dynamics.code import plant_formulas
 from twinmatch.dynamics.declarations import PlantError
 from twinmatch.dynamics.definition import PlantDefinition
-from twinmatch.dynamics.equations import derive
+from twinmatch.dynamics.equations import Derived, derive
 from twinmatch.dynamics.machine import FUNCTIONS, compiled_object, host, linked
 
 _HERE = Path(__file__).parent
@@ -50,15 +50,20 @@ KERNELS: Final = (
 
 
 class Kernels:
-    """The kernels, each called with one plant's code; and the names of the plant's quantities."""
+    """The kernels, called with one plant's code; names of its quantities, and a digest of its equations."""
 
     RATE_LIMIT = kernels.RATE_LIMIT
     MAX_STEPS = kernels.MAX_STEPS
 
     def __init__(
-        self, machine_code: bytes, names: Mapping[str, Sequence[str]], sizes: Mapping[str, int]
+        self,
+        machine_code: bytes,
+        names: Mapping[str, Sequence[str]],
+        sizes: Mapping[str, int],
+        equations: str,
     ) -> None:
         self._owner, addresses = linked(machine_code)
+        self.EQUATIONS = equations
         self.STATES, self.PARAMETERS, self.UNKNOWN, self.QUANTITIES = (
             tuple(names[of]) for of in ("states", "parameters", "unknown", "quantities")
         )
@@ -134,7 +139,16 @@ def _compile_plant(plant: type[PlantDefinition], parts: frozenset[str], unknown:
         "n_constants": len(formulas.constants.results),
         "n_switches": len(formulas.switches.results),
     }
-    return json.dumps({"names": names, "sizes": sizes}).encode() + b"\n" + compiled_object(formulas)
+    head = json.dumps({"names": names, "sizes": sizes, "equations": digest_of(derived)})
+    return head.encode() + b"\n" + compiled_object(formulas)
+
+
+def digest_of(derived: Derived) -> str:
+    """A hash of the equations as formulas: unlike `source_hash`, it ignores comments, bounds and defaults."""
+    formulas = ("conditions", "rates", "outputs", "start")
+    signals = ("states", "inputs", "disturbances", "measured")
+    written = {name: list(map(str, getattr(derived, name))) for name in (*signals, *formulas)}
+    return hashlib.sha256(json.dumps(written).encode()).hexdigest()[:16]
 
 
 def _write_atomically(path: Path, content: bytes) -> None:

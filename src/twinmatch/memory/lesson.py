@@ -1,0 +1,102 @@
+"""A lesson: what one session has taught about the plant in one of its structures."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import NoReturn
+
+import numpy as np
+
+from twinmatch.errors import TwinmatchError
+from twinmatch.signals import FloatArray
+
+Span = tuple[float, float]
+"""The lowest and the highest value."""
+
+
+class MemoryFaultError(TwinmatchError):
+    """A memory, or a lesson in it, cannot be used; the message says which, and what to do."""
+
+
+@dataclass(frozen=True)
+class Lesson:
+    """What a session has taught about one structure of its plant, up to its first fault.
+
+    Raises:
+        MemoryFaultError: parameters, names and covariance do not belong together.
+    """
+
+    session: str
+    """Digest of the session's samples: the same recording under another name is the same session."""
+    name: str
+    """Name of the session."""
+    plant: str
+    equations: str
+    """Digest of the structure's equations: `Model.equations`."""
+    rig: str
+    """Which of several plants of this kind; empty if not named."""
+    structure: str
+    began: int
+    """Stamp of the first sample, ns since the epoch of its clock."""
+    duration: float
+    """Length of the healthy part, s."""
+    samples: int
+    """Healthy samples, without lost and refused ones."""
+    parameters: Mapping[str, float]
+    """Values of all parameters of the structure."""
+    free: tuple[str, ...]
+    """Names of those that were fitted."""
+    covariance: tuple[tuple[float, ...], ...]
+    """Of the free ones, in their units squared, shape (n, n): for correlated residuals, and including what
+    the parts of the session disagree about."""
+    outputs: tuple[Span, ...]
+    """Lowest and highest reading of each output."""
+    inputs: tuple[Span, ...]
+    led: bool
+    """Whether this structure led at the end."""
+    chosen: bool
+    """Whether the criteria chose it."""
+    level: str
+    """Level of trust of the session's last verdict before a fault, as a word; empty without one."""
+    horizons: tuple[float, ...] = ()
+    """Horizons of the forecasts, s; empty if the structure did not compete."""
+    persistence_skill: tuple[float, ...] = ()
+    """At each horizon, 1 − (mean |error|) / (that of a forecast of no change); NaN: too few were compared."""
+    arx_skill: tuple[float, ...] = ()
+    """The same beside an ARX model."""
+    fault_at: int | None = None
+    """First sample of the first fault; None without one."""
+
+    def __post_init__(self) -> None:
+        n, values = len(self.free), [v for row in self.covariance for v in row]
+        held = [*values, *self.parameters.values()]
+        if len(values) != n * n or not n or not self.parameters.keys() >= {*self.free}:
+            self._refuse(f"{n} free parameters and {len(values)} covariances do not belong together")
+        if not all(map(math.isfinite, held)):
+            self._refuse("a value is not finite")
+
+    def _refuse(self, why: str) -> NoReturn:
+        place = f"lesson of {self.name}, {self.structure}"
+        raise MemoryFaultError(f"{place}: {why}; forget the session, and remember it again")
+
+    @property
+    def values(self) -> FloatArray:
+        """Values of the free parameters, shape (n,)."""
+        return np.array([self.parameters[name] for name in self.free])
+
+    @property
+    def deviations(self) -> FloatArray:
+        """Standard deviations of the free parameters, shape (n,)."""
+        return np.sqrt(np.diag(np.array(self.covariance)))
+
+
+def in_order(lessons: Iterable[Lesson]) -> list[Lesson]:
+    """Lessons from the oldest to the newest; sessions without a date by their names, numbers as numbers."""
+    return sorted(lessons, key=lambda lesson: (lesson.began, _natural(lesson.name), lesson.structure))
+
+
+def _natural(name: str) -> list[tuple[int, str]]:
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", name)]

@@ -1,0 +1,227 @@
+"""The file of a memory: an SQLite database with one row for each session and structure."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import re
+import sqlite3
+from collections.abc import Collection, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import fields
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+from twinmatch.memory.lesson import Lesson, MemoryFaultError, in_order
+
+_APPLICATION: Final = 0x74776D6D
+"""The file's `application_id`, "twmm": other programs' databases have another."""
+VERSION: Final = 1
+"""Version of the table, kept as the file's `user_version`."""
+WAIT: Final = 10.0
+"""Longest time to wait for another writer, s."""
+_LISTS: Final = (
+    "parameters", "free", "covariance", "outputs", "inputs", "horizons", "persistence_skill", "arx_skill",
+)  # fmt: skip
+"""Columns that hold JSON."""
+_COLUMNS: Final = tuple(field.name for field in fields(Lesson))
+_OTHERS: Final = tuple(name for name in _COLUMNS if name not in _LISTS)
+_EQUATIONS: Final = _OTHERS.index("equations")
+_TABLE: Final = f"""
+CREATE TABLE lesson (
+    session TEXT NOT NULL, name TEXT NOT NULL, plant TEXT NOT NULL, equations TEXT NOT NULL,
+    rig TEXT NOT NULL, structure TEXT NOT NULL, began INTEGER NOT NULL, duration REAL NOT NULL,
+    samples INTEGER NOT NULL,
+    parameters TEXT NOT NULL, free TEXT NOT NULL, covariance TEXT NOT NULL, outputs TEXT NOT NULL,
+    inputs TEXT NOT NULL, led INTEGER NOT NULL, chosen INTEGER NOT NULL, level TEXT NOT NULL,
+    horizons TEXT NOT NULL, persistence_skill TEXT NOT NULL, arx_skill TEXT NOT NULL, fault_at INTEGER,
+    PRIMARY KEY (session, plant, rig, structure, equations)
+);
+PRAGMA application_id = {_APPLICATION};
+PRAGMA user_version = {VERSION};
+"""
+
+
+class RememberedSession(NamedTuple):
+    """A session of which a memory has lessons."""
+
+    session: str
+    name: str
+    plant: str
+    rig: str
+    began: int
+    """ns since the epoch."""
+    duration: float
+    """Length of its healthy part, s."""
+    structures: tuple[str, ...]
+    fault_at: int | None
+    """First sample of its first fault."""
+
+
+class Memory:
+    """What sessions have taught, in one file, which is created by the first `add`.
+
+    Several programs may read and write it at once. A write is complete or has not happened, even if the
+    program is killed in the middle of it.
+
+    All methods raise `MemoryFaultError` if the file is not a memory, is damaged, was written by a newer
+    version, or is locked; callers can go on without it.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Use this file; nothing is opened yet."""
+        self.path = path
+
+    def add(self, lessons: Iterable[Lesson]) -> int:
+        """Add lessons, all or none; those that are there already stay. Returns how many are new."""
+        rows = [_row_of(lesson) for lesson in lessons]
+        if not rows:
+            return 0
+        names, places = ", ".join(_COLUMNS), ", ".join("?" * len(_COLUMNS))
+        with self._opened(write=True, create=True) as database:
+            before: int = database.total_changes
+            database.executemany(f"INSERT OR IGNORE INTO lesson ({names}) VALUES ({places})", rows)  # noqa: S608
+            added: int = database.total_changes - before
+        return added
+
+    def lessons(
+        self, plant: str | None = None, rig: str | None = None, equations: Collection[str] | None = None
+    ) -> list[Lesson]:
+        """The lessons on this plant and rig, oldest session first; those given as None are not asked for.
+
+        Args:
+            plant: name of the plant.
+            rig: name of the rig; an empty one is a rig without a name.
+            equations: digests of equations, as `Model.equations`; lessons on others are left out.
+        """
+        wanted = {name: value for name, value in (("plant", plant), ("rig", rig)) if value is not None}
+        where = " AND ".join(f"{name} = ?" for name in wanted) or "1"
+        lists = " || ',' || ".join(_LISTS)  # parsed together, in a third of the time
+        query = f"SELECT {', '.join(_OTHERS)}, '[' || {lists} || ']' FROM lesson WHERE {where}"  # noqa: S608
+        with self._opened() as database:
+            rows = [] if database is None else database.execute(query, [*wanted.values()]).fetchall()
+        rows = [row for row in rows if equations is None or row[_EQUATIONS] in equations]
+        return in_order(map(self._lesson_of, rows))
+
+    def forget(self, sessions: Collection[str]) -> list[str]:
+        """Remove sessions, given by name or digest; return the names of those that were there."""
+        marks = ", ".join("?" * len(sessions))
+        where = f"WHERE session IN ({marks}) OR name IN ({marks})"
+        with self._opened(write=True) as database:
+            if database is None:
+                return []
+            found = database.execute(f"SELECT DISTINCT name FROM lesson {where}", [*sessions, *sessions])  # noqa: S608
+            names = sorted(name for (name,) in found)
+            database.execute(f"DELETE FROM lesson {where}", [*sessions, *sessions])  # noqa: S608
+            return names
+
+    def sessions(self) -> list[RememberedSession]:
+        """All remembered sessions, oldest first."""
+        held: dict[tuple[str, str, str], list[Lesson]] = {}
+        for lesson in self.lessons():
+            held.setdefault((lesson.session, lesson.plant, lesson.rig), []).append(lesson)
+        return [
+            RememberedSession(
+                one.session, one.name, one.plant, one.rig, one.began, one.duration,
+                tuple(dict.fromkeys(lesson.structure for lesson in of)), one.fault_at,
+            )
+            for of in held.values()
+            for one in of[:1]
+        ]  # fmt: skip
+
+    @contextmanager
+    def _opened(self, *, write: bool = False, create: bool = False) -> Iterator[Any]:
+        """The database in a transaction; None if there is no file and none is to be created."""
+        database: sqlite3.Connection | None = None
+        try:
+            if self.path.exists() and not self.path.is_file():
+                raise MemoryFaultError(f"memory {self.path}: is not a regular file; give a file")
+            if create:
+                self.path.parent.mkdir(parents=True, exist_ok=True)
+            if create or self.path.exists():
+                database = sqlite3.connect(self.path, timeout=WAIT, isolation_level=None)
+                database.execute("BEGIN IMMEDIATE" if write else "BEGIN")
+                self._check(database)
+            yield database
+            if database is not None:
+                database.execute("COMMIT")
+        except (sqlite3.Error, OSError) as error:
+            raise MemoryFaultError(f"memory {self.path}: {_why(error)}") from error
+        finally:
+            if database is not None:
+                database.close()  # an open transaction is rolled back
+
+    def _check(self, database: sqlite3.Connection) -> None:
+        """Refuse a file that is not a memory; an empty one becomes one."""
+        (application,), (version,) = (
+            database.execute(f"PRAGMA {name}").fetchone() for name in ("application_id", "user_version")
+        )
+        empty = not database.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]
+        if application != _APPLICATION and not (empty and application == 0):
+            raise MemoryFaultError(f"memory {self.path}: is a database of another program; give another file")
+        if version > VERSION:
+            raise MemoryFaultError(
+                f"memory {self.path}: was written by a newer version of twinmatch (its format is {version}, "
+                f"this one reads {VERSION}); update twinmatch, or give another file"
+            )
+        if empty:
+            for statement in _TABLE.strip().split(";\n"):
+                database.execute(statement)
+
+    def _lesson_of(self, row: tuple[Any, ...]) -> Lesson:
+        try:
+            plain = dict(zip(_OTHERS, row[:-1], strict=True))
+            lists = dict(zip(_LISTS, json.loads(row[-1]), strict=True))
+            for name in ("covariance", "outputs", "inputs"):
+                lists[name] = tuple(map(tuple, lists[name]))
+            for name in ("free", "horizons"):
+                lists[name] = tuple(lists[name])
+            for name in ("persistence_skill", "arx_skill"):
+                lists[name] = tuple(math.nan if skill is None else skill for skill in lists[name])
+            plain["led"], plain["chosen"] = bool(plain["led"]), bool(plain["chosen"])
+            return Lesson(**plain, **lists)
+        except (ValueError, TypeError, AttributeError) as error:
+            why = error if isinstance(error, MemoryFaultError) else f"a row cannot be read: {error}"
+            raise MemoryFaultError(f"memory {self.path}: {why}") from error
+
+
+def _row_of(lesson: Lesson) -> list[Any]:
+    values = {name: getattr(lesson, name) for name in _COLUMNS}
+    values |= {name: json.dumps(_plain(values[name])) for name in _LISTS}
+    return [values[name] for name in _COLUMNS]
+
+
+def _plain(value: Any) -> Any:
+    """For JSON: NaN becomes null."""
+    if isinstance(value, tuple):
+        return [_plain(one) for one in value]
+    return None if isinstance(value, float) and math.isnan(value) else value
+
+
+def _why(error: sqlite3.Error | OSError) -> str:
+    code = getattr(error, "sqlite_errorname", "") or ""
+    if isinstance(error, OSError):
+        return f"cannot be used ({error.strerror}); give another file"
+    if code.startswith("SQLITE_NOTADB"):
+        return "is not a memory of twinmatch; give another file, or move it away"
+    if code.startswith(("SQLITE_BUSY", "SQLITE_LOCKED")):
+        return "another program is writing it; try again when it has finished"
+    if code.startswith(("SQLITE_FULL", "SQLITE_IOERR")):
+        return f"cannot be written or read ({error}); free some disk space, or choose another folder"
+    if code.startswith(("SQLITE_READONLY", "SQLITE_CANTOPEN", "SQLITE_PERM", "SQLITE_AUTH")):
+        return f"cannot be opened or written ({error}); check its permissions, or give another file"
+    return f"is damaged ({error}); move it away, and remember its sessions again"
+
+
+def default_file(plant: str, rig: str = "") -> Path:
+    """Where the memory of a plant and a rig is kept: in `twinmatch` in the user's data folder.
+
+    Raises:
+        MemoryFaultError: the name of the rig cannot be part of a file's name.
+    """
+    if not re.fullmatch(r"[\w.-]*", rig) or rig.startswith("."):
+        raise MemoryFaultError(f"rig {rig!r}: is not a name for a rig; use letters, digits, '-', '_' and '.'")
+    base = os.environ.get("XDG_DATA_HOME")
+    folder = (Path(base) if base else Path.home() / ".local" / "share") / "twinmatch"
+    return folder / f"{plant}{'@' if rig else ''}{rig}.sqlite"

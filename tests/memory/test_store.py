@@ -1,0 +1,259 @@
+"""The file of a memory: what is in it, and what happens to it when programs and disks fail."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import random
+import resource
+import signal
+import sqlite3
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.support.lessons import HOUR, lesson
+from twinmatch.memory import Memory, MemoryFaultError, default_file
+from twinmatch.memory.store import VERSION
+
+WRITER = """
+import sys
+from pathlib import Path
+from tests.support.lessons import lesson
+from twinmatch.memory import Memory
+memory, first = Memory(Path(sys.argv[1])), int(sys.argv[2])
+print("ready", flush=True)
+for number in range(first, first + int(sys.argv[3])):
+    memory.add([lesson(number, structure) for structure in ("paper", "rich", "other")])
+"""
+
+
+def writer(path: Path, first: int, sessions: int) -> subprocess.Popen[str]:
+    """A program that remembers sessions one by one, three lessons each; it has just begun."""
+    words = [sys.executable, "-c", WRITER, str(path), str(first), str(sessions)]
+    program = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
+    assert program.stdout is not None
+    with program.stdout:
+        assert program.stdout.readline() == "ready\n"
+    return program
+
+
+def test_lessons_come_back_as_they_were_oldest_first(tmp_path):
+    memory = Memory(tmp_path / "folder" / "rig.sqlite")
+    assert memory.lessons() == []
+    assert not memory.path.exists()
+    unknown = lesson(3, persistence_skill=(math.nan, 0.5), fault_at=2155)
+    assert memory.add([unknown, lesson(1)]) == 2
+    assert memory.add([lesson(2)]) == 1
+    one, two, three = memory.lessons("peltier", "", {"e1"})
+    assert (one, two) == (lesson(1), lesson(2))
+    assert math.isnan(three.persistence_skill[0])
+    assert three.fault_at == 2155
+    assert three.deviations == pytest.approx([1e-3, 1e-2])
+
+
+def test_a_session_counts_once(tmp_path):
+    memory = Memory(tmp_path / "rig.sqlite")
+    memory.add([lesson(1), lesson(1, "rich")])
+    again = lesson(1, name="a copy", duration=1.0)
+    assert memory.add([again, lesson(2)]) == 1
+    assert [held.name for held in memory.lessons()] == ["run_1", "run_1", "run_2"]
+    changed = lesson(1, equations="e2")  # the plant's file was changed: a lesson of its own
+    assert memory.add([changed]) == 1
+    assert memory.lessons("peltier", "", {"e2"}) == [changed]
+
+
+def test_plants_and_rigs_are_kept_apart(tmp_path):
+    memory = Memory(tmp_path / "all.sqlite")
+    memory.add([lesson(1), lesson(1, rig="left"), lesson(2, rig="left"), lesson(1, plant="tclab")])
+    assert [held.name for held in memory.lessons("peltier", "left")] == ["run_1", "run_2"]
+    assert memory.lessons("peltier", "") == [lesson(1)]
+    assert len(memory.lessons()) == 4
+    assert [(s.plant, s.rig) for s in memory.sessions()][1:] == [
+        ("peltier", "left"),
+        ("tclab", ""),
+        ("peltier", "left"),
+    ]
+
+
+def test_forgotten_sessions_are_gone_by_name_or_digest(tmp_path):
+    memory = Memory(tmp_path / "rig.sqlite")
+    memory.add([lesson(n, structure) for n in (1, 2, 3) for structure in ("paper", "rich")])
+    assert memory.forget(["run_1", "digest-3", "run_9"]) == ["run_1", "run_3"]
+    assert [(s.name, s.structures) for s in memory.sessions()] == [("run_2", ("paper", "rich"))]
+    assert Memory(tmp_path / "none.sqlite").forget(["run_1"]) == []
+
+
+def test_sessions_without_dates_are_ordered_by_their_numbers(tmp_path):
+    memory = Memory(tmp_path / "rig.sqlite")
+    names = ["BMData14_022722", "BMData2_022722", "BMData1_022722", "BMData9_022722"]
+    memory.add([lesson(n, name=name, began=HOUR) for n, name in enumerate(names)])
+    assert [s.name for s in memory.sessions()] == [f"BMData{n}_022722" for n in (1, 2, 9, 14)]
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    name=st.text(st.characters(exclude_categories=["Cs"]), max_size=20),
+    values=st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=2, max_size=2),
+    began=st.integers(0, 2**62),
+)
+def test_any_name_and_any_number_comes_back_bit_for_bit(tmp_path_factory, name, values, began):
+    memory = Memory(tmp_path_factory.mktemp("memory") / "rig.sqlite")
+    held = lesson(
+        1, name=name, began=began, parameters=dict(zip(("seebeck", "conductance"), values, strict=True))
+    )
+    memory.add([held])
+    assert memory.lessons() == [held]
+    assert memory.forget([name]) == [name]
+
+
+def test_other_programs_read_it(tmp_path):
+    memory = Memory(tmp_path / "rig.sqlite")
+    memory.add([lesson(1)])
+    database = sqlite3.connect(memory.path)
+    query = "SELECT name, json_extract(parameters, '$.conductance'), covariance FROM lesson"
+    name, conductance, covariance = database.execute(query).fetchone()
+    database.close()
+    assert (name, conductance) == ("run_1", 0.5)
+    assert json.loads(covariance) == [[1e-6, 2e-6], [2e-6, 1e-4]]
+    memory.add([lesson(n, structure) for n in range(100) for structure in ("paper", "rich")])
+    assert memory.path.stat().st_size < 100 * 5000  # a few kB a session
+
+
+def test_a_killed_writer_leaves_complete_sessions_only(tmp_path):
+    path, draw = tmp_path / "rig.sqlite", random.Random(4)
+    for attempt in range(4):
+        program = writer(path, 1000 * attempt, 1000)
+        time.sleep(draw.uniform(0.0, 0.3))
+        program.send_signal(signal.SIGKILL)
+        program.wait()
+        assert all(len(session.structures) == 3 for session in Memory(path).sessions())
+    assert Memory(path).add([lesson(9999)]) == 1
+
+
+def test_two_writers_at_once_lose_nothing(tmp_path):
+    path = tmp_path / "rig.sqlite"
+    programs = [writer(path, first, 40) for first in (0, 20)]  # half of the sessions are the same
+    while any(program.poll() is None for program in programs):
+        assert all(len(session.structures) == 3 for session in Memory(path).sessions())
+    assert [program.returncode for program in programs] == [0, 0]
+    assert len(Memory(path).sessions()) == 60
+
+
+def test_a_full_disk_is_reported_and_what_was_there_stays(tmp_path):
+    memory = Memory(tmp_path / "rig.sqlite")
+    memory.add([lesson(n) for n in range(20)])
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (memory.path.stat().st_size + 4096, before[1]))
+    try:
+        with pytest.raises(MemoryFaultError, match="free some disk space, or choose another folder"):
+            memory.add([lesson(n) for n in range(20, 400)])
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        signal.signal(signal.SIGXFSZ, handler)
+    assert len(memory.sessions()) == 20
+    assert memory.add([lesson(20)]) == 1
+
+
+def test_a_locked_file_is_reported(tmp_path, monkeypatch):
+    monkeypatch.setattr("twinmatch.memory.store.WAIT", 0.05)
+    memory = Memory(tmp_path / "rig.sqlite")
+    memory.add([lesson(1)])
+    other = sqlite3.connect(memory.path, isolation_level=None)
+    other.execute("BEGIN EXCLUSIVE")
+    with pytest.raises(MemoryFaultError, match=r"rig\.sqlite: another program is writing it; try again"):
+        memory.lessons()
+    other.close()
+    assert len(memory.lessons()) == 1
+
+
+def garbage(path: Path) -> None:
+    path.write_bytes(random.Random(1).randbytes(20_000))
+
+
+def foreign(path: Path) -> None:
+    database = sqlite3.connect(path)
+    database.execute("CREATE TABLE lesson (a)")
+    database.close()
+
+
+def newer(path: Path) -> None:
+    Memory(path).add([lesson(1)])
+    change(path, f"PRAGMA user_version = {VERSION + 1}")
+
+
+def folder(path: Path) -> None:
+    path.mkdir()
+
+
+def pipe(path: Path) -> None:
+    os.mkfifo(path)
+
+
+def edited(path: Path) -> None:
+    Memory(path).add([lesson(1)])
+    change(path, "UPDATE lesson SET covariance = '[[1.0]]'")
+
+
+def unreadable(path: Path) -> None:
+    Memory(path).add([lesson(1)])
+    change(path, "UPDATE lesson SET outputs = 'somebody was here'")
+
+
+def truncated(path: Path) -> None:
+    Memory(path).add([lesson(n) for n in range(50)])
+    os.truncate(path, path.stat().st_size // 2)
+
+
+def change(path: Path, statement: str) -> None:
+    database = sqlite3.connect(path)
+    database.execute(statement)
+    database.commit()
+    database.close()
+
+
+@pytest.mark.parametrize(
+    ("damage", "said"),
+    [
+        (garbage, "is not a memory of twinmatch; give another file, or move it away"),
+        (foreign, "is a database of another program; give another file"),
+        (newer, "was written by a newer version of twinmatch .*; update twinmatch"),
+        (folder, "is not a regular file; give a file"),
+        (pipe, "is not a regular file; give a file"),
+        (edited, "lesson of run_1, paper: 2 free parameters and 1 covariances do not belong together"),
+        (unreadable, "a row cannot be read"),
+        (truncated, "is damaged .*; move it away, and remember its sessions again"),
+    ],
+)
+def test_a_file_that_cannot_be_used_is_one_sentence(tmp_path, damage, said):
+    memory = Memory(tmp_path / "rig.sqlite")
+    damage(memory.path)
+    with pytest.raises(MemoryFaultError, match=rf"^memory .*rig\.sqlite: {said}"):
+        memory.lessons()
+
+
+def test_an_empty_file_becomes_a_memory(tmp_path):
+    memory = Memory(tmp_path / "rig.sqlite")
+    memory.path.touch()
+    assert memory.lessons() == []
+    assert memory.add([lesson(1)]) == 1
+
+
+def test_a_lesson_with_a_value_that_is_not_finite_is_refused():
+    with pytest.raises(MemoryFaultError, match="lesson of run_1, paper: a value is not finite"):
+        lesson(1, parameters={"seebeck": math.inf, "conductance": 0.5})
+
+
+def test_the_default_file_is_named_after_plant_and_rig(monkeypatch):
+    monkeypatch.setenv("XDG_DATA_HOME", "/data")
+    assert default_file("peltier") == Path("/data/twinmatch/peltier.sqlite")
+    assert default_file("peltier", "left-2") == Path("/data/twinmatch/peltier@left-2.sqlite")
+    with pytest.raises(MemoryFaultError, match=r"rig '\.\./x': is not a name for a rig"):
+        default_file("peltier", "../x")
