@@ -66,7 +66,7 @@ class Memory:
     program is killed in the middle of it.
 
     All methods raise `MemoryFaultError` if the file is not a memory, is damaged, was written by a newer
-    version, or is locked; callers can go on without it.
+    version, or is locked; callers can do without it.
     """
 
     def __init__(self, path: Path) -> None:
