@@ -3,7 +3,9 @@
 `code_length` and `information_gain` measure, in characters, what a model leaves unexplained. `naic`, `bic`
 and `mdl` weigh its prediction errors against the number of its parameters. `nu_gap` is the distance between
 two models that matters for feedback: it is small where one controller serves both. `stability_margin` gives
-the ν-gap up to which a given controller still stabilises: `loop_controller`, the running PID, for one.
+the ν-gap up to which a given controller still stabilises: `loop_controller`, the running PID, for one. Both
+take a `StateSpace` with any number of inputs and outputs; `best_scaling` finds units of the signals in which
+a controller's margin exceeds the ν-gaps of a family by most.
 
 The judgement of a `Family` of candidates is built on these: `twin_response` runs a candidate's twin on its
 window, `identify` estimates Box–Jenkins models of the response, and `score` compares them with the measured
@@ -33,10 +35,13 @@ from twinmatch.comparing.criteria import (
 )
 from twinmatch.comparing.graph_symbol import GraphSymbol, graph_symbol
 from twinmatch.comparing.margin import Scales, loop_controller, loop_plant, stability_margin
+from twinmatch.comparing.matrix_gap import matrix_margin, matrix_nu_gap
 from twinmatch.comparing.models import Candidate, Family, SimoModel, identify, twin_response
 from twinmatch.comparing.nu_gap import nu_gap, nu_gap_matrix
 from twinmatch.comparing.plant_gap import LoopConditions, PlantGaps, plant_gap, plant_gaps, spans_of
 from twinmatch.comparing.polynomials import DiscriminationError
+from twinmatch.comparing.scaling import Scaling, best_scaling
+from twinmatch.comparing.state_space import StateSpace
 from twinmatch.comparing.uncertainty import FamilyUncertainty, family_uncertainty
 from twinmatch.comparing.verdict import (
     ADMITTED,
@@ -77,11 +82,14 @@ __all__ = [
     "OrderScore",
     "PlantGaps",
     "Scales",
+    "Scaling",
     "SimoModel",
+    "StateSpace",
     "TrustLevel",
     "Verdict",
     "akaike_weights",
     "beaten_words",
+    "best_scaling",
     "bic",
     "choose_order",
     "code_length",
@@ -93,6 +101,8 @@ __all__ = [
     "judge_uncertainty",
     "loop_controller",
     "loop_plant",
+    "matrix_margin",
+    "matrix_nu_gap",
     "mdl",
     "naic",
     "nominal_of",

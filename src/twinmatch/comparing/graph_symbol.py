@@ -29,6 +29,7 @@ from twinmatch.comparing.polynomials import (
     trim_top,
     without_unstable_common_factor,
 )
+from twinmatch.comparing.state_space import StateSpace, inputs_of
 from twinmatch.signals import FloatArray
 
 if TYPE_CHECKING:
@@ -121,22 +122,25 @@ class GraphSymbol:
 
 
 def graph_symbol(system: Any) -> GraphSymbol:
-    """The graph symbol of a `control` TransferFunction or StateSpace; a given symbol is returned unchanged.
+    """The graph symbol of a `control` TransferFunction, or of a StateSpace, ours or that of `control`.
 
-    State-space models are converted in exact arithmetic.
+    A given symbol is returned unchanged. State-space models are converted in exact arithmetic.
 
     Raises:
         DiscriminationError: another type, more than one input, or coefficients that are not finite.
     """
     if isinstance(system, GraphSymbol):
         return system
-    inputs = getattr(system, "ninputs", None)
-    if inputs is None or not (hasattr(system, "num_array") or hasattr(system, "A")):
+    inputs = inputs_of(system)
+    if not (hasattr(system, "num_array") or hasattr(system, "A")):
         msg = f"model: a {type(system).__name__} cannot be compared; give a TransferFunction or a StateSpace"
         raise DiscriminationError(msg)
     if inputs != 1:
         msg = f"model: it has {inputs} inputs; give a model with one input and any number of outputs"
         raise DiscriminationError(msg)
+    if isinstance(system, StateSpace):
+        any_period = None if not len(system.A) else 0.0
+        return GraphSymbol.of_state_space(system.A, system.B, system.C, system.D, system.period or any_period)
     if hasattr(system, "A"):
         period = _time_base(system, dynamic=len(system.A) > 0)
         return GraphSymbol.of_state_space(system.A, system.B, system.C, system.D, period)

@@ -33,6 +33,7 @@ import numpy as np
 
 from twinmatch.comparing import chordal
 from twinmatch.comparing.graph_symbol import GraphSymbol, graph_symbol, spectral_roots
+from twinmatch.comparing.matrix_gap import matrix_margin
 from twinmatch.comparing.nu_gap import common_period
 from twinmatch.comparing.polynomials import (
     DiscriminationError,
@@ -41,6 +42,7 @@ from twinmatch.comparing.polynomials import (
     scale_of,
     split,
 )
+from twinmatch.comparing.state_space import StateSpace, inputs_of
 from twinmatch.compiled import compiled
 from twinmatch.dynamics import Parameters, PidGains, linearised, pid_of
 from twinmatch.signals import FloatArray
@@ -52,13 +54,16 @@ def stability_margin(plant: Any, controller: Any) -> float:
     It depends on the units of u and y: scale them so that equal numbers are equally important.
 
     Args:
-        plant: `control` TransferFunction or StateSpace, or `GraphSymbol`; one input, m outputs.
-        controller: the same with m inputs and one output; a `GraphSymbol` of the transposed controller.
+        plant: as for `nu_gap`.
+        controller: the same, with as many inputs as the plant has outputs, and the reverse; a `GraphSymbol`
+            of the transposed controller. `StateSpace.of` makes it of a law.
 
     Raises:
         DiscriminationError: numbers of signals that do not fit, different time bases, or a system that
             is not a valid model.
     """
+    if inputs_of(plant) > 1:
+        return matrix_margin(StateSpace.of(plant), StateSpace.of(controller))
     g = graph_symbol(plant)
     k = controller if isinstance(controller, GraphSymbol) else graph_symbol(_transpose(controller))
     if g.outputs != k.outputs:
@@ -77,6 +82,8 @@ def stability_margin(plant: Any, controller: Any) -> float:
 
 def _transpose(controller: Any) -> Any:
     """Transpose a controller with one output into a model with one input."""
+    if isinstance(controller, StateSpace):
+        return controller.transposed
     if getattr(controller, "noutputs", None) != 1 or controller.ninputs == 1:
         return controller
     if hasattr(controller, "A"):

@@ -1,4 +1,4 @@
-"""The ν-gap (Vinnicombe 1993) between models with one input and any number of outputs.
+"""The ν-gap (Vinnicombe 1993) between models; what follows is for one input and any number of outputs.
 
 With stable spectral factors w of |g|², c = g2* g1/(w2* w1) is the inner product of the normalised symbols:
 |c|² = 1 − κ². Its phase is tracked along the axis from 0 to ∞; steps are halved until the curve between two
@@ -27,7 +27,9 @@ from numpy.typing import NDArray
 from twinmatch.comparing import chordal
 from twinmatch.comparing.chordal import value
 from twinmatch.comparing.graph_symbol import GraphSymbol, graph_symbol
+from twinmatch.comparing.matrix_gap import matrix_nu_gap
 from twinmatch.comparing.polynomials import DiscriminationError
+from twinmatch.comparing.state_space import StateSpace, inputs_of
 from twinmatch.compiled import compiled
 from twinmatch.signals import FloatArray
 
@@ -129,13 +131,15 @@ def nu_gap(p1: Any, p2: Any) -> float:
     """ν-gap between two models, 0 (equal) to 1.
 
     Args:
-        p1, p2: `control` TransferFunction or StateSpace, or `GraphSymbol`; one input, equal outputs.
-            An unstable common factor of all entries is cancelled if it is common to within rounding.
+        p1, p2: StateSpace, ours or that of `control`; with one input also `GraphSymbol`, and TransferFunction
+            of `control`. An unstable common factor of all entries is cancelled if it is common to within
+            rounding. With more than one input the result has about ten digits (`matrix_nu_gap`).
 
     Raises:
-        DiscriminationError: different time bases or numbers of outputs, more than one input, or an
-            invalid model.
+        DiscriminationError: different time bases or numbers of inputs or outputs, or an invalid model.
     """
+    if inputs_of(p1) > 1 and inputs_of(p2) > 1:
+        return matrix_nu_gap(StateSpace.of(p1), StateSpace.of(p2))
     g1, g2 = graph_symbol(p1), graph_symbol(p2)
     common_period(g1, g2)
     return _between(g1, g2)

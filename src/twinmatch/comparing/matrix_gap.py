@@ -1,0 +1,232 @@
+"""ν-gap and stability margin of systems with any number of inputs and outputs (Vinnicombe 1993).
+
+At a frequency the gap of P₁ and P₂ is the largest singular value of
+(I + P₂P₂*)^(−½) (P₁ − P₂) (I + P₁*P₁)^(−½). It is the ν-gap at the frequency where it is largest, if the loop
+of P₁ with P₂~, u = −P₂~ y, has as many stable poles as P₁ has states and as many unstable ones as P₂: this is
+Vinnicombe's winding condition, counted. Otherwise the ν-gap is 1. Factors come from QR of [I; P], and the
+difference is formed before anything is squared, so small gaps keep their digits.
+
+Where it is largest is found as the H∞ norm is (Bruinsma and Steinbuch 1990): the frequencies at which a
+singular value equals γ are zeros of [[I + P₂P₂~, (P₁ − P₂)/γ], [(P₁ − P₂)~/γ, I + P₁~P₁]] on the axis,
+eigenvalues of a matrix of order 2(n₁ + n₂). A level slightly above the best value found has none, or the
+intervals between them hold a higher value.
+
+For systems with one input or one output, `nu_gap` and `stability_margin` compute the same from polynomials
+with exact coefficients.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twinmatch.comparing.polynomials import DiscriminationError
+from twinmatch.comparing.state_space import ON_AXIS, Matrix, StateSpace, half_plane
+from twinmatch.signals import FloatArray
+
+MAX_LEVELS = 30
+ABOVE = 1e-9
+"""How far a level lies above the best value found, relative to it."""
+
+NEAR_AXIS = 1e-6
+"""Zeros this close to the axis, relative to their distance from 0, are tried as frequencies."""
+
+BESIDE = 1e-6
+"""A response is computed this far from a pole on the axis, relative to the slowest other pole: the gap is
+smooth there, the response infinite."""
+
+ONE = 1 - 1e-12
+"""A gap from here on counts as 1."""
+
+PER_DECADE = 8
+MAX_POLISH = 20
+COARSE, CLOSER, FINE = 3e-2, 0.03, 1e-6
+"""Width of the first parabola, relative to the frequency; of the next to the one before it; of the last."""
+NEIGHBOURS = np.array([-1.0, 0.0, 1.0])
+
+
+def matrix_nu_gap(first: StateSpace, second: StateSpace) -> float:
+    """ν-gap between two systems, 0 (equal) to 1.
+
+    Raises:
+        DiscriminationError: they differ in period or in numbers of inputs or outputs.
+    """
+    if first.D.shape != second.D.shape:
+        of = [f"{s.n_inputs} inputs and {s.n_outputs} outputs" for s in (first, second)]
+        raise DiscriminationError(f"ν-gap: one model has {of[0]}, the other {of[1]}; they must be equal")
+    one, two = half_plane(first, second)
+    loop = closed_loop(one, two.adjoint)
+    if loop is None:
+        return 1.0
+    poles = [np.linalg.eigvals(system.A) for system in (one, two, loop)]
+    winds = int(np.sum(poles[2].real < 0)) != len(one.A)
+
+    def gaps(frequencies: FloatArray) -> FloatArray:
+        at = beside(frequencies, np.concatenate(poles[:2]))
+        return gaps_of(one.response(at), two.response(at))
+
+    if winds and gaps(frequencies_of(poles[2])).any():
+        return 1.0
+    largest = _largest(gaps, lambda level: _level_zeros(one, two, level), np.concatenate(poles), ONE)
+    return 1.0 if largest >= ONE else largest
+
+
+def matrix_margin(plant: StateSpace, controller: StateSpace) -> float:
+    """Stability margin b(P, C) of the loop u = −C·y around y = P·u, 0 (not stable) to 1.
+
+    The inverse of the H∞ norm of [P; I](I + CP)⁻¹[I, C]. Modes that are hidden inside the plant or inside the
+    controller do not count.
+
+    Raises:
+        DiscriminationError: they differ in period, or their numbers of signals do not fit.
+    """
+    if plant.D.shape != controller.D.shape[::-1]:
+        raise DiscriminationError(
+            f"stability margin: the plant has {plant.n_inputs} inputs and {plant.n_outputs} outputs, the "
+            f"controller {controller.n_inputs} inputs and {controller.n_outputs} outputs; they must fit"
+        )
+    loop = closed_loop(*half_plane(plant, controller))
+    if loop is None:
+        return 0.0
+    poles = np.linalg.eigvals(loop.A)
+    if (poles.real >= 0).any():
+        return 0.0
+
+    def sizes(frequencies: FloatArray) -> FloatArray:
+        return np.asarray(np.linalg.norm(loop.response(frequencies), 2, axis=(1, 2)))
+
+    return 1 / _largest(sizes, lambda level: _norm_zeros(loop, level), poles, np.inf)
+
+
+def gaps_of(first: NDArray[np.complex128], second: NDArray[np.complex128]) -> FloatArray:
+    """Gaps between responses at the same frequencies, shapes (frequencies, p, m) → (frequencies,)."""
+    right = _factor(first)
+    left = _factor(second.conj().swapaxes(1, 2))
+    half = np.linalg.solve(left.conj().swapaxes(1, 2), first - second)
+    whole = np.linalg.solve(right.conj().swapaxes(1, 2), half.conj().swapaxes(1, 2))
+    return np.asarray(np.minimum(1.0, np.linalg.norm(whole, 2, axis=(1, 2))))
+
+
+def _factor(response: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """R of R*R = I + P*P."""
+    m = response.shape[2]
+    stack = np.concatenate([np.broadcast_to(np.eye(m), (len(response), m, m)), response], axis=1)
+    return np.asarray(np.linalg.qr(stack, mode="r"))
+
+
+def closed_loop(plant: StateSpace, controller: StateSpace) -> StateSpace | None:
+    """The loop u = d − C·(y + n), from [d; n] to [y; u]; None if it is not well posed."""
+    (a, b, c, d), (ac, bc, cc, dc) = ((s.A, s.B, s.C, s.D) for s in (plant, controller))
+    p, m = d.shape
+    direct = np.eye(m) + dc @ d
+    if np.linalg.cond(direct) > 1 / ON_AXIS**1.5:
+        return None
+    n, q = len(a), len(ac)
+    x, xc, disturbance, noise = np.split(np.eye(n + q + m + p), np.cumsum([n, q, m]))
+    u = np.linalg.solve(direct, disturbance - dc @ (c @ x + noise) - cc @ xc)
+    y = c @ x + d @ u
+    rows = np.concatenate([a @ x + b @ u, ac @ xc + bc @ (y + noise), y, u])
+    total = n + q
+    return StateSpace(rows[:total, :total], rows[:total, total:], rows[total:, :total], rows[total:, total:])
+
+
+def _level_zeros(one: StateSpace, two: StateSpace, level: float) -> Matrix:
+    """Where a singular value of the gap equals `level`: on the axis, and elsewhere in the plane."""
+    back1, back2 = one.adjoint, two.adjoint
+    p, m = one.D.shape
+    n1, n2 = len(one.A), len(two.A)
+    x1, z1, x2, z2, v, w = np.split(np.eye(2 * (n1 + n2) + p + m), np.cumsum([n1, n1, n2, n2, p]))
+    through1 = one.C @ x1 + one.D @ w
+    into1 = through1 + v / level
+    out2 = back2.C @ z2 + back2.D @ v
+    into2 = out2 - w / level
+    rows = np.concatenate([
+        one.A @ x1 + one.B @ w, back1.A @ z1 + back1.B @ into1,
+        two.A @ x2 + two.B @ into2, back2.A @ z2 + back2.B @ v,
+        v + two.C @ x2 + two.D @ into2 + through1 / level,
+        w + back1.C @ z1 + back1.D @ into1 - out2 / level,
+    ])  # fmt: skip
+    return _zeros(rows, 2 * (n1 + n2))
+
+
+def _norm_zeros(system: StateSpace, level: float) -> Matrix:
+    """Where a singular value of a response equals `level`."""
+    n, m = system.B.shape
+    back = system.adjoint
+    x, z, w = np.split(np.eye(2 * n + m), [n, 2 * n])
+    y = (system.C @ x + system.D @ w) / level
+    rows = [system.A @ x + system.B @ w, back.A @ z + back.B @ y, back.C @ z + back.D @ y - level * w]
+    return _zeros(np.concatenate(rows), 2 * n)
+
+
+def _zeros(rows: Matrix, n: int) -> Matrix:
+    """Zeros of a system given by its n derivatives and its equations, as rows over states and unknowns."""
+    inner = np.linalg.solve(rows[n:, n:], rows[n:, :n])
+    return np.asarray(np.linalg.eigvals(rows[:n, :n] - rows[:n, n:] @ inner))
+
+
+def _largest(
+    values: Callable[[FloatArray], FloatArray],
+    zeros: Callable[[float], Matrix],
+    poles: Matrix,
+    ceiling: float,
+) -> float:
+    """Largest value over all frequencies, or one from `ceiling` on."""
+    tried = frequencies_of(poles)
+    best, place = 0.0, 0.0
+    for _ in range(MAX_LEVELS):
+        found = values(tried)
+        if found.max() <= best * (1 + ABOVE):
+            break
+        best, place = _polish(values, float(found.max()), float(tried[found.argmax()]))
+        if best >= ceiling:
+            break
+        at = zeros(best * (1 + ABOVE))
+        at = np.sort(at.imag[np.abs(at.real) <= NEAR_AXIS * np.abs(at)])
+        tried = np.concatenate([[place], at, 0.5 * (at[1:] + at[:-1])])
+    return best
+
+
+def frequencies_of(poles: Matrix) -> FloatArray:
+    """Both ends of the axis, and from a decade below the slowest pole to a decade above the fastest."""
+    sizes = np.abs(poles)
+    sizes = sizes[sizes > ON_AXIS * sizes.max(initial=0.0)]
+    if not sizes.size:
+        sizes = np.ones(1)
+    low, high = np.log10(sizes.min()) - 1, np.log10(sizes.max()) + 1
+    some = np.logspace(low, high, int(PER_DECADE * (high - low)))
+    some = np.concatenate([some, np.abs(poles.imag), sizes, [0.0, np.inf]])
+    return some if not np.iscomplexobj(poles) else np.concatenate([some, -some])
+
+
+def _polish(values: Callable[[FloatArray], FloatArray], best: float, place: float) -> tuple[float, float]:
+    """The top of the peak next to a place, and where it is: parabolas through three points, ever closer."""
+    middle, width = place, COARSE * abs(place)
+    for _ in range(MAX_POLISH):
+        if not np.isfinite(middle) or width <= FINE * abs(middle):
+            break
+        tried = middle + width * NEIGHBOURS
+        found = values(tried)
+        if found.max() > best:
+            best, place = float(found.max()), float(tried[found.argmax()])
+        before, at, after = found
+        bend = before - 2 * at + after
+        step = 0.5 * (before - after) / bend if bend < 0 else 2 * np.sign(after - before)
+        middle += float(np.clip(step, -2.0, 2.0)) * width
+        width *= CLOSER if abs(step) < 1 else 1.0
+    return best, place
+
+
+def beside(frequencies: FloatArray, poles: Matrix) -> FloatArray:
+    """The frequencies, moved away from poles on the axis."""
+    sizes = np.abs(poles)
+    limit = ON_AXIS * sizes.max(initial=0.0)
+    others = sizes[sizes > limit]
+    off = BESIDE * float(others.min(initial=1.0) if others.size else 1.0)
+    moved = frequencies.copy()
+    for pole in poles[np.abs(poles.real) <= limit].imag:
+        near = np.abs(moved - pole) < off
+        moved[near] = pole + off
+    return moved

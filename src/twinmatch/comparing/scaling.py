@@ -1,0 +1,149 @@
+"""Units of outputs and inputs in which a controller's margin exceeds the ν-gaps of a family by most.
+
+Vinnicombe's theorem holds in any constant units: a controller whose margin b(P, C) with one plant is greater
+than the ν-gap to another stabilises that one, too. In unsuitable units it says nothing, so the units are
+searched: they maximise arcsin b − arcsin δν, a lower bound of arcsin b at every member. Where that is
+negative, units so extreme that both vanish would bring it near 0 and prove nothing; there the ratio b/δν
+counts.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import NamedTuple, cast
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from twinmatch.comparing.matrix_gap import (
+    beside,
+    closed_loop,
+    frequencies_of,
+    gaps_of,
+    matrix_margin,
+    matrix_nu_gap,
+)
+from twinmatch.comparing.state_space import StateSpace, half_plane
+from twinmatch.signals import FloatArray
+
+RATIOS = np.logspace(-3, 3, 19)
+"""Units of the outputs against those of the inputs that are tried first, relative to the given ones."""
+
+FIRST_STEP, LAST_STEP = 0.7, 0.01
+"""Of the logarithms of all units."""
+LONGER, SHORTER = 1.5, 0.9
+"""Change of a step that helped and of one that did not: a step in five helps where its size is right."""
+MAX_TRIALS = 400
+MAX_CHANGE = 1e4
+SEED = 1
+
+
+class Scaling(NamedTuple):
+    """Units of a plant's signals, and what they prove."""
+
+    outputs: FloatArray
+    """Unit of each output, shape (p,)."""
+    inputs: FloatArray
+    """Unit of each input, shape (m,); only ratios between all units matter."""
+    margin: float
+    """b(P, C) in these units; 0 if the loop is not stable."""
+    gap: float
+    """Largest ν-gap from P to a member of the family in these units."""
+
+    @property
+    def claim(self) -> float:
+        """How well that is so, positive if it is: arcsin b − arcsin δν, or else ln(b/δν)."""
+        return _claim(self.margin, self.gap)
+
+    @property
+    def holds(self) -> bool:
+        """Whether the controller is guaranteed to stabilise the whole family."""
+        return self.margin > self.gap
+
+
+def best_scaling(
+    plant: StateSpace,
+    family: Sequence[StateSpace],
+    controller: StateSpace,
+    *,
+    outputs: ArrayLike | None = None,
+    inputs: ArrayLike | None = None,
+) -> Scaling:
+    """The constant units that are best for the claim that C stabilises every member, because b(P, C) is
+    greater than the largest ν-gap from P.
+
+    Args:
+        plant: P, the member that the claim starts from.
+        family: the others; P may be one of them.
+        controller: C of u = −C·y.
+        outputs, inputs: units to begin with, shapes (p,) and (m,); default 1.
+
+    Raises:
+        DiscriminationError: periods or numbers of signals differ.
+    """
+    p = plant.n_outputs
+    begin = np.concatenate([
+        np.ones(count) if given is None else np.array(given, dtype=np.float64, ndmin=1)
+        for given, count in ((outputs, p), (inputs, plant.n_inputs))
+    ])  # fmt: skip
+
+    def in_units(units: FloatArray) -> Scaling:
+        y, u = units[:p], units[p:]
+        scaled = plant.scaled(y, u)
+        gaps = [matrix_nu_gap(scaled, member.scaled(y, u)) for member in family]
+        return Scaling(y, u, matrix_margin(scaled, controller.scaled(u, y)), max(gaps, default=0.0))
+
+    first = in_units(begin)
+    if first.margin == 0 or not family:
+        return first
+    found = in_units(_climb(_claim_in(plant, family, controller), begin, p))
+    return max(first, found, key=lambda scaling: scaling.claim)
+
+
+def _claim(margin: float, gap: float) -> float:
+    if margin > gap:
+        return math.asin(margin) - math.asin(gap)
+    return math.log(margin / gap) if margin > 0 else -math.inf
+
+
+def _claim_in(
+    plant: StateSpace, family: Sequence[StateSpace], controller: StateSpace
+) -> Callable[[FloatArray], float]:
+    """The claim in given units, from responses on a grid of frequencies."""
+    one, law, *members = half_plane(plant, controller, *family)
+    loop = cast("StateSpace", closed_loop(one, law))  # well posed, since the margin is not 0
+    poles = np.concatenate([np.linalg.eigvals(s.A) for s in (one, *members)])
+    at = beside(frequencies_of(np.linalg.eigvals(loop.A)), poles)
+    p, around = plant.n_outputs, loop.response(at)
+    origin = np.tile(one.response(at), (len(members), 1, 1))
+    to = np.concatenate([member.response(at) for member in members])
+
+    def claim(units: FloatArray) -> float:
+        y, u = units[:p], units[p:]
+        ratio = (u / y[:, None]).astype(np.complex128)
+        rows, columns = np.concatenate([y, u]), np.concatenate([u, y])
+        size = np.linalg.norm(around * (columns / rows[:, None]), 2, axis=(1, 2)).max()
+        gap = float(gaps_of(origin * ratio, to * ratio).max())
+        return _claim(min(1.0, 1 / float(size)), gap)
+
+    return claim
+
+
+def _climb(value: Callable[[FloatArray], float], units: FloatArray, outputs: int) -> FloatArray:
+    """Change the ratio of output to input, then all units at random, by steps that adapt: the
+    value has ridges, on which a search along single units stops."""
+    whole = np.arange(units.size) < outputs
+    units = max((np.where(whole, units * ratio, units) for ratio in RATIOS), key=value)
+    best, size, rng, begin = value(units), FIRST_STEP, np.random.default_rng(SEED), units
+    for _ in range(MAX_TRIALS):
+        if size < LAST_STEP or units.size == 2:
+            break
+        moved = units * np.exp(size * rng.standard_normal(units.size))
+        moved = np.clip(moved, begin / MAX_CHANGE, begin * MAX_CHANGE)
+        reached = value(moved)
+        better = reached > best
+        if better:
+            units, best = moved, reached
+        size *= LONGER if better else SHORTER
+    return units

@@ -1,0 +1,322 @@
+"""ν-gap and margin of several signals: published values, the exact one of one signal, and what Vinnicombe
+proved."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import control
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.linalg import sqrtm
+from scipy.stats import ortho_group
+
+from twinmatch.comparing import (
+    DiscriminationError,
+    StateSpace,
+    best_scaling,
+    matrix_margin,
+    matrix_nu_gap,
+    nu_gap,
+    stability_margin,
+)
+from twinmatch.dynamics import Controller, LinearLaw, PidGains, TwoLevel
+
+seeds = st.integers(0, 10**9)
+
+
+def space(numerator: list[float], denominator: list[float], period: float | None = None) -> StateSpace:
+    fraction = control.tf(numerator, denominator, *([period] if period else []))
+    return StateSpace.of(control.ss(fraction))
+
+
+PUBLISHED = [
+    # Åström and Murray, Feedback Systems; MathWorks, page of gapmetric; closed forms: of gains κ is
+    # |k₁ − k₂|/√(1 + k₁²)√(1 + k₂²), of 1/z and 0.5/z 0.5/√2√1.25, of 1/s² and 1/s 1/√2 at infinity
+    (space([100], [2, 1]), space([100], [2, -1]), 0.0200),
+    (space([100], [2, 1]), space([100], [1, 2, 1]), 0.8988),
+    (space([1], [1, 0, 0]), space([1], [1, 0]), 0.7071),
+    (space([1], [1, 0], 1.0), space([0.5], [1, 0], 1.0), 0.3162),
+    (space([1], [1, 0], 1.0), space([0.5], [1, 0, 0], 1.0), 0.9487),
+    (space([1], [1, -0.001]), space([1], [1, 0.001]), 0.0020),
+    (space([1, 2], [1, 5, 10]), space([1, 1], [1, 3, 10]), 0.1390),
+    (space([0.1], [1, 1]), space([0.1], [1, -1]), 1.0),
+    (space([2], [1]), space([3], [1]), 1 / np.sqrt(50)),
+]
+
+
+@pytest.mark.parametrize(("one", "other", "published"), PUBLISHED)
+def test_published_gaps(one: StateSpace, other: StateSpace, published: float) -> None:
+    assert matrix_nu_gap(one, other) == pytest.approx(published, abs=5.1e-5)
+    assert matrix_nu_gap(other, one) == pytest.approx(nu_gap(one, other), abs=1e-9)
+
+
+def test_published_margins() -> None:
+    """MathWorks, page of ncfmargin."""
+    assert matrix_margin(space([4], [1, -0.001]), space([1], [1])) == pytest.approx(0.7069, abs=5e-5)
+    assert matrix_margin(space([1, 2], [1, 5, 10]), space([4.4], [1, 0])) == pytest.approx(0.1961, abs=5e-5)
+
+
+def test_a_plant_is_orthogonal_to_its_negative_inverse_adjoint() -> None:
+    """P and −(P~)⁻¹: their graphs are orthogonal at every frequency."""
+    plant = random_plant(np.random.default_rng(3), 3, 2, 2, False)
+    inverse = np.linalg.inv(plant.D)
+    other = StateSpace(
+        plant.A - plant.B @ inverse @ plant.C, plant.B @ inverse, -inverse @ plant.C, inverse
+    ).adjoint
+    negative = StateSpace(other.A, other.B, -other.C, -other.D)
+    assert matrix_nu_gap(plant, negative) == 1.0
+
+
+def random_plant(
+    rng: np.random.Generator, n: int, outputs: int, inputs: int, discrete: bool, *, unstable: float = 0.2
+) -> StateSpace:
+    sizes = 10 ** rng.uniform(-1.5, 0.5, n) * np.where(rng.random(n) < unstable, 1, -1)
+    basis = rng.standard_normal((n, n))
+    poles = (1 + sizes / 2) / (1 - sizes / 2) if discrete else sizes
+    a = basis @ np.diag(poles) @ np.linalg.inv(basis)
+    b, c = rng.standard_normal((n, inputs)), rng.standard_normal((outputs, n))
+    return StateSpace(a, b, c, rng.standard_normal((outputs, inputs)), 1.0 if discrete else None)
+
+
+def near(rng: np.random.Generator, plant: StateSpace, by: float) -> StateSpace:
+    a, b, c, d = (p * (1 + by * rng.standard_normal(p.shape)) for p in (plant.A, plant.B, plant.C, plant.D))
+    return StateSpace(a, b, c, d, plant.period)
+
+
+def rotated(u: np.ndarray, plant: StateSpace, v: np.ndarray) -> StateSpace:
+    return StateSpace(plant.A, plant.B @ v, u @ plant.C, u @ plant.D @ v, plant.period)
+
+
+def diagonal(one: StateSpace, two: StateSpace) -> StateSpace:
+    parts = control.append(*(control.ss(s.A, s.B, s.C, s.D) for s in (one, two)))
+    return StateSpace(parts.A, parts.B, parts.C, parts.D, one.period)
+
+
+@pytest.mark.parametrize("discrete", [False, True])
+def test_agrees_with_the_exact_one_for_one_signal(discrete: bool) -> None:
+    checked = 0
+    for seed in range(200):
+        rng = np.random.default_rng(seed)
+        one = random_plant(rng, int(rng.integers(1, 5)), 1, 1, discrete)
+        other = near(rng, one, 0.05) if seed % 2 else random_plant(rng, 3, 1, 1, discrete)
+        exact = nu_gap(one, other)
+        checked += exact < 1
+        assert matrix_nu_gap(one, other) == pytest.approx(exact, abs=2e-9), seed
+        controller = space([0.3 * rng.standard_normal()], [1])
+        assert matrix_margin(one, controller) == pytest.approx(stability_margin(one, controller), abs=1e-9)
+    assert checked > 80
+
+
+def test_rotated_pairs_have_the_largest_gap_of_their_parts() -> None:
+    checked = 0
+    for seed in range(150):
+        rng = np.random.default_rng(seed)
+        first = [random_plant(rng, 2, 1, 1, bool(seed % 2)) for _ in range(2)]
+        second = [near(rng, plant, 0.1) for plant in first]
+        gaps = [nu_gap(a, b) for a, b in zip(first, second, strict=True)]
+        if max(gaps) == 1:
+            continue  # windings of opposite sense may cancel
+        u, v = ortho_group.rvs(2, size=2, random_state=seed)
+        pair = [rotated(u, diagonal(*plants), v) for plants in (first, second)]
+        assert matrix_nu_gap(*pair) == pytest.approx(max(gaps), abs=1e-9), seed
+        checked += 1
+    assert checked > 80
+
+
+def on_grid(one: StateSpace, other: StateSpace) -> float:
+    """By the definition on a dense grid with python-control's responses: κ, and the phase of det(I + P₂*P₁),
+    whose turns make up for the difference in unstable poles."""
+    at = np.concatenate([[1e-6], np.logspace(-4, np.log10(np.pi) if one.period else 4, 600)])
+    args = () if one.period is None else (1.0,)
+    first, second = (control.ss(s.A, s.B, s.C, s.D, *args) for s in (one, other))
+    unstable = [int(np.sum(abs(s.poles()) > 1 if args else s.poles().real > 0)) for s in (first, second)]
+    best, turned, before = 0.0, 0.0, 1.0
+    for w in at:
+        a, b = (np.atleast_2d(s(np.exp(1j * w) if args else 1j * w)) for s in (first, second))
+        left = np.linalg.inv(sqrtm(np.eye(len(b)) + b @ b.conj().T))
+        right = np.linalg.inv(sqrtm(np.eye(a.shape[1]) + a.conj().T @ a))
+        best = max(best, float(np.linalg.norm(left @ (a - b) @ right, 2)))
+        inner = np.linalg.det(np.eye(a.shape[1]) + b.conj().T @ a)
+        turned += float(np.angle(inner / before)) if w != at[0] else 0.0
+        before = inner
+    winds = round(turned / np.pi) != unstable[0] - unstable[1]
+    return 1.0 if winds else best
+
+
+@pytest.mark.parametrize("shape", [(2, 2), (2, 3), (3, 2)])
+def test_agrees_with_a_dense_grid(shape: tuple[int, int]) -> None:
+    found = []
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        one = random_plant(rng, 3, *shape, bool(seed % 2))
+        other = near(rng, one, 0.03)
+        found.append(matrix_nu_gap(one, other))
+        assert found[-1] == pytest.approx(on_grid(one, other), rel=1e-3), seed
+    assert min(found) < 0.9
+
+
+@given(seeds, st.booleans())
+@settings(max_examples=60, deadline=None)
+def test_is_a_metric_and_ignores_rotations(seed: int, discrete: bool) -> None:
+    rng = np.random.default_rng(seed)
+    outputs, inputs = (int(k) for k in rng.integers(1, 4, 2))
+    first = random_plant(rng, 3, outputs, inputs, discrete)
+    second, third = near(rng, first, 0.3), random_plant(rng, 2, outputs, inputs, discrete)
+    gap = matrix_nu_gap(first, second)
+    assert 0 <= gap <= 1
+    assert matrix_nu_gap(first, first) == 0
+    assert matrix_nu_gap(second, first) == pytest.approx(gap, abs=1e-8)
+    assert gap <= matrix_nu_gap(first, third) + matrix_nu_gap(third, second) + 1e-8
+    u = np.linalg.qr(rng.standard_normal((outputs, outputs)))[0]
+    v = np.linalg.qr(rng.standard_normal((inputs, inputs)))[0]
+    assert matrix_nu_gap(rotated(u, first, v), rotated(u, second, v)) == pytest.approx(gap, abs=1e-8)
+    transposed = matrix_nu_gap(first.transposed, second.transposed)
+    assert transposed == pytest.approx(gap, abs=1e-8)
+
+
+def is_stable(plant: StateSpace, controller: StateSpace) -> bool:
+    """By python-control's feedback."""
+    args = () if plant.period is None else (plant.period,)
+    loop = control.feedback(*(control.ss(s.A, s.B, s.C, s.D, *args) for s in (plant, controller)))
+    poles = loop.poles()
+    return bool((abs(poles) < 1).all() if args else (poles.real < 0).all())
+
+
+@given(seeds, st.booleans())
+@settings(max_examples=80, deadline=None)
+def test_what_is_nearer_than_the_margin_is_stabilised(seed: int, discrete: bool) -> None:
+    rng = np.random.default_rng(seed)
+    plant = random_plant(rng, 3, 2, 2, discrete, unstable=0.1).scaled([3.0, 3.0], [1.0, 1.0])
+    controller = random_plant(rng, 2, 2, 2, discrete, unstable=0.0)
+    controller = controller.scaled([5.0, 5.0], [1.0, 1.0])
+    margin = matrix_margin(plant, controller)
+    assert (margin > 0) == is_stable(plant, controller)
+    assert matrix_margin(controller, plant) == pytest.approx(margin, abs=1e-8)
+    other = near(rng, plant, 10 ** rng.uniform(-2.5, -0.5))
+    gap = matrix_nu_gap(plant, other)
+    if gap < margin:
+        assert is_stable(other, controller)
+        angle = np.arcsin(margin) - np.arcsin(gap)
+        assert np.arcsin(matrix_margin(other, controller)) >= angle - 1e-7
+
+
+def test_common_integrators_and_hidden_modes_change_nothing() -> None:
+    """G/s, with G of rank one, has one integrator; written with two it has a hidden one."""
+    column, row = np.array([[1.0], [2.0]]), np.array([[0.5, -1.0]])
+    for period in (None, 1.0):
+        pole = 0.0 if period is None else 1.0
+        once = [
+            StateSpace(np.full((1, 1), pole), row * k, column, np.zeros((2, 2)), period) for k in (1, 1.2)
+        ]
+        twice = [
+            StateSpace(pole * np.eye(2), k * column @ row, np.eye(2), np.zeros((2, 2)), period)
+            for k in (1, 1.2)
+        ]
+        # the gains of the one direction are 2.5 and 3: as of 2.5/s and 3/s
+        expected = nu_gap(*(StateSpace([[pole]], [[k]], [[1]], [[0]], period) for k in (2.5, 3.0)))
+        for first in (once[0], twice[0]):
+            for second in (once[1], twice[1]):
+                assert matrix_nu_gap(first, second) == pytest.approx(expected, abs=1e-9)
+        assert matrix_nu_gap(once[0], twice[0]) < 1e-9
+
+
+def test_a_pole_at_minus_one_has_a_place() -> None:
+    for poles in ([-1.0, 0.5], [-1.0, 1.0]):
+        one, other = (
+            StateSpace(np.diag(poles), np.eye(2), k * np.eye(2), np.zeros((2, 2)), 1.0) for k in (1.0, 1.3)
+        )
+        exact = max(nu_gap(*(space([k], [1, -pole], 1.0) for k in (1.0, 1.3))) for pole in poles)
+        assert matrix_nu_gap(one, other) == pytest.approx(exact, abs=1e-9)
+
+
+def test_small_gaps_keep_their_digits() -> None:
+    plant = random_plant(np.random.default_rng(1), 4, 2, 2, False, unstable=0.0)
+    by = StateSpace(plant.A, plant.B, plant.C, plant.D * (1 + 1e-8))
+    half = StateSpace(plant.A, plant.B, plant.C, plant.D * (1 + 0.5e-8))
+    assert matrix_nu_gap(plant, by) == pytest.approx(2 * matrix_nu_gap(plant, half), rel=1e-6)
+
+
+def test_margin_of_a_loop_with_unit_gain_is_its_disk_margin() -> None:
+    """|S − T|² + 1 = |[P; 1](1 + P)⁻¹[1 1]|²: b = 1/√(1 + 4/α²), α of python-control."""
+    for plant in (control.tf([2], [1, 1, 0]), control.tf([1, 3], [1, 0.4, 1, 1])):
+        alpha = float(np.min(control.disk_margins(plant, np.logspace(-3, 3, 20000), skew=0.0)[0]))
+        margin = matrix_margin(StateSpace.of(control.ss(plant)), space([1], [1]))
+        expected = 1 / np.sqrt(1 + 4 / alpha**2) if is_stable_fraction(plant) else 0.0
+        assert margin == pytest.approx(expected, rel=1e-5)
+
+
+def is_stable_fraction(plant: Any) -> bool:
+    return bool((control.feedback(plant, 1).poles().real < 0).all())
+
+
+def test_a_law_becomes_the_controller_of_its_loop() -> None:
+    """Its response to a disturbed reading is −C's, as the law computes it sample by sample."""
+    rng = np.random.default_rng(2)
+    q, m, p = 3, 2, 2
+    shapes = {"A": (q, q), "B": (q, p), "C": (m, q), "D": (m, p), "E": (m, 2), "F": (q, 2), "G": (q, m)}
+    matrices: Any = {name: 0.3 * rng.standard_normal(shape) for name, shape in shapes.items()}
+    laws = [
+        LinearLaw(
+            **matrices, offset=np.zeros(m), shift=np.zeros(q), low=np.full(m, -100.0), high=np.full(m, 99.0)
+        ),
+        PidGains(2.0, 0.3, 0.5, 1.0, -100.0, 100.0),
+    ]
+    for law in laws:
+        c = StateSpace.of(law)
+        running, state = Controller(law), np.zeros(law.n_states)
+        for k in range(6):
+            y = rng.standard_normal(law.n_outputs)
+            u = running.step(np.zeros(law.n_references), y)
+            assert -(c.C @ state + c.D @ y) == pytest.approx(u, abs=1e-12), k
+            state = c.A @ state + c.B @ y
+    with pytest.raises(DiscriminationError, match="two levels has no linear part"):
+        StateSpace.of(TwoLevel(0.0, 1.0, 1.0, 1.0))
+
+
+def test_what_does_not_fit_is_refused() -> None:
+    rng = np.random.default_rng(0)
+    plant = random_plant(rng, 2, 2, 2, False)
+    with pytest.raises(DiscriminationError, match="2 inputs and 2 outputs, the other 3 inputs and 2"):
+        nu_gap(plant, random_plant(rng, 2, 2, 3, False))
+    with pytest.raises(DiscriminationError, match=r"periods 1\.0 and None"):
+        nu_gap(plant, random_plant(rng, 2, 2, 2, True))
+    with pytest.raises(DiscriminationError, match="they must fit"):
+        stability_margin(plant, random_plant(rng, 2, 3, 2, False))
+    with pytest.raises(DiscriminationError, match="B has shape"):
+        StateSpace(np.eye(2), np.eye(3), np.eye(2), np.eye(2))
+    with pytest.raises(DiscriminationError, match="not finite"):
+        StateSpace([[np.nan]], [[1.0]], [[1.0]], [[0.0]])
+
+
+def test_the_best_units_prove_most() -> None:
+    """Better than any of 40 units drawn at random, and the same whatever the first units are."""
+    rng = np.random.default_rng(4)
+    plant = diagonal(space([0.1], [1, -0.9], 1.0), space([0.2], [1, -0.7], 1.0))
+    plant = rotated(np.array([[1.0, 0.3], [-0.2, 1.0]]), plant, np.eye(2)).scaled([1.0, 20.0], [1.0, 0.1])
+    family = [near(rng, plant, 0.02) for _ in range(2)]
+    at_rest = plant.C @ np.linalg.inv(np.eye(2) - plant.A) @ plant.B
+    controller = StateSpace(np.eye(2), np.eye(2), 0.1 * np.linalg.inv(at_rest), np.zeros((2, 2)), 1.0)
+    found = best_scaling(plant, family, controller)
+    assert found.holds
+    assert found.margin == pytest.approx(
+        matrix_margin(
+            plant.scaled(found.outputs, found.inputs), controller.scaled(found.inputs, found.outputs)
+        )
+    )
+
+    def slack(margin: float, gap: float) -> float:
+        return float(np.arcsin(margin) - np.arcsin(gap))
+
+    for _ in range(40):
+        y, u = 10 ** rng.uniform(-2, 2, (2, 2))
+        scaled = plant.scaled(y, u)
+        margin = matrix_margin(scaled, controller.scaled(u, y))
+        gap = max(matrix_nu_gap(scaled, member.scaled(y, u)) for member in family)
+        assert slack(margin, gap) <= slack(found.margin, found.gap) + 0.01
+    again = best_scaling(plant, family, controller, outputs=[30.0, 3.0], inputs=[1.0, 0.2])
+    assert slack(again.margin, again.gap) == pytest.approx(slack(found.margin, found.gap), abs=0.02)
+    destabilising = controller.scaled([1.0, 1.0], [-50.0, -50.0])
+    assert best_scaling(plant, family, destabilising).margin == 0
