@@ -18,7 +18,7 @@ from tests.support.verdicts import CANDIDATE, LED, NONE_YET, verdict
 from twinmatch.comparing import ADMITTED, REFUSED, TrustLevel, Verdict
 from twinmatch.errors import TwinmatchError
 from twinmatch.fitting import Match, Status
-from twinmatch.offline.summary import FaultSpan, SessionSummary, Tally, TrustRange, summarise, trust_range
+from twinmatch.offline.summary import LevelStretch, SessionSummary, Tally, TrustRange, summarise, trust_range
 from twinmatch.plants import Peltier
 from twinmatch.showing.console import Console
 from twinmatch.showing.figures.session import draw_verdict
@@ -31,7 +31,6 @@ from twinmatch.showing.verdicts import (
     News,
     admitted,
     events,
-    level_stretches,
     match_word,
     row,
 )
@@ -253,7 +252,7 @@ DRIVE = {"fault": "drive-lost"}
     ids=["none", "levels", "past fault", "fault"],
 )
 def test_trust_over_time(story: list[Verdict], spans: list[tuple[int, int, TrustLevel]]) -> None:
-    assert [(s.first, s.last, s.level) for s in level_stretches(story, first=10)] == spans
+    assert [(s.first, s.last, s.level) for s in Tally(story, 10).stretches] == spans
 
 
 # What a session comes down to: one line, the last lines, where forecasts held, JSON, a picture.
@@ -272,7 +271,7 @@ SUMMARY = SessionSummary(
     identified=2,
     matches={},
     order="22221",
-    range=TrustRange(24.3, 92.7, "°C"),
+    range=TrustRange(((24.3, 92.7),), "°C"),
 )
 
 
@@ -280,8 +279,9 @@ FIT, HELD = "temperature fit 98.8 %", "10, 60 and 300 s ahead between 25 and 92 
 ARX = "10 s ahead its forecasts are worse than saying that nothing changes, with 1.10 times the error"
 NONE = {"leader": None, "nominal": None, "level": UNKNOWN}
 NO_MATCH = "No twin to trust yet: 5 verdicts, but no valid match."
-LOST = FaultSpan("drive-lost", 310, 400)
-AGAIN = {"level": FAULT, "why": "the plant shows drive-lost", "faults": (LOST, LOST._replace(last=None))}
+LOST = LevelStretch(310, 400, FAULT, "drive-lost")
+SINCE = {"level": FAULT, "why": "the plant shows drive-lost", "stretches": (LOST, LOST)}
+OVER = {"stretches": (LOST, LevelStretch(401, 500, TRUSTED))}
 
 
 @pytest.mark.parametrize(
@@ -304,16 +304,16 @@ AGAIN = {"level": FAULT, "why": "the plant shows drive-lost", "faults": (LOST, L
             f"(its forecasts held {HELD}); {FIT}.",
         ),
         (
-            {**AGAIN, "period": 0.5},
+            {**SINCE, "period": 0.5},
             "Leader: match at 50 °C; do not trust it now: the plant shows drive-lost "
             f"(its forecasts held {HELD}). Faults: drive-lost from 155 to 200 s; drive-lost since 155 s.",
         ),
         (
-            {**AGAIN, "range": None, "faults": ()},
+            {**SINCE, "range": None, "stretches": ()},
             "Leader: match at 50 °C; do not trust it now: the plant shows drive-lost.",
         ),
         (
-            {"faults": (LOST,)},
+            OVER,
             f"Leader: match at 50 °C; trust it {HELD}; {FIT}. Faults: drive-lost from 310 to 400 s.",
         ),
         (
@@ -337,7 +337,7 @@ AGAIN = {"level": FAULT, "why": "the plant shows drive-lost", "faults": (LOST, L
         ),
         ({**NONE, "why": "its input acts late"}, f"{NO_MATCH} Its input acts late."),
         (
-            {**NONE, "refusal": "match refused: C ended on 5 J/K", "faults": (LOST,)},
+            {**NONE, "refusal": "match refused: C ended on 5 J/K", **OVER},
             f"{NO_MATCH} Match refused: C ended on 5 J/K. Faults: drive-lost from 310 to 400 s.",
         ),
         (
@@ -376,10 +376,14 @@ def test_the_sentence_names_the_newest_faults() -> None:
         verdict(TrustLevel.UNKNOWN, 400),
         verdict(TrustLevel.DOUBTFUL, 500, fault="room-changed", fault_since=470),
     ]
-    faults = tuple(Tally(said).faults)
-    assert faults == (LOST, FaultSpan("room-changed", 470))
-    often = sentence(replace(SUMMARY, faults=faults * 4))
-    assert " Faults: 3 before; room-changed since 470 s; drive-lost from 310 to 400 s; " in often
+    stretches = tuple(Tally(said).stretches)
+    assert [s for s in stretches if s.fault] == [
+        LevelStretch(310, 399, FAULT, "drive-lost"),
+        LevelStretch(470, 500, DOUBTFUL, "room-changed"),
+    ]
+    often = sentence(replace(SUMMARY, stretches=stretches * 4))
+    assert " Faults: 3 before; room-changed from 470 to 500 s; drive-lost from 310 to 399 s; " in often
+    assert often.endswith("; room-changed since 470 s.")
 
 
 def test_proven_is_what_was_compared_and_beats_every_baseline() -> None:
@@ -392,15 +396,24 @@ def test_proven_is_what_was_compared_and_beats_every_baseline() -> None:
 
 
 def test_where_forecasts_held_is_rounded_to_the_inside_and_to_the_plants_places() -> None:
-    found = trust_range(replace(LED, held_low=22.3, held_high=89.7), Peltier.output)
-    assert found == TrustRange(22.3, 89.7, "°C")
-    assert str(found) == "23 and 89 °C"
+    found = trust_range([(22.3, 89.7)], "°C", 1)
+    assert found == TrustRange(((22.3, 89.7),), "°C")
+    assert str(found) == "between 23 and 89 °C"
     # Readings of the tank have a noise of 0.005 l/s; in whole litres there would be no range at all.
-    small = trust_range(replace(LED, held_low=0.612, held_high=0.977), Tank.output)
-    assert str(small) == "0.62 and 0.97 l/s"
-    assert str(TrustRange(0.302, 0.309, "l/s", 2)) == "0.30 and 0.31 l/s"  # nothing is left to round away
-    assert math.isnan(LED.held_low)
-    assert trust_range(LED, Peltier.output) is None
+    assert str(trust_range([(0.612, 0.977)], "l/s", Tank.output.decimals)) == "between 0.62 and 0.97 l/s"
+    # nothing is left to round away
+    assert str(TrustRange(((0.302, 0.309),), "l/s", 2)) == "between 0.30 and 0.31 l/s"
+    assert trust_range([], "°C", 1) is None
+
+
+def test_all_levels_at_which_forecasts_held_are_named_or_the_widest() -> None:
+    """A verdict knows the range around the newest reading: being at 30 °C takes nothing away from 90."""
+    ranges = [(81.5, 85.0), (80.5, 92.7), (math.nan, math.nan), (24.3, 30.0), (24.3, 33.0)]
+    told = Tally(replace(LED, held_low=low, held_high=high) for low, high in ranges)
+    assert told.held == [(24.3, 33.0), (80.5, 92.7)]
+    assert str(trust_range(told.held, "°C", 1)) == "between 25 and 33 °C and between 81 and 92 °C"
+    many = TrustRange(((10.0, 10.5), (20.0, 23.0), (30.0, 31.0), (40.0, 46.0), (50.0, 55.0)), "°C")
+    assert str(many) == "between 20 and 23 °C, between 40 and 46 °C and between 50 and 55 °C"
 
 
 MATCHED = [verdict(TrustLevel.TRUSTED, stands=False)]

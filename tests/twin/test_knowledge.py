@@ -24,6 +24,7 @@ NO_MATCH = MatchResult("refused", "match refused: the twin cannot explain it", u
 WELL, POOR, MIXED = (0.5, 0.5), (-0.5, -0.5), (0.5, -0.5)
 WORSE = "60 s ahead its forecasts are worse than saying that nothing changes, with 1.50 times the error"
 EVERYWHERE = WORSE.replace("60", "10 and 60").replace("1.50", "1.50 and 1.50")
+UNPROVEN = "no horizon is known at which its forecasts are better"
 USELESS = f"at every horizon forecasts without a twin are better: {EVERYWHERE}"
 
 
@@ -69,8 +70,8 @@ def faulty(fault: Fault, state: HealthState = HealthState.FAULT) -> Health:
         *(
             (
                 {"forecasts": (score(skill=POOR, high=high),)},
-                TrustLevel.TRUSTED,
-                f"measurements lie within the forecast bands, but {EVERYWHERE}",
+                TrustLevel.UNKNOWN,
+                UNPROVEN,
             )
             for high in ((-0.1, 0.01), (math.nan, math.nan), ())
         ),
@@ -78,7 +79,9 @@ def faulty(fault: Fault, state: HealthState = HealthState.FAULT) -> Health:
         ({"forecasts": (score(skill=(-0.5, math.nan)),)}, TrustLevel.DOUBTFUL, "at every horizon"),
         # Little worse, but certainly.
         ({"forecasts": (score(skill=(-0.02, -0.01)),)}, TrustLevel.DOUBTFUL, "at every horizon"),
-        ({"forecasts": (score(skill=(-0.02, -0.01), high=(0.1, 0.1)),)}, TrustLevel.TRUSTED, "measurements"),
+        ({"forecasts": (score(skill=(-0.02, -0.01), high=(0.1, 0.1)),)}, TrustLevel.UNKNOWN, UNPROVEN),
+        ({"forecasts": (score(skill=(-0.02, 0.01)),)}, TrustLevel.TRUSTED, "measurements"),
+        ({"forecasts": (score(skill=(math.nan, math.nan)),)}, TrustLevel.UNKNOWN, UNPROVEN),
         (
             {"forecasts": (score(skill=MIXED),)},
             TrustLevel.TRUSTED,

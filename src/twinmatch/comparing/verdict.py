@@ -49,9 +49,9 @@ def beaten_words(beaten: Mapping[float, tuple[str, float]]) -> str:
     return ", and ".join(clauses)
 
 
-def number_list(numbers: Iterable[float], digits: str = "g") -> str:
-    """Numbers in words, at least one: 10, 60 and 300."""
-    *first, last = (format(number, digits) for number in numbers)
+def number_list(listed: Iterable[float | str], digits: str = "g") -> str:
+    """Numbers or texts in a sentence, at least one: 10, 60 and 300."""
+    *first, last = (format(one, "" if isinstance(one, str) else digits) for one in listed)
     return f"{', '.join(first)} and {last}" if first else last
 
 
@@ -59,9 +59,10 @@ class TrustLevel(Enum):
     """How far to trust the leader, from the newest window."""
 
     UNKNOWN = "unknown"
-    """There is no candidate yet, or none of its forecasts could be compared yet."""
+    """There is no candidate yet, or its forecasts were not better than those of the baselines yet."""
     TRUSTED = "trusted"
-    """The samples lie in the bands forecast for them, and no baseline is better at every horizon."""
+    """The samples lie in the bands forecast for them, and at some horizon the leader's forecasts have been
+    better than those of every baseline."""
     DOUBTFUL = "doubtful"
     """The samples lie outside (`miss_since` says since when), no match explains the window, or forecasts that
     need no twin are better at every horizon, by more than chance."""

@@ -6,12 +6,16 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
-from twinmatch.comparing import REFUSED, CandidateScore, TrustLevel, Verdict
-from twinmatch.dynamics import Law, Output, Parameters
+from twinmatch.comparing import REFUSED, CandidateScore, TrustLevel, Verdict, number_list
+from twinmatch.dynamics import Law, Parameters
 from twinmatch.signals import Window
 from twinmatch.twin import window_fit
+from twinmatch.twin.trust import merged
+
+MAX_RANGES: Final = 3
+"""Most ranges of levels in a sentence: the widest."""
 
 
 class ShownTwin(NamedTuple):
@@ -43,44 +47,43 @@ def shown_twin(verdict: Verdict | None) -> ShownTwin | None:
 
 
 class TrustRange(NamedTuple):
-    """Lowest and highest output."""
+    """Levels of the output."""
 
-    low: float
-    high: float
+    spans: tuple[tuple[float, float], ...]
+    """Lowest and highest of each range, lowest first."""
     unit: str
     decimals: int = 0
     """Decimal places to which the ends are rounded."""
 
     def __str__(self) -> str:
-        """Both ends, rounded inwards."""
+        """The widest ranges, their ends rounded inwards, with what comes before each."""
+        widest = sorted(self.spans, key=lambda span: span[0] - span[1])[:MAX_RANGES]
+        return number_list([f"between {self._rounded(*span)}" for span in sorted(widest)])
+
+    def _rounded(self, low: float, high: float) -> str:
         steps = 10.0**self.decimals
-        low, high = math.ceil(self.low * steps) / steps, math.floor(self.high * steps) / steps
-        if low > high:  # the range is narrower than the rounding
-            low, high = self.low, self.high
+        inside = math.ceil(low * steps) / steps, math.floor(high * steps) / steps
+        low, high = (low, high) if inside[0] > inside[1] else inside  # narrower than the rounding
         return f"{low:.{self.decimals}f} and {high:.{self.decimals}f} {self.unit}".rstrip()
 
 
-def trust_range(verdict: Verdict, output: Output) -> TrustRange | None:
-    """The range in which forecasts have held, one decimal place coarser than the output; None if none has."""
-    if math.isnan(verdict.held_low):
-        return None
-    return TrustRange(verdict.held_low, verdict.held_high, output.unit, max(0, output.decimals - 1))
+def trust_range(held: Sequence[tuple[float, float]], unit: str, decimals: int) -> TrustRange | None:
+    """Where forecasts have held, one decimal place coarser than the output's; None if nowhere."""
+    return TrustRange(tuple(held), unit, max(0, decimals - 1)) if held else None
 
 
-class FaultSpan(NamedTuple):
-    """A fault of the plant that was reported."""
+class LevelStretch(NamedTuple):
+    """Samples with the same trust level and the same fault, both ends included."""
 
-    fault: str
     first: int
-    """Sample since which it was there."""
-    last: int | None = None
-    """Sample of the first verdict without it; None while it lasts."""
+    last: int
+    level: TrustLevel
+    fault: str = ""
+    """Name of the plant's fault; empty for none."""
 
-    def words(self, period: float) -> str:
-        """Its name and when it was there, for a sampling period in s."""
-        if self.last is None:
-            return f"{self.fault} since {self.first * period:.0f} s"
-        return f"{self.fault} from {self.first * period:.0f} to {self.last * period:.0f} s"
+    def times(self, period: float) -> str:
+        """From when to when, for a sampling period in s."""
+        return f"{self.first * period:.0f} to {self.last * period:.0f} s"
 
 
 @dataclass(frozen=True)
@@ -104,7 +107,7 @@ class SessionSummary:
     order: str | None = None
     """Box–Jenkins order chosen for the nominal candidate."""
     range: TrustRange | None = None
-    """Range of the output in which forecasts have held."""
+    """Where forecasts have held."""
     why: str = ""
     """The reason of the level."""
     proven: tuple[float, ...] = ()
@@ -119,42 +122,73 @@ class SessionSummary:
     """Why no match came of the last excited window that gave none; empty without one."""
     closed: bool = True
     """Whether the loop is known; otherwise the fit is that of the driven twin."""
-    faults: tuple[FaultSpan, ...] = ()
-    """Faults of the plant, oldest first."""
+    stretches: tuple[LevelStretch, ...] = ()
+    """The trust level over time, oldest first."""
     period: float = 1.0
     """Sample time, s."""
+
+
+MAX_STRETCHES: Final = 400
+"""Most stretches of the trust level in a tally: the newest."""
 
 
 class Tally:
     """Counts over the verdicts for a summary, updated one verdict at a time."""
 
-    def __init__(self, verdicts: Iterable[Verdict] = ()) -> None:
-        """Start with these verdicts."""
+    def __init__(self, verdicts: Iterable[Verdict] = (), first: int | None = None) -> None:
+        """Start with these verdicts; `first`: the session's first sample, by default that of the first
+        window."""
         self.last: Verdict | None = None
         self.verdicts = self.identified = 0
         self.refusal = ""
         self.matches: Counter[str] = Counter()
         """How many matches were admitted, and how many refused."""
-        self.faults: list[FaultSpan] = []
+        self.stretches: list[LevelStretch] = []
+        """The trust level over time: that of a verdict covers the samples since the last one."""
+        self.held: list[tuple[float, float]] = []
+        """Lowest and highest output of each range in which forecasts have held, lowest first."""
+        self._first = first
         for verdict in verdicts:
             self.push(verdict)
 
     def push(self, verdict: Verdict) -> None:
         """Take a verdict."""
-        self.last = verdict
         self.verdicts += 1
         self.identified += not verdict.stands
         if verdict.match:
             self.matches[verdict.match] += 1
         if verdict.match == REFUSED:
             self.refusal = verdict.reason
-        lasting = self.faults[-1] if self.faults and self.faults[-1].last is None else None
-        now = (verdict.fault, verdict.fault_since)
-        if lasting is not None and now != lasting[:2]:
-            self.faults[-1] = lasting._replace(last=verdict.sample)
-            lasting = None
-        if lasting is None and verdict.fault and verdict.fault_since is not None:
-            self.faults.append(FaultSpan(verdict.fault, verdict.fault_since))
+        if not math.isnan(verdict.held_low):  # the range around the readings: others were held before
+            self.held = merged([*self.held, (verdict.held_low, verdict.held_high)])
+        self._extend(verdict)
+        self.last = verdict
+
+    def _extend(self, verdict: Verdict) -> None:
+        """Extend the trust level over time.
+
+        A fault begins at `fault_since`, even if there was a verdict since, and lasts until the first verdict
+        without it.
+        """
+        if self._first is None:
+            self._first = max(0, min(verdict.first, verdict.sample))
+        sample, since, fault = max(verdict.sample, self._first), verdict.fault_since, verdict.fault
+        now = LevelStretch(self._first, sample, verdict.level, fault)
+        if not self.stretches:
+            self.stretches.append(now)
+            return
+        last = self.stretches[-1]
+        if last[2:] == now[2:]:
+            self.stretches[-1] = last._replace(last=sample)
+            return
+        if last.fault and last.fault != fault:
+            last = last._replace(last=max(sample - 1, last.last))
+        begin = last.last + 1
+        if fault not in {"", last.fault} and since is not None and since <= verdict.sample:
+            begin = max(since, last.first + 1)
+            last = last._replace(last=begin - 1)
+        self.stretches[-1:] = [last, now._replace(first=begin, last=max(sample, begin))]
+        del self.stretches[:-MAX_STRETCHES]
 
 
 def summarise(
@@ -164,8 +198,10 @@ def summarise(
     notes: Sequence[str] = (),
 ) -> SessionSummary:
     """Summarise a judged session from its stretches, as `filled_stretches` gives them, and its verdicts."""
-    period = stretches[0].period if stretches else 1.0
-    return conclude(Tally(verdicts), lambda: (max(stretches, key=len), len(stretches)), law, notes, period)
+    first, period = (stretches[0].first, stretches[0].period) if stretches else (None, 1.0)
+    return conclude(
+        Tally(verdicts, first), lambda: (max(stretches, key=len), len(stretches)), law, notes, period
+    )
 
 
 def conclude(
@@ -179,6 +215,7 @@ def conclude(
     number of stretches, and is called only if there is a twin to compare it with."""
     last = tally.last
     nominal, shown = nominal_score(last), shown_twin(last)
+    output = shown.parameters.model.plant.output if shown else None
     fit = (math.nan, math.nan)
     remarks = list(notes)
     if shown is not None:
@@ -200,7 +237,7 @@ def conclude(
         matches=dict(tally.matches),
         notes=tuple(remarks),
         order=nominal.chosen_order if nominal else None,
-        range=trust_range(last, shown.parameters.model.plant.output) if last and shown else None,
+        range=trust_range(tally.held, output.unit, output.decimals) if output else None,
         why=last.level_reason if last else "",
         proven=last.proven if last else (),
         beaten=last.beaten if last else "",
@@ -208,6 +245,6 @@ def conclude(
         leader_confidence=last.leader_confidence if last else math.nan,
         refusal=tally.refusal,
         closed=law is not None,
-        faults=tuple(tally.faults),
+        stretches=tuple(tally.stretches),
         period=period,
     )

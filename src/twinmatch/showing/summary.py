@@ -61,7 +61,7 @@ def _match(summary: SessionSummary, name: str) -> str:
 def _trust(summary: SessionSummary) -> str:
     """How far to trust the leader now: names only horizons and levels at which it has been better than the
     baselines."""
-    ahead = f"{number_list(summary.proven)} s ahead between {summary.range}" if summary.proven else ""
+    ahead = f"{number_list(summary.proven)} s ahead {summary.range}" if summary.proven else ""
     held = ahead if summary.range else ""
     if summary.level in {TrustLevel.FAULT, TrustLevel.DOUBTFUL}:
         word = "doubtful now" if summary.level is TrustLevel.DOUBTFUL else "do not trust it now"
@@ -73,9 +73,12 @@ def _trust(summary: SessionSummary) -> str:
 
 
 def _faults(summary: SessionSummary) -> str:
-    older, newest = len(summary.faults) - MAX_FAULTS, summary.faults[-MAX_FAULTS:]
-    spans = [*([f"{older} before"] if older > 0 else []), *(span.words(summary.period) for span in newest)]
-    return f"Faults: {'; '.join(spans)}." if spans else ""
+    faults = [stretch for stretch in summary.stretches if stretch.fault]
+    spans = [f"{fault.fault} from {fault.times(summary.period)}" for fault in faults[-MAX_FAULTS:]]
+    if spans and faults[-1] is summary.stretches[-1]:
+        spans[-1] = f"{faults[-1].fault} since {faults[-1].first * summary.period:.0f} s"
+    older = [f"{len(faults) - MAX_FAULTS} before"] if len(faults) > MAX_FAULTS else []
+    return f"Faults: {'; '.join([*older, *spans])}." if spans else ""
 
 
 def closing_lines(summary: SessionSummary, verdict: Verdict | None) -> list[str]:
@@ -126,7 +129,7 @@ def document(
             "parameters": dict(summary.parameters) if summary.parameters else None,
             "fit": {"y": finite(summary.fit_y), "u": finite(summary.fit_u)},
             "order": summary.order,
-            "range": [summary.range.low, summary.range.high] if summary.range else None,
+            "range": [list(span) for span in summary.range.spans] if summary.range else [],
             "sentence": sentence(summary),
             "notes": list(summary.notes),
         },

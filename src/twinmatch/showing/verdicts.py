@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, MutableSequence, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Final
@@ -253,52 +253,3 @@ def _level_event(verdict: Verdict) -> tuple[str, str]:
     outside = verdict.level is TrustLevel.DOUBTFUL and verdict.miss_since is not None
     more = f": {missed(verdict)}" if outside else ""
     return verdict.level.value, f"{level_words(verdict)}{more}"
-
-
-@dataclass(frozen=True)
-class LevelStretch:
-    """Samples with the same trust level, both ends included."""
-
-    first: int
-    last: int
-    level: TrustLevel
-
-    def times(self, period: float) -> str:
-        """From when to when, for a sampling period in s."""
-        return f"{self.first * period:.0f} to {self.last * period:.0f} s"
-
-
-def level_stretches(verdicts: Iterable[Verdict], first: int = 0) -> list[LevelStretch]:
-    """The trust level over time; `first` is the index of the session's first sample."""
-    stretches: list[LevelStretch] = []
-    fault = ""
-    for verdict in verdicts:
-        extend_stretches(stretches, verdict, fault, first)
-        fault = verdict.fault
-    return stretches
-
-
-def extend_stretches(
-    stretches: MutableSequence[LevelStretch], verdict: Verdict, fault: str, first: int
-) -> None:
-    """Extend the trust level over time: a verdict's level covers the samples since the last verdict.
-
-    A fault begins at `fault_since`, even if there was a verdict since, and lasts until the first verdict
-    without it. `fault` is the name of the fault in the last verdict, `first` the session's first sample.
-    """
-    sample, since = max(verdict.sample, first), verdict.fault_since
-    if not stretches:
-        stretches.append(LevelStretch(first, sample, verdict.level))
-        return
-    last = stretches[-1]
-    if last.level is verdict.level:
-        stretches[-1] = replace(last, last=sample)
-        return
-    if fault and not verdict.fault:
-        last = replace(last, last=max(sample - 1, last.last))
-    begin = last.last + 1
-    if verdict.fault != fault and since is not None and since <= verdict.sample:
-        begin = max(since, last.first + 1)
-        last = replace(last, last=begin - 1)
-    stretches[-1] = last
-    stretches.append(LevelStretch(begin, max(sample, begin), verdict.level))

@@ -16,6 +16,7 @@ from twinmatch.twin.trust import BandCheck
 _ADAPTABLE: Final = SLOW | {Fault.DISTURBANCE}
 """Faults of a plant that still obeys its drive: its next matches adapt the twin."""
 _UNEXPLAINED: Final = "no match explains the newest window"
+_UNPROVEN: Final = "no horizon is known at which its forecasts are better than those that need no twin"
 
 
 class MatchResult(NamedTuple):
@@ -109,6 +110,8 @@ def trust_of(known: Knowledge) -> Trust:
         reason = _UNEXPLAINED
     elif miss < known.miss_limit and leading is not None and leading.useless:
         reason = f"at every horizon forecasts without a twin are better: {beaten}"
+    elif miss < known.miss_limit and leading is not None and not leading.proven(known.horizons):
+        level, reason = TrustLevel.UNKNOWN, _UNPROVEN
     elif miss < known.miss_limit:
         level, held = TrustLevel.TRUSTED, LEVEL_WORDS[TrustLevel.TRUSTED]
         reason = f"{held}, but {beaten}" if beaten else held

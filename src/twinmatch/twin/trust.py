@@ -93,7 +93,7 @@ class BandHistory:
             self.since = first if self.since is None else self.since
             return
         self.since = None
-        self._spans = _merged([*self._spans, (check.low, check.high)], self._near)
+        self._spans = merged([*self._spans, (check.low, check.high)], self._near)
         self._newest = check.last
 
     @property
@@ -105,14 +105,15 @@ class BandHistory:
         return next((s for s in self._spans if s[0] <= self._newest <= s[1]), None)
 
 
-def _merged(spans: list[tuple[float, float]], near: float) -> list[tuple[float, float]]:
-    merged: list[tuple[float, float]] = []
+def merged(spans: Sequence[tuple[float, float]], near: float = 0.0) -> list[tuple[float, float]]:
+    """Join ranges that overlap or lie within `near` of each other; lowest first."""
+    found: list[tuple[float, float]] = []
     for low, high in sorted(spans):
-        if merged and low <= merged[-1][1] + near:
-            merged[-1] = merged[-1][0], max(merged[-1][1], high)
+        if found and low <= found[-1][1] + near:
+            found[-1] = found[-1][0], max(found[-1][1], high)
         else:
-            merged.append((low, high))
-    return merged
+            found.append((low, high))
+    return found
 
 
 class LeaderConfidence:

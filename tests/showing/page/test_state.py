@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 
 from twinmatch.comparing import ADMITTED, TrustLevel, Verdict
 from twinmatch.offline.judging import Judgement
+from twinmatch.offline.summary import MAX_STRETCHES
 from twinmatch.showing.page.state import (
     CAPACITY,
     EVENTS,
-    STRETCHES,
     DashboardState,
     DriveReport,
     RollingTable,
@@ -26,7 +26,7 @@ from twinmatch.showing.page.state import (
     update_sentence,
 )
 from twinmatch.showing.summary import sentence
-from twinmatch.showing.verdicts import EventKind, Mark, events, level_stretches
+from twinmatch.showing.verdicts import EventKind, Mark, events
 from twinmatch.signals import Sample
 from twinmatch.twin import TwinSettings
 
@@ -141,7 +141,7 @@ def test_indices_that_start_over_are_a_new_session(judged: Judgement) -> None:
     state.push_sample(sample(0), 0.0)
     assert (state.session, state.sample, state.plant.count, state.twin.count) == (2, 0, 1, 0)
     assert state.verdict is None
-    assert not state.trust
+    assert not state.tally.stretches
     newest = state.events[-1]
     assert newest.title == "a new session began"
     assert newest.session == 2
@@ -174,7 +174,7 @@ def test_events_and_stretches_are_those_of_the_report(judged: Judgement) -> None
     expected = events(judged.verdicts)
     assert told == {(e.sample, e.title, e.why) for e in expected}
     assert len(state.events) == len(expected)
-    assert list(state.trust) == level_stretches(judged.verdicts)
+    assert tuple(state.tally.stretches) == judged.summary.stretches
 
 
 def test_marks_follow_what_happened(judged: Judgement) -> None:
@@ -278,7 +278,7 @@ def test_it_takes_no_more_room_however_long(judged: Judgement) -> None:
     assert grown < 100_000, f"{grown} bytes more"
     assert len(state.plant.since(0)[0]["index"]) == kept
     assert len(state.events) == EVENTS
-    assert len(state.trust) == STRETCHES
+    assert len(state.tally.stretches) == MAX_STRETCHES
 
 
 def summed_up(samples: Sequence[Sample], verdicts: Sequence[Verdict]) -> str:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from twinmatch.comparing import CandidateScore, TrustLevel, Verdict
-from twinmatch.offline.summary import ShownTwin, nominal_score, shown_twin
+from twinmatch.offline.summary import ShownTwin, Tally, nominal_score, shown_twin
 from twinmatch.showing.figures.drawing import (
     draw_inputs,
     draw_outputs,
@@ -27,7 +27,7 @@ from twinmatch.showing.figures.family import draw_gains, fill_matrix
 from twinmatch.showing.quantities import signal_names
 from twinmatch.showing.series import Comparison, compare, rolling_rms
 from twinmatch.showing.style import CLOSED, DRIVEN, LEVELS, PLANT, SET_POINT, TEXT
-from twinmatch.showing.verdicts import admitted, last_verdict, level_stretches
+from twinmatch.showing.verdicts import admitted, last_verdict
 from twinmatch.signals import FloatArray, Sample, stretches
 from twinmatch.twin import MatchReport, TwinSettings, filled_stretches
 
@@ -140,7 +140,7 @@ def draw_health(
 
 def _draw_levels(axes: Axes, verdicts: Sequence[Verdict], period: float, first: int = 0) -> None:
     """The trust level as a band, shown by height as well as colour."""
-    for stretch in level_stretches(verdicts, first):
+    for stretch in Tally(verdicts, first).stretches:
         begin, end = stretch.first * period, (stretch.last + 1) * period
         height = _HEIGHTS[stretch.level]
         axes.fill_between([begin, end], -0.5, height + 0.5, color=LEVELS[stretch.level], lw=0)

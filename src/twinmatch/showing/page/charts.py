@@ -11,11 +11,12 @@ from bokeh.plotting import figure
 
 from twinmatch.description import Description, Quantity
 from twinmatch.forecasting import Forecast
+from twinmatch.offline.summary import LevelStretch
 from twinmatch.showing.page.state import RollingTable
 from twinmatch.showing.page.style import MARKS, SHAPES
 from twinmatch.showing.quantities import with_unit
 from twinmatch.showing.style import CLOSED, DRIVEN, LEVELS, MODEL, PLANT, SET_POINT
-from twinmatch.showing.verdicts import Event, EventKind, LevelStretch
+from twinmatch.showing.verdicts import Event, EventKind
 from twinmatch.signals import FloatArray
 
 POINTS = 2400

@@ -9,7 +9,7 @@ from itertools import islice
 
 from twinmatch.comparing import TrustLevel, Verdict
 from twinmatch.description import Quantity
-from twinmatch.offline.summary import TrustRange
+from twinmatch.offline.summary import trust_range
 from twinmatch.showing.family import FIGURES, computed, criterion_rows, for_both, outputs_of
 from twinmatch.showing.page.health import NodeReports
 from twinmatch.showing.page.state import DashboardState, WhatIfAnswer
@@ -63,10 +63,10 @@ def what_to_do(state: DashboardState) -> str:
             f"Step the {said.reference.name} and hold it for some minutes (in open loop the "
             f"{said.input.name}): a twin is matched to the plant's response."
         )
-    return _advice(state.verdict, said.output)
+    return _advice(state.verdict, said.output, state.tally.held)
 
 
-def _advice(verdict: Verdict, output: Quantity) -> str:
+def _advice(verdict: Verdict, output: Quantity, held: Sequence[tuple[float, float]]) -> str:
     """What to do after a verdict."""
     if verdict.level is TrustLevel.FAULT:
         _, placed, where = verdict.reason.partition(_PLACE)
@@ -77,11 +77,8 @@ def _advice(verdict: Verdict, output: Quantity) -> str:
             "Do not rely on forecasts. If the plant was changed, let it step and settle, so that a twin is "
             "matched again; if not, look at drive and sensor."
         )
-    proven = ""
-    if not math.isnan(verdict.held_low):
-        places = max(0, output.decimals - 2)
-        held = TrustRange(verdict.held_low, verdict.held_high, output.unit, places)
-        proven = f"; its forecasts have come true between {held}"
+    levels = trust_range(held, output.unit, output.decimals - 1)
+    proven = f"; its forecasts have come true {levels}" if levels else ""
     return f"Nothing. Ask the leader what comes next{proven}."
 
 

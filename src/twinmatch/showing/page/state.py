@@ -7,6 +7,7 @@ import threading
 from collections import deque
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from copy import copy
 from dataclasses import replace
 from statistics import median
 from typing import NamedTuple
@@ -18,16 +19,14 @@ from twinmatch.comparing import Verdict
 from twinmatch.description import UNDESCRIBED, Description
 from twinmatch.errors import TwinmatchError
 from twinmatch.forecasting import Forecast
-from twinmatch.offline.summary import summarise
+from twinmatch.offline.summary import Tally, conclude
 from twinmatch.showing.page.health import NodeReports
 from twinmatch.showing.summary import sentence
 from twinmatch.showing.verdicts import (
     Event,
     EventKind,
-    LevelStretch,
     Mark,
     events_since,
-    extend_stretches,
 )
 from twinmatch.signals import FloatArray, Sample
 from twinmatch.twin import TwinSettings, filled_stretches
@@ -35,8 +34,6 @@ from twinmatch.twin import TwinSettings, filled_stretches
 CAPACITY = 36_000
 """Samples kept: an hour at 10 Hz, ten hours at 1 Hz."""
 EVENTS = 400
-STRETCHES = 400
-"""Changes of the trust level kept."""
 INTERVALS = 31
 """The sampling period is the median of so many intervals."""
 
@@ -180,7 +177,8 @@ class DashboardState:
         self.received_at: float | None = None
         """When the newest sample was received, in seconds of the receiver's clock."""
         self.verdict: Verdict | None = None
-        self.trust: deque[LevelStretch] = deque(maxlen=STRETCHES)
+        self.tally = Tally()
+        """What the verdicts of this session come down to."""
         self.verdicts = 0
         """Changes of the two above, counted."""
         self.sentence = ""
@@ -259,8 +257,7 @@ class DashboardState:
         with self.lock:
             for event in events_since(self.verdict, verdict):
                 self._log(event)
-            fault = self.verdict.fault if self.verdict else ""
-            extend_stretches(self.trust, verdict, fault, max(0, min(verdict.first, verdict.sample)))
+            self.tally.push(verdict)
             self.verdict = verdict
             self.verdicts += 1
 
@@ -322,7 +319,7 @@ class DashboardState:
             self.twin.clear()
         self.verdict, self.verdicts, self.sentence = None, self.verdicts + 1, ""
         self.forecast, self.what_if, self.forecast_changes = None, None, self.forecast_changes + 1
-        self.trust.clear()
+        self.tally = Tally()
         self._intervals.clear()
         why = f"the previous one lasted {duration:g} s"
         self._note(EventKind.NODE, Mark.NOTE, "a new session began", why)
@@ -354,7 +351,7 @@ def update_sentence(state: DashboardState, settings: TwinSettings) -> None:
     Takes a few milliseconds; call it for a new verdict, not for every sample. `settings` are the twin's.
     """
     with state.lock:
-        verdict, period = state.verdict, state.period
+        verdict, period, tally = state.verdict, state.period, copy(state.tally)
         columns, _ = state.plant.since(0)
     rows = zip(*(columns[n].tolist() for n in ("index", "reference", "output", "input")), strict=True)
     samples = [Sample(int(k), int(k), r, y, u) for k, r, y, u in rows if not math.isnan(r)]  # NaN: a gap
@@ -363,7 +360,9 @@ def update_sentence(state: DashboardState, settings: TwinSettings) -> None:
         law = settings.law and settings.law.at_period(period)
         own = replace(settings, period=period, law=law)
         with suppress(TwinmatchError):  # so few samples that there is no window
-            summed_up = sentence(summarise(filled_stretches(samples, own), [verdict], law))
+            held = filled_stretches(samples, own)
+            longest = max(held, key=len)
+            summed_up = sentence(conclude(tally, lambda: (longest, len(held)), law, period=period))
     with state.lock:
         if state.verdict is verdict:
             state.sentence = summed_up

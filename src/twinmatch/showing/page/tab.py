@@ -184,7 +184,7 @@ class Tab:
             begun = state.sample is not None
             if self._changed("happened", (state.verdicts, state.event_count, state.period, begun)):
                 mine = [e for e in reversed(state.events) if e.session == state.session]
-                self._charts.draw_events(state.trust, mine, state.period)
+                self._charts.draw_events(state.tally.stretches, mine, state.period)
                 events = panels.events_table(reversed(state.events), state.session, state.period)
                 self._show("events", events)
             if self._changed("family", (state.verdicts, self._every.active)):

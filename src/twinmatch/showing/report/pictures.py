@@ -32,7 +32,7 @@ from twinmatch.showing.figures.session import draw_health, draw_session
 from twinmatch.showing.forecasts import asked, backtest_words
 from twinmatch.showing.quantities import signal_names
 from twinmatch.showing.series import Fan, fan
-from twinmatch.showing.verdicts import admitted, last_verdict, level_stretches
+from twinmatch.showing.verdicts import admitted, last_verdict
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -186,7 +186,7 @@ def _session_alt(j: Judgement) -> str:
 
 
 def _health_alt(j: Judgement) -> str:
-    stretches = level_stretches(j.verdicts, j.samples[0].index)
+    stretches = j.summary.stretches
     levels = ", ".join(f"{s.level.value} from {s.times(j.settings.period)}" for s in stretches)
     joined, refused = len(admitted(j.verdicts)), sum(v.match == REFUSED for v in j.verdicts)
     return f"Trust over time: {levels or 'no verdict'}. {joined} matches admitted, {refused} refused."

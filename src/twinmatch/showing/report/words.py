@@ -9,7 +9,7 @@ from twinmatch.offline.judging import Judgement
 from twinmatch.offline.summary import ShownTwin, nominal_score, shown_twin
 from twinmatch.showing.quantities import ShownSignals, number, percent, signal_names
 from twinmatch.showing.series import compare, root_mean_square
-from twinmatch.showing.verdicts import admitted, last_verdict, level_stretches
+from twinmatch.showing.verdicts import admitted, last_verdict
 from twinmatch.signals import Sample
 from twinmatch.twin import TwinSettings
 
@@ -180,7 +180,7 @@ def _trust(judgement: Judgement) -> str:
     s = judgement.summary
     if s.range is None:
         return f"There is no range of the {_signals(judgement).output} in which its forecasts have held."
-    held, but = f"Its forecasts have held between {s.range}", f", but {s.beaten}" if s.beaten else ""
+    held, but = f"Its forecasts have held {s.range}", f", but {s.beaten}" if s.beaten else ""
     if s.level is TrustLevel.TRUSTED:
         return f"{held}, and at the end of the session the twin can be trusted there{but}."
     doubt = "doubtful" if s.level is TrustLevel.DOUBTFUL else "not to be trusted"
@@ -188,7 +188,7 @@ def _trust(judgement: Judgement) -> str:
 
 
 def _health(judgement: Judgement) -> str:
-    stretches = level_stretches(judgement.verdicts, judgement.samples[0].index)
+    stretches = judgement.summary.stretches
     faults, doubts = (
         ", ".join(
             f"t = {stretch.times(judgement.settings.period)}"
@@ -211,7 +211,7 @@ def _fit_facts(judgement: Judgement, shown: ShownTwin) -> list[tuple[str, str]]:
     s, signals = judgement.summary, _signals(judgement)
     y, u, driven = _residuals(judgement, shown)
     loop, open_loop = f"closed-loop twin of {shown.name}, ", f"driven twin of {shown.name}, {signals.output}"
-    trusted = ("trusted between", str(s.range) if s.range else "–")
+    trusted = ("trusted", str(s.range) if s.range else "–")
     if judgement.settings.law is None:
         return [(open_loop, f"fit {percent(s.fit_y)} %, {signals.output.text(driven, finer=2)} RMS"), trusted]
     return [
