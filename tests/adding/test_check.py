@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 from zlib import crc32
 
@@ -11,6 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.support.exchanging import Heaters
 from tests.support.plant_files import plant_file
 from tests.support.plants import Lag, Motor, Tank
 from tests.support.processes import run_twinmatch
@@ -328,3 +330,17 @@ def test_a_lag_whose_units_are_made_to_fit_passes_whatever_they_are(y: str, u: s
             )
 
     assert told(Any) == []
+
+
+def test_plants_with_several_loops_are_checked_signal_by_signal() -> None:
+    assert check_plant(PLANTS["tclab-both"], 1.0).findings == ()
+
+    class Idle(Heaters, name="idle"):
+        def equations(self, parts: frozenset[str]) -> Equations:
+            whole = super().equations(parts)
+            return replace(whole, rates={s: r.subs(self.second_power, 0) for s, r in whole.rates.items()})
+
+    found = check_plant(Idle, 2.0)
+    what = "structure 'all': the drive second_power does not act on the output"
+    assert what in [finding.what for finding in found.findings]
+    assert "second_gain is free, but does not occur" in found.unusable

@@ -23,7 +23,7 @@ from twinmatch.adding.trial import (
     trial_for,
 )
 from twinmatch.dynamics import Equations, Model, Parameters, Plant, PlantError, advance, begin
-from twinmatch.dynamics.equations import written_equations
+from twinmatch.dynamics.equations import outputs_of, written_equations
 
 Shown = Callable[[str, int, int], None]
 """Called with what is being done, how many parts of it are, and of how many."""
@@ -106,10 +106,13 @@ def unreached(plant: type[Plant]) -> Iterator[Finding]:
     equations = _equations(plant)
     for name, written in equations.items():
         place = f"structure {name!r}"
-        seen, drive = _acting(written), plant.drive.name
-        if drive not in _names(rate for state, rate in written.rates.items() if str(state) in seen):
-            what = f"{place}: the drive {drive} does not act on the output"
-            yield Finding(what, f"use self.{drive} in the rate of a state that the output depends on")
+        outputs = list(outputs_of(plant(), written).values())
+        seen = _acting(written, outputs)
+        used = _names(rate for state, rate in written.rates.items() if str(state) in seen)
+        for drive in plant.drives:
+            if drive not in used:
+                what = f"{place}: the drive {drive} does not act on the output"
+                yield Finding(what, f"use self.{drive} in the rate of a state that the output depends on")
         for state in (str(state) for state in written.rates if str(state) not in seen):
             what = f"{place}: state {state} does not act on the output, so no recording can show it"
             yield Finding(what, "remove it, or use it in the output or in another rate")
@@ -120,7 +123,8 @@ def idle_disturbances(plant: type[Plant]) -> list[str]:
     """Names of disturbances that are in no equation."""
     used: set[str] = set()
     for written in _equations(plant).values():
-        used |= _names([*written.rates.values(), written.output, *written.start.values()])
+        outputs = outputs_of(plant(), written).values()
+        used |= _names([*written.rates.values(), *outputs, *written.start.values()])
     return [name for name in plant.disturbances if name not in used]
 
 
@@ -130,10 +134,10 @@ def _equations(plant: type[Plant]) -> dict[str, Equations]:
     return {name: written_equations(plant(), parts) for name, parts in own.items()}
 
 
-def _acting(written: Equations) -> set[str]:
-    """States that act on the output, at once or through others."""
+def _acting(written: Equations, outputs: list[Any]) -> set[str]:
+    """States that act on an output, at once or through others."""
     states = {str(state): rate for state, rate in written.rates.items()}
-    seen = _names([written.output]) & set(states)
+    seen = _names(outputs) & set(states)
     while more := (_names(states[name] for name in seen) & set(states)) - seen:
         seen |= more
     return seen
@@ -167,12 +171,14 @@ _GROWS: Final = 1e-6
 
 def coarse(plant: type[Plant]) -> Iterator[Finding]:
     """Whether steps that stand out from the output's noise fit into its span."""
-    y = plant.output
-    low, high = y.span
-    if y.least_step > high - low:
-        step = f"a step that stands out is {y.least_step:g} {y.unit}, more than its span {low:g} to {high:g}"
-        what = f"{y.name}: with a noise of {y.noise:g} {y.unit}, {step}"
-        yield Finding(what, "correct `noise`, the scatter of a reading at rest, or `span`")
+    for y in plant.outputs.values():
+        low, high = y.span
+        if y.least_step > high - low:
+            step = (
+                f"a step that stands out is {y.least_step:g} {y.unit}, more than its span {low:g} to {high:g}"
+            )
+            what = f"{y.name}: with a noise of {y.noise:g} {y.unit}, {step}"
+            yield Finding(what, "correct `noise`, the scatter of a reading at rest, or `span`")
 
 
 def misdeclared(model: Model) -> Iterator[Finding]:
@@ -186,28 +192,31 @@ def misdeclared(model: Model) -> Iterator[Finding]:
 
 
 def ranges(model: Model) -> Iterator[Finding]:
-    """Whether output and states stay within their spans, at the defaults.
+    """Whether outputs and states stay within their spans, at the defaults.
 
     Not asked where nothing pulls a state back, as at a motor's angle: how far it goes depends on the time.
     """
-    parameters, y = model.parameters(), model.plant.output
+    parameters = model.parameters()
     trial = trial_for(parameters)
     run, _ = run_trial(parameters, trial)
-    states = begin(parameters, trial.output, input=float(trial.input[0]))
+    states = begin(parameters, trial.outputs, input=trial.inputs[0])
     _, by_state, _, _, seen, _ = model.kernels.slopes_at(
-        parameters.vector, states, trial.input[:1], model.disturbances
+        parameters.vector, states, trial.inputs[0], model.disturbances
     )
     integrates = ~by_state.any(axis=0)
-    low, high = float(run.output.min()), float(run.output.max())
-    if (low < y.span[0] or high > y.span[1]) and not seen[:, integrates].any():
-        yield Finding(
-            f"{model.title}: with the defaults, over the drive's range, the output goes from {low:.4g} to "
-            f"{high:.4g} {y.unit}, beyond its span {y.span[0]:g} to {y.span[1]:g}",
-            "widen `span` of the output, or check default values and units of the parameters",
-        )
+    outputs = model.plant.outputs
+    for y, values, by in zip(outputs.values(), run.outputs.T, seen, strict=True):
+        low, high = float(values.min()), float(values.max())
+        if (low < y.span[0] or high > y.span[1]) and not by[integrates].any():
+            name = f"the output {y.name}" if len(outputs) > 1 else "the output"
+            yield Finding(
+                f"{model.title}: with the defaults, over the drive's range, {name} goes from {low:.4g} to "
+                f"{high:.4g} {y.unit}, beyond its span {y.span[0]:g} to {y.span[1]:g}",
+                "widen `span` of the output, or check default values and units of the parameters",
+            )
     least, most = states.copy(), states.copy()
-    for u, row in zip(trial.input, trial.disturbances, strict=True):
-        states = advance(parameters, states, float(u), trial.period, row)
+    for u, row in zip(trial.inputs, trial.disturbances, strict=True):
+        states = advance(parameters, states, u, trial.period, row)
         least, most = np.minimum(least, states), np.maximum(most, states)
     for k, name in enumerate(model.states):
         span = model.plant.states[name].span
@@ -289,8 +298,9 @@ def in_bounds(model: Model, period: float | None) -> Iterator[Finding]:
         except PlantError as error:
             bad.append(f"{where}: {str(error).removeprefix(f'{model.title}: ')}")
             continue
-        most = float(np.abs(run.output).max())
-        if most > 1e4 * np.ptp(model.plant.output.span):
+        spans = [np.ptp(y.span) for y in model.plant.outputs.values()]
+        most = float(np.abs(run.outputs).max())
+        if (np.abs(run.outputs).max(axis=0) > 1e4 * np.array(spans)).any():
             bad.append(f"{where}: its output diverges to {most:.2g}")
     if bad:
         what = f"structure {model.structure_name!r}: cannot be simulated at {len(bad)} of {_POINTS} points"

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 from twinmatch.adding.trial import Finding
 from twinmatch.dynamics import Plant
-from twinmatch.dynamics.equations import written_equations
+from twinmatch.dynamics.equations import outputs_of, written_equations
 from twinmatch.units import Measure, measure
 
 _SAME = 1e-6
@@ -64,9 +64,9 @@ class Dimensions:
             expected = _times(_unit_of(self._units[state]), _unit_of(second), Fraction(-1))
             unit = self._symbols[state].unit or "1"
             self._compare(place, sympy.sympify(rate), expected, f"{unit} per second")
-        y = next(s for s, d in self._symbols.items() if d.name == self._plant.output.name)
+        outputs = outputs_of(self._plant(), written)
         for place, symbol, expression in (
-            ("the output", y, written.output),
+            *((f"the output {y}" if len(outputs) > 1 else "the output", y, e) for y, e in outputs.items()),
             *((f"the start of {state}", state, start) for state, start in written.start.items()),
         ):
             shown, unit = sympy.sympify(expression), self._symbols[symbol].unit or "a number"

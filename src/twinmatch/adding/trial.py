@@ -1,7 +1,7 @@
 """Findings of a plant check; a simulated experiment on a plant file, and which parameters it can tell apart.
 
-The input steps over the drive's whole range. The exact tangents of the experiment are the sensitivities of
-the output to each parameter. If a combination of parameters has no effect on the output at any of several
+Every input steps over its drive's whole range. The exact tangents of the experiment are the sensitivities of
+the outputs to each parameter. If a combination of parameters has no effect on the output at any of several
 points of the parameter space, no recording can determine it. One point where the tangents have full rank
 proves the opposite (local structural identifiability; Walter & Pronzato, Identification of Parametric Models,
 1997, section 2.6).
@@ -54,22 +54,19 @@ _SEED: Final = 7
 
 
 class Trial(NamedTuple):
-    """Inputs, shapes (N,) and (N, m), sampling period (s) and initial output of the experiment."""
+    """Inputs, (N, m), disturbances, (N, d), sampling period, s, and initial outputs, (o,)."""
 
-    input: FloatArray
+    inputs: FloatArray
     disturbances: FloatArray
     period: float
-    output: float
+    outputs: FloatArray
 
 
-def middle_of(model: Model) -> float:
-    """The output in the middle of the plant's operating range."""
-    y = model.plant.output
-    low, high = y.set_points or y.span
-    states = [model.plant.states[name].span for name in model.states]
-    if not (math.isfinite(low) and math.isfinite(high)):
-        low, high = states[0]
-    return (low + high) / 2
+def middle_of(model: Model) -> FloatArray:
+    """The outputs in the middle of the plant's operating range, shape (o,)."""
+    first = model.plant.states[model.states[0]].span if model.states else (0.0, 0.0)
+    ranges = [y.set_points or y.span for y in model.plant.outputs.values()]
+    return np.array([sum(ends if np.isfinite(ends).all() else first) / 2 for ends in ranges])
 
 
 def modes(parameters: Parameters) -> NDArray[np.complex128]:
@@ -80,8 +77,8 @@ def modes(parameters: Parameters) -> NDArray[np.complex128]:
     """
     model = parameters.model
     states = begin(parameters, middle_of(model))
-    rest = sum(model.plant.drive.limits) / 2
-    slopes = model.kernels.slopes_at(parameters.vector, states, np.array([rest]), model.disturbances)[1]
+    rest = np.array([sum(drive.limits) / 2 for drive in model.plant.drives.values()])
+    slopes = model.kernels.slopes_at(parameters.vector, states, rest, model.disturbances)[1]
     if not np.isfinite(slopes).all():
         msg = f"{model.title}: the derivatives of its rates are not finite in the middle of its range"
         raise PlantError(msg)
@@ -105,16 +102,16 @@ def trial_for(parameters: Parameters, period: float | None = None) -> Trial:
     slow = float(lags[-1]) / _PER_LAG if lags.size else 1.0
     period = affordable(parameters, float(f"{min(max(slow, 1e-6), 1e6, period or math.inf):.2g}"))
     random = np.random.default_rng(_SEED)
-    low, high = model.plant.drive.limits
-    input_ = np.empty(SAMPLES)
-    at = 0
-    while at < SAMPLES:
-        hold = int(random.integers(5, 60))
-        input_[at : at + hold] = random.uniform(low, high)
-        at += hold
+    inputs = np.empty((SAMPLES, len(model.plant.drives)))
+    for column, drive in zip(inputs.T, model.plant.drives.values(), strict=True):
+        at = 0
+        while at < SAMPLES:
+            hold = int(random.integers(5, 60))
+            column[at : at + hold] = random.uniform(*drive.limits)
+            at += hold
     moved = np.repeat(random.uniform(-1.0, 1.0, (SAMPLES // 50, model.disturbances.size)), 50, axis=0)
     disturbances = model.disturbances + 0.1 * np.maximum(np.abs(model.disturbances), 1.0) * moved
-    return Trial(input_, disturbances, period, middle_of(model))
+    return Trial(inputs, disturbances, period, middle_of(model))
 
 
 def affordable(parameters: Parameters, period: float) -> float:
@@ -130,18 +127,19 @@ def run_trial(parameters: Parameters, trial: Trial) -> tuple[Response, Window]:
     """Simulate the experiment; returns the response, also as a window.
 
     Raises:
-        PlantError: the plant is too fast for the period, or its output is not finite.
+        PlantError: the plant is too fast for the period, or an output is not finite.
     """
-    states = begin(parameters, trial.output, input=float(trial.input[0]))
+    states = begin(parameters, trial.outputs, input=trial.inputs[0])
     run = simulate_driven(
-        parameters, trial.input, states=states, period=trial.period, disturbances=trial.disturbances
+        parameters, trial.inputs, states=states, period=trial.period, disturbances=trial.disturbances
     )
-    if not np.isfinite(run.output).all():
-        at = int(np.flatnonzero(~np.isfinite(run.output))[0])
+    finite = np.isfinite(run.outputs).all(axis=1)
+    if not finite.all():
+        at = int(np.flatnonzero(~finite)[0])
         msg = f"{parameters.model.title}: its output is not a finite number after {at * trial.period:g} s"
         raise PlantError(msg)
-    held, measured = np.full(trial.input.size, trial.output), trial.disturbances
-    return run, Window(held, run.output, trial.input, period=trial.period, disturbances=measured)
+    held, measured = np.tile(trial.outputs, (len(trial.inputs), 1)), trial.disturbances
+    return run, Window(held, run.outputs, trial.inputs, period=trial.period, disturbances=measured)
 
 
 _POINTS: Final = 4
@@ -200,7 +198,9 @@ def _combinations(parameters: Parameters, free: tuple[str, ...]) -> list[_Combin
     _, window = run_trial(parameters, trial)
     starts = model.structure.free_starts
     experiment = Experiment(parameters, free, window, free_starts=starts, law=None)
-    tangents = experiment.tangents(experiment.values_of(parameters)).by[0]
+    noise = np.array([y.noise for y in model.plant.outputs.values()])
+    by = experiment.tangents(experiment.values_of(parameters)).by[: noise.size]
+    tangents = np.concatenate(by * (noise[0] / noise)[:, None, None])
     if not np.isfinite(tangents).all():
         raise PlantError(f"{model.title}: the sensitivities of its output are not finite")
     known = [(model.declared[name], parameters[name]) for name in free]
@@ -208,7 +208,7 @@ def _combinations(parameters: Parameters, free: tuple[str, ...]) -> list[_Combin
     sizes += [max(abs(model.plant.states[name].scale), 1e-12) for name in starts]
     columns = tangents * np.array(sizes)
     names = (*free, *(f"start of {name}" for name in starts))
-    least = 1e-9 * model.plant.output.noise * math.sqrt(columns.shape[0])
+    least = 1e-9 * noise[0] * math.sqrt(columns.shape[0])
     lost: list[_Combination] = []
     # Initial values first: they are always estimated, so a dependence is attributed to a parameter.
     order = [*range(len(free), len(names)), *range(len(free))]

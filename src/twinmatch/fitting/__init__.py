@@ -8,7 +8,8 @@ Fisher information and the bounds that were hit; the covariance includes the sen
 loop. A match also lists the parameters that are determined, their intervals, the best known combination, and
 the set-point step that would determine the rest. Its `Status` is the decision of the gate: only an accepted
 match may join the family of candidates. `GateLimits` are its limits; its module explains the order of the
-checks. `fit_structure` fits any structure of a plant to one or several windows, without a gate.
+checks. `fit_structure` fits any structure of a plant to one or several windows, without a gate, and
+`fit_session` to a whole session.
 
 `estimate` fits one Box–Jenkins model y = B/F u + C/D e, `estimate_ladder` the paper's ladder of nested orders
 22221 to 55551. Short windows of a running loop need correct initial conditions: those of B/F and of the noise
@@ -21,7 +22,7 @@ from twinmatch.fitting.data import ORDERS, FittingError, Order, parse_order
 from twinmatch.fitting.gate import GateLimits, Status
 from twinmatch.fitting.match import Fit, Match, match
 from twinmatch.fitting.problem import Bounds, Noise
-from twinmatch.fitting.structures import StructureFit, fit_structure
+from twinmatch.fitting.structures import StructureFit, fit_session, fit_structure
 
 __all__ = [
     "ORDERS",
@@ -37,6 +38,7 @@ __all__ = [
     "StructureFit",
     "estimate",
     "estimate_ladder",
+    "fit_session",
     "fit_structure",
     "match",
     "parse_order",

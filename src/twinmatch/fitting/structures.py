@@ -27,6 +27,7 @@ from twinmatch.dynamics import (
     Parameters,
     descend,
 )
+from twinmatch.dynamics.pace import time_constant
 from twinmatch.fitting.data import FittingError
 from twinmatch.fitting.problem import Noise, checked_law, unknown_parameters, unknown_starts
 from twinmatch.signals import BoolArray, FloatArray, Window
@@ -38,6 +39,8 @@ initial state and the sensor its first readings."""
 _LOOK = 8
 """Evaluations after which only the best of several starts continues."""
 _MAX_EVALUATIONS = 40
+STRETCH: Final = 10.0
+"""Length of the stretches in which a session is fitted, time constants of the plant."""
 LASTING: Final = 30.0
 """Correlation length of the residuals, samples: so many count as one independent residual."""
 SPREAD: Final = 0.5
@@ -123,7 +126,7 @@ def fit_structure(
     Raises:
         FittingError: no window, one that is too short, or windows of different periods.
     """
-    known = _known(model, len(windows)) if informed else {}
+    known = _known(model, len(windows)) if informed and windows else {}
     problem = _Problem(_runs(windows, model, noise or Noise.of(model.plant), law, known))
     plant = model.typical() if informed else model.parameters()
     if start is not None and start.model is model:
@@ -135,6 +138,40 @@ def fit_structure(
         values = min(looks, key=lambda look: look.cost).values
     best = problem.search(values, _MAX_EVALUATIONS if thorough else _LOOK)
     return problem.fitted(best)
+
+
+def fit_session(
+    model: Model,
+    session: Window | Sequence[Window],
+    *,
+    noise: Noise | None = None,
+    law: LoopLaw = FROM_PLANT_FILE,
+    informed: bool = True,
+    stretch: float = STRETCH,
+) -> StructureFit:
+    """Fit a structure to a whole session, over all outputs: its parameters with their covariance.
+
+    Over an hour, slow disturbances that no equation has move a simulation further from the plant than its
+    parameters do. So the session is fitted in stretches of some time constants, each from its own readings.
+
+    Args:
+        model: the plant in the structure to fit.
+        session: its samples; of one with gaps, the windows between them.
+        noise, law, informed: as for `fit_structure`.
+        stretch: length of the stretches, time constants of the plant.
+
+    Raises:
+        FittingError: as `fit_structure`.
+    """
+    stretches = []
+    for window in [session] if isinstance(session, Window) else session:
+        samples = stretch * time_constant(model.plant) / window.period
+        number = max(1, round(len(window) / max(samples, 2.0 * SETTLE))) if samples else 1
+        ends = window.first + np.linspace(0, len(window), number + 1).astype(int)
+        stretches += [
+            window.part(a, b - 1) for a, b in zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True)
+        ]
+    return fit_structure(stretches, model, noise=noise, law=law, informed=informed)
 
 
 def _known(model: Model, windows: int) -> dict[str, Known]:

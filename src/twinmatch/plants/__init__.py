@@ -19,20 +19,23 @@ from twinmatch.plants.files import (
 )
 from twinmatch.plants.incubator import Incubator
 from twinmatch.plants.peltier import Peltier
-from twinmatch.plants.tclab import TCLab
+from twinmatch.plants.tclab import TCLab, TCLabBoth
 
 __all__ = [
     "PLANTS",
     "Incubator",
     "Peltier",
     "TCLab",
+    "TCLabBoth",
     "UnknownPlantError",
     "find_plant",
     "plant_named",
     "written_name",
 ]
 
-PLANTS: Final[dict[str, type[Plant]]] = {plant.name: plant for plant in (Peltier, TCLab, Incubator)}
+PLANTS: Final[dict[str, type[Plant]]] = {
+    plant.name: plant for plant in (Peltier, TCLab, TCLabBoth, Incubator)
+}
 """The plants that come with this package, by name."""
 
 

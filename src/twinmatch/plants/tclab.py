@@ -15,11 +15,14 @@ are known as far as they are planned.
 
 Some kits answer later than this balance says, and some tables hold each input a row early. The structures
 with a dead time of heater 1 are tried where the others leave too much of a window.
+
+`TCLabBoth` is the whole kit: both heaters are driven and both temperatures measured.
 """
 
 from __future__ import annotations
 
-from typing import Any, Final
+from dataclasses import replace
+from typing import Any, ClassVar, Final
 
 from twinmatch.dynamics import (
     DeadTime,
@@ -73,7 +76,7 @@ class TCLab(Plant, name="tclab"):
     typical = {"losses": 11.0, "heating": 0.0085, "sensor_lag": 18.0}  # noqa: RUF012
     surroundings = "room, draught and second heater"
     time_constant = 100.0  # heater 110 to 180 s
-    parts = (_LAG, _RADIATION, _NEIGHBOUR, _DEAD)
+    parts: ClassVar[tuple[str, ...]] = (_LAG, _RADIATION, _NEIGHBOUR, _DEAD)
 
     temperature = Output(
         unit="°C", noise=0.12, span=(-45.0, 130.0), set_points=(25.0, 70.0), safe=(0.0, 75.0),
@@ -107,7 +110,7 @@ class TCLab(Plant, name="tclab"):
         unit="s", default=15.0, bounds=(1.0, 60.0), positive=True, symbol="τ", text="lag of the sensor"
     )
     dead_time = Parameter(
-        unit="s", default=6.0, bounds=(2.0, 30.0), positive=True, symbol="θ", text="dead time of heater 1"
+        unit="s", default=6.0, bounds=(2.0, 30.0), positive=True, symbol="θ", text="dead time of a heater"
     )
     exchange = Parameter(
         unit="W/(m² K)", default=10.0, bounds=(0.0, 200.0), scale=10.0, least=0.0, symbol="U_S",
@@ -198,3 +201,54 @@ class TCLab(Plant, name="tclab"):
             start=start,
             quantities={"heat_drawn": self.heating * power, "heat_lost": lost},
         )
+
+
+def _whole(*parts: str, watched: bool = True, text: str = "") -> Structure:
+    """Behind lags, the readings do not tell how warm the heaters are when a window begins."""
+    free = (*(_LAGGED if _LAG in parts else _HEATER), "exchange", "second_heating")
+    free += ("dead_time",) if _DEAD in parts else ()
+    starts = ("heater", "neighbour") if _LAG in parts else ()
+    return replace(_structure(free, *parts, watched=watched, text=text), free_starts=starts)
+
+
+class TCLabBoth(TCLab, name="tclab-both"):
+    """Both heaters of a Temperature Control Lab, driven by the recorded commands: two inputs, two outputs."""
+
+    title = "Temperature Control Lab, both heaters"
+    surroundings = "room and draught"
+    parts = (_LAG, _RADIATION, _DEAD)
+    followed = ""
+    loop = None  # type: ignore[assignment]  # no one-loop law fits
+
+    second = Drive(unit="%", limits=(0.0, 100.0), noise=2.0, text="heater 2", symbol="Q₂")
+    second_temperature = Output(
+        unit="°C", noise=0.12, span=(-45.0, 130.0), set_points=(25.0, 70.0), safe=(0.0, 75.0),
+        absolute=KELVIN, text="temperature T2", symbol="T₂", sensor="kit",
+    )  # fmt: skip
+    second_sensor = State(unit="K", span=(263.0, 423.0), text="temperature of sensor 2", symbol="T_C2")
+    second_acting = DeadTime(unit="%", span=(0.0, 100.0), order=2, text="power that acts on heater 2")
+
+    structures = {  # noqa: RUF012 (a constant mapping, not state)
+        "sensor lags": _whole(_LAG, text="both heaters, proportional losses"),
+        "sensor lags, radiation": _whole(_LAG, _RADIATION, text="the published balance"),
+        "no lags": _whole(watched=False),
+        "sensor lags, radiation, dead time": _whole(_LAG, _RADIATION, _DEAD, watched=False),
+    }
+
+    def equations(self, parts: frozenset[str]) -> Equations:
+        """Those of heater 1 with its neighbour, which has a sensor here."""
+        one = super().equations(parts | {_NEIGHBOUR})
+        reading = self.second_temperature + KELVIN
+        rates, start = {**one.rates}, {**one.start, self.neighbour: reading}
+        seen = self.neighbour
+        if _DEAD in parts:
+            arrives = self.second_acting.after(self.second, self.dead_time)
+            rates[self.neighbour] = rates[self.neighbour].subs(self.second, arrives.value)
+            rates |= arrives.rates
+            start |= arrives.start
+        if _LAG in parts:
+            seen = self.second_sensor
+            rates[seen] = (self.neighbour - seen) / self.sensor_lag
+            start[seen] = reading
+        output = {self.temperature: one.output, self.second_temperature: seen - KELVIN}
+        return Equations(rates=rates, output=output, start=start, quantities=one.quantities)

@@ -55,7 +55,7 @@ def parameter_format(plant: type[Plant], name: str) -> ParameterFormat:
     prefix, factor = _prefix(declared.unit, declared.scale)
     # Where the output is in °C, absolute temperatures are shown in °C too.
     difference = isinstance(declared, Parameter) and declared.relative
-    celsius = declared.unit == "K" and plant.output.unit == "°C" and not difference
+    celsius = declared.unit == "K" and not difference and any(y.unit == "°C" for y in plant.outputs.values())
     return ParameterFormat(
         name,
         f"{symbol}(0)" if start else symbol,
