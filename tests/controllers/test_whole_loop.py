@@ -176,7 +176,7 @@ def test_the_filter_is_the_sampled_transfer_function() -> None:
     ts, tf = 0.5, 3.0
     pid = FilteredPid(proportional=2.0, derivative=7.0, filter=tf, weight=0.3, derivative_weight=0.1, **WIDE)
     r, y = np.random.default_rng(4).normal(size=(2, 80))
-    u, _ = commands_of(pid_law([pid], ts).code, np.zeros(2), r[:, None], y[:, None])
+    u, _ = commands_of(pid_law([pid], ts).code, np.zeros(1), r[:, None], y[:, None])
     expected = 2.0 * (0.3 * r - y) + lfilter([7.0, -7.0], [tf + ts, -tf], 0.1 * r - y)
     np.testing.assert_allclose(u[:, 0], expected, atol=1e-12)
 

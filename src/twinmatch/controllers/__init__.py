@@ -1,10 +1,51 @@
 """May a controller be run on a plant that is known only as well as its recordings show?
 
-`WholeLoop` is a linearised plant with the law around it: its largest eigenvalue, and how far it is from
-instability. `pid_law` makes a linear law of PIDs with filters and set-point weights.
+A `Member` is a twin with what its recording leaves open. `try_controller` tries a law on every member and on
+draws of its parameters: the eigenvalues of the `WholeLoop` decide, its margins say how far it is from
+instability, and the compiled loop with its limits says what happens. `pid_law` makes a linear law of PIDs
+with filters and set-point weights, `law_from` a law of a document.
 """
 
+from twinmatch.controllers.answer import (
+    CONFIDENCE,
+    ControllerAnswer,
+    ControllerError,
+    ControllerQuestion,
+    Courses,
+    Decision,
+    Spread,
+    levels_words,
+    try_controller,
+)
+from twinmatch.controllers.law_document import law_from
+from twinmatch.controllers.members import Holding, Member
 from twinmatch.controllers.pids import FilteredPid, as_linear, pid_law
+from twinmatch.controllers.responses import LOAD, Quantity, Run
+from twinmatch.controllers.stability import MemberStability, OpenQuestion
 from twinmatch.controllers.whole_loop import UNSTABLE, ChannelMargins, WholeLoop
 
-__all__ = ["UNSTABLE", "ChannelMargins", "FilteredPid", "WholeLoop", "as_linear", "pid_law"]
+__all__ = [
+    "CONFIDENCE",
+    "LOAD",
+    "UNSTABLE",
+    "ChannelMargins",
+    "ControllerAnswer",
+    "ControllerError",
+    "ControllerQuestion",
+    "Courses",
+    "Decision",
+    "FilteredPid",
+    "Holding",
+    "Member",
+    "MemberStability",
+    "OpenQuestion",
+    "Quantity",
+    "Run",
+    "Spread",
+    "WholeLoop",
+    "as_linear",
+    "law_from",
+    "levels_words",
+    "pid_law",
+    "try_controller",
+]

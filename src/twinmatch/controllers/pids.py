@@ -72,7 +72,8 @@ class FilteredPid:
 
 def pid_law(pids: Sequence[FilteredPid], period: float) -> LinearLaw:
     """The PIDs side by side as one law at a sample time, s: the k-th takes reading and set-point k and gives
-    command k. Each has two states, its integral and what its filter remembers.
+    command k. Each has two states, its integral and what its filter remembers; without integral gain only the
+    second, since nothing would move the first.
 
     Raises:
         PlantError: there is none, or the sample time is not positive.
@@ -84,7 +85,7 @@ def pid_law(pids: Sequence[FilteredPid], period: float) -> LinearLaw:
     parts = [_matrices(each, period) for each in pids]
     a, b, c, d, e, f, g = (block_diag(*matrices) for matrices in zip(*parts, strict=True))
     offset = np.array([each.offset for each in pids])
-    windup = np.concatenate([[-period * each.back_calculation * each.offset, 0.0] for each in pids])
+    windup = -g @ offset
     low, high = ([getattr(each, end) for each in pids] for end in ("low", "high"))
     return LinearLaw(a, b, c, d, e, f, g, offset, windup, np.array(low), np.array(high), period)
 
@@ -101,7 +102,10 @@ def _matrices(pid: FilteredPid, period: float) -> tuple[np.ndarray, ...]:
     moved = rate * (1.0 - kept)
     b = np.array([[-period * pid.integral - wound * d[0, 0]], [moved]])
     f = np.array([[period * pid.integral - wound * e[0, 0]], [-moved * pid.derivative_weight]])
-    return a, b, c, d, e, f, np.array([[wound], [0.0]])
+    g = np.array([[wound], [0.0]])
+    if pid.integral == 0:
+        return a[1:, 1:], b[1:], c[:, 1:], d, e, f[1:], g[1:]
+    return a, b, c, d, e, f, g
 
 
 def as_linear(law: Law) -> LinearLaw:

@@ -31,7 +31,7 @@ class SensorRealisation:
     """
 
     noise: FloatArray
-    """Noise of each reading, unit of the output, shape (N,)."""
+    """Noise of each reading, unit of the output, shape (N,) for all outputs or (N, o)."""
     frozen: NDArray[np.bool_]
     """Where the camera repeats its last reading, shape (N,)."""
     resolution: float
@@ -40,7 +40,7 @@ class SensorRealisation:
     def __post_init__(self) -> None:
         object.__setattr__(self, "noise", np.array(self.noise, dtype=np.float64))
         object.__setattr__(self, "frozen", np.array(self.frozen, dtype=np.bool_))
-        if self.noise.ndim != 1 or self.noise.shape != self.frozen.shape:
+        if self.noise.ndim not in (1, 2) or self.noise.shape[:1] != self.frozen.shape:
             raise PlantError(
                 f"sensor realisation: noise has shape {self.noise.shape} and frozen {self.frozen.shape}; "
                 "give one value per sample in both"
@@ -52,7 +52,7 @@ class SensorRealisation:
         self.frozen.flags.writeable = False
 
     def __len__(self) -> int:
-        return int(self.noise.size)
+        return len(self.noise)
 
     def reading(self, index: int, seen: float, last: float | None = None) -> float:
         """The reading at one tick of the value `seen`; `last` is the reading before.

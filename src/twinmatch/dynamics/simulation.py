@@ -296,7 +296,7 @@ def _run(  # noqa: PLR0917 (what a run needs)
         if len(sensor) != size:
             msg = f"{model.title}: the sensor is realised for {len(sensor)} samples; realise it for {size}"
             raise PlantError(msg)
-        noise[:] = sensor.noise[:, None]
+        noise[:] = sensor.noise if sensor.noise.ndim == 2 else sensor.noise[:, None]
         frozen, resolution = np.array(sensor.frozen), float(sensor.resolution)
     steps = parameters.steps(period)
     outputs, inputs, passed = model.kernels.run(

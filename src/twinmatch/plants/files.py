@@ -23,7 +23,7 @@ from pathlib import Path
 from types import CodeType, ModuleType
 from typing import Final
 
-from twinmatch.dynamics import Plant, PlantError
+from twinmatch.dynamics import Law, Plant, PlantError
 from twinmatch.dynamics.definition import PlantType
 from twinmatch.dynamics.equations import PATIENCE, TooLongError, at_most, error_words
 
@@ -98,6 +98,21 @@ def load_plant(name: str) -> type[Plant]:
     _BY_FILE[path] = _BY_NAME[plant.name] = plant
     _WRITTEN[plant.name] = name
     return plant
+
+
+def load_law(name: str) -> Law:
+    """The law that a file calls `loop`, as a plant does in its class; the file is run.
+
+    Raises:
+        PlantError: no such file, a mistake in it, or no such law.
+    """
+    path = Path(name).expanduser().resolve()
+    if not path.is_file():
+        raise PlantError(f"{name}: there is no such file (looked for {path}); give the file with the law")
+    law = getattr(_run(path, name), "loop", None)
+    if not isinstance(law, Law):
+        raise PlantError(f"{name}: has no law; write one such as loop = PidGains(…)")
+    return law
 
 
 def loaded(name: str) -> type[Plant] | None:

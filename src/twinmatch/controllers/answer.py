@@ -1,0 +1,318 @@
+"""May this controller be run? The question, and the answer from every twin that the recordings allow."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from enum import Enum
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from twinmatch.controllers.members import Holding, Member
+from twinmatch.controllers.pids import as_linear
+from twinmatch.controllers.responses import LOAD, Quantity, Run, quantities_of, run_law
+from twinmatch.controllers.stability import (
+    MAX_UNSTABLE,
+    MemberStability,
+    OpenQuestion,
+    Point,
+    open_question,
+    stability_of,
+)
+from twinmatch.dynamics import Law, Parameters, Plant, PlantError, Rest, TwoLevel
+from twinmatch.errors import TwinmatchError
+from twinmatch.signals import FloatArray
+
+CONFIDENCE: Final = 0.9
+"""Share of the draws within a band."""
+MIN_DRAWS: Final = 25
+"""Draws of each twin, at least."""
+MAX_POINTS: Final = 8
+"""Operating points at which the loop is linearised, at most."""
+
+
+class ControllerError(TwinmatchError):
+    """A controller cannot be tried on these twins."""
+
+
+class Decision(Enum):
+    """Whether a controller may be run."""
+
+    SAFE = "safe"
+    FAILS = "fails"
+    UNDECIDED = "undecided"
+
+
+@dataclass(frozen=True, eq=False)
+class ControllerQuestion:
+    """A law, and under which conditions it is to be tried."""
+
+    law: Law
+    references: FloatArray
+    """Set-points of every sample, shape (N, r)."""
+    holding: Holding
+    """How the plant is brought to an operating point; its law is the one that ran, for comparison."""
+    draws: int = 200
+    """Draws over all twins."""
+    seed: int = 31
+
+
+class Spread(NamedTuple):
+    """Median and band of a figure over all draws."""
+
+    low: float
+    median: float
+    high: float
+
+    @classmethod
+    def of(cls, values: Sequence[float]) -> Spread:
+        """Of these values; one may be infinite."""
+        below = (1.0 - CONFIDENCE) / 2.0
+        row = np.array(values)
+        if np.isnan(row).all():
+            return cls(math.nan, math.nan, math.nan)
+        ends = np.nanquantile(row, (below, 0.5, 1.0 - below), method="nearest")
+        return cls(*(float(end) for end in ends))
+
+
+@dataclass(frozen=True, eq=False)
+class Courses:
+    """What one law does on all draws."""
+
+    figures: Mapping[Quantity, Spread]
+    outputs: FloatArray
+    """Lower end, median and upper end of the outputs at every sample, shape (3, N, o)."""
+    inputs: FloatArray
+    """Of the commands, shape (3, N, m)."""
+    values: Mapping[Quantity, FloatArray]
+    """The figures of every draw, shape (draws,)."""
+    owner: FloatArray
+    """Number of the twin of every draw, shape (draws,)."""
+
+
+@dataclass(frozen=True, eq=False)
+class ControllerAnswer:
+    """Whether a law may be run, and what it does."""
+
+    plant: type[Plant]
+    decision: Decision
+    sentence: str
+    members: tuple[str, ...]
+    points: tuple[Point, ...]
+    stability: tuple[MemberStability, ...]
+    """Of every twin; empty for a law that is not linear."""
+    question: OpenQuestion | None
+    """What is left open, if the answer is undecided."""
+    time: FloatArray
+    """s, shape (N,)."""
+    references: FloatArray
+    """Shape (N, r)."""
+    courses: Courses
+    running: Courses | None
+    """Of the law that ran, if it is known."""
+    notes: tuple[str, ...] = ()
+    guarantee: str = ""
+    """What holds beyond the draws, with its premises; empty if nothing does."""
+
+
+def operating_points(references: FloatArray) -> tuple[Point, ...]:
+    """The distinct set-points of a profile, at most `MAX_POINTS` that are spread over them, and both ends."""
+    every = np.unique(references, axis=0)
+    if len(every) > MAX_POINTS:
+        every = every[np.linspace(0, len(every) - 1, MAX_POINTS).round().astype(int)]
+    return tuple(tuple(row) for row in every.tolist())
+
+
+def try_controller(
+    members: Sequence[Member],
+    question: ControllerQuestion,
+    watch: Callable[[int, int], None] | None = None,
+) -> ControllerAnswer:
+    """Try a law on every twin and on draws of its parameters; `watch` is called with draws done and all.
+
+    Raises:
+        ControllerError: there is no twin, or none can be held at any operating point.
+        PlantError: the law is for another number of signals.
+    """
+    if not members:
+        raise ControllerError("controller: there is no twin to try it on")
+    plant, points = members[0].parameters.model.plant, operating_points(question.references)
+    number = max(question.draws // len(members), MIN_DRAWS)
+    drawn = [member.drawn(number, question.seed + k) for k, member in enumerate(members)]
+    stability, notes, kept = [], [], []
+    linear = not isinstance(question.law, TwoLevel)
+    for k, member in enumerate(members):
+        try:
+            if linear:
+                law = as_linear(question.law)
+                stability.append(stability_of(member, law, points, question.holding, drawn[k]))
+            kept.append(k)
+        except PlantError as error:
+            notes.append(f"{member.name} is left out: {error}")
+    if not kept:
+        raise ControllerError(f"controller: none of the twins can be held there; {notes[0]}")
+    owners = [(members[k], drawn[k]) for k in kept]
+    laws = [question.law] if question.holding.law is None else [question.law, question.holding.law]
+    progress = _Progress(watch, len(laws) * sum(len(each) for each in drawn))
+    courses = [_courses(owners, law, question, progress) for law in laws]
+    names = tuple(members[k].name for k in kept)
+    decision, sentence, asked = _decide(plant, names, stability, courses[0], question)
+    period = question.holding.period
+    return ControllerAnswer(
+        plant,
+        decision,
+        sentence,
+        names,
+        points,
+        tuple(stability),
+        asked,
+        np.arange(len(question.references), dtype=np.float64) * period,
+        question.references,
+        courses[0],
+        courses[1] if len(courses) > 1 else None,
+        tuple(notes),
+    )
+
+
+class _Progress:
+    def __init__(self, watch: Callable[[int, int], None] | None, total: int) -> None:
+        self._watch, self._total, self._done = watch, total, 0
+
+    def step(self) -> None:
+        self._done += 1
+        if self._watch is not None and self._done % 10 == 0:
+            self._watch(self._done, self._total)
+
+
+def _courses(
+    owners: Sequence[tuple[Member, Sequence[Parameters]]],
+    law: Law,
+    question: ControllerQuestion,
+    progress: _Progress,
+) -> Courses:
+    """What a law does on all draws of all twins."""
+    acting = law if isinstance(law, TwoLevel) else as_linear(law)
+    rng, runs, owner = np.random.default_rng(question.seed), [], []
+    for k, (member, drawn) in enumerate(owners):
+        for parameters in drawn:
+            progress.step()
+            try:
+                runs.append(_course(member, parameters, acting, question, rng))
+            except PlantError:
+                continue  # a draw that cannot be held at the first set-point
+            owner.append(k)
+    if not runs:
+        raise ControllerError("controller: no draw can be held at the first set-point of the profile")
+    values = {q: np.array([found[q] for _, found in runs]) for q in runs[0][1]}
+    return Courses(
+        {q: Spread.of(row.tolist()) for q, row in values.items()},
+        _band([run.outputs for run, _ in runs]),
+        _band([run.inputs for run, _ in runs]),
+        values,
+        np.array(owner, dtype=np.float64),
+    )
+
+
+def _course(
+    member: Member,
+    parameters: Parameters,
+    law: Law,
+    question: ControllerQuestion,
+    rng: np.random.Generator,
+) -> tuple[Run, dict[Quantity, float]]:
+    """One draw over the profile with noisy readings, and without noise after a load at each input."""
+    model, holding, references = parameters.model, question.holding, question.references
+    at_rest = holding.linear(parameters, references[0].tolist(), member.disturbances)
+    start, given = at_rest, {"disturbances": member.disturbances}
+    if member.states is not None and member.inputs is not None:
+        start = at_rest._replace(rest=Rest(member.states, member.inputs))
+    noise = model.noise * rng.standard_normal((len(references), model.noise.size))
+    run = run_law(parameters, law, references, start, noise=noise, **given)
+    level, loads = np.tile(references[0], (holding.samples, 1)), []
+    for i, drive in enumerate(model.plant.drives.values()):
+        load = np.zeros(len(model.plant.drives))
+        load[i] = LOAD * (drive.limits[1] - drive.limits[0])
+        loads.append(run_law(parameters, law, level, at_rest, load=load, **given))
+    return run, quantities_of(run, loads, parameters, law)
+
+
+def _band(rows: Sequence[FloatArray]) -> FloatArray:
+    below = (1.0 - CONFIDENCE) / 2.0
+    quantiles = np.quantile(np.array(rows), (below, 0.5, 1.0 - below), axis=0, method="nearest")
+    return np.asarray(quantiles, dtype=np.float64)
+
+
+def _decide(
+    plant: type[Plant],
+    names: Sequence[str],
+    stability: Sequence[MemberStability],
+    courses: Courses,
+    question: ControllerQuestion,
+) -> tuple[Decision, str, OpenQuestion | None]:
+    """The decision, its sentence, and what is left open."""
+    failing = [one for one in stability if one.fails]
+    if failing:
+        first = max(failing, key=lambda one: one.eigenvalue)
+        where = levels_words(plant, first.point)
+        why = f"its loop is unstable at {where}: largest eigenvalue {first.eigenvalue:.4f}"
+        return Decision.FAILS, _fails(len(failing), names, first.member.name, why), None
+    if leaving := _leaves_range(plant, names, courses):
+        return Decision.FAILS, leaving, None
+    unsure = [one for one in stability if not one.sound]
+    draws = sum(one.eigenvalues.size for one in stability)
+    if unsure:
+        first = max(unsure, key=lambda one: one.unstable)
+        unstable = sum(int(np.sum(one.eigenvalues >= 1.0)) for one in stability)
+        words = f"undecided: unstable in {unstable} of {draws} draws of what the data leave open"
+        if not first.member.free:
+            return Decision.UNDECIDED, words, None
+        asked = open_question(first, question.references[0], question.holding)
+        return Decision.UNDECIDED, f"{words}; {open_words(first.member.parameters, asked)}", asked
+    of = f"{len(names)} of {len(names)} twins"
+    if not stability:
+        return Decision.SAFE, f"safe for all that the data allow: within the safe range on {of}", None
+    worst = max(stability, key=lambda one: one.eigenvalue)
+    words = (
+        f"stable on {of} and in {draws} draws of their parameters, largest eigenvalue {worst.eigenvalue:.4f}"
+    )
+    return Decision.SAFE, f"safe for all that the data allow: {words}", None
+
+
+def _fails(number: int, names: Sequence[str], first: str, why: str) -> str:
+    on = f"on {number} of {len(names)} twins, first on {first}" if len(names) > 1 else f"on {first}"
+    return f"fails {on}: {why}"
+
+
+def _leaves_range(plant: type[Plant], names: Sequence[str], courses: Courses) -> str:
+    """A sentence if an output leaves the range that is safe for the plant; empty otherwise."""
+    for name, output in plant.outputs.items():
+        low, high = output.safe
+        lowest, highest = (courses.values[Quantity(end, name, output.unit)] for end in ("lowest", "highest"))
+        outside = (lowest < low) | (highest > high) | ~np.isfinite(highest - lowest)
+        share = [float(np.mean(outside[courses.owner == k])) for k in range(len(names))]
+        failing = [k for k, part in enumerate(share) if part > MAX_UNSTABLE]
+        if failing:
+            first = max(failing, key=share.__getitem__)
+            ends = f"{np.nanmin(lowest):.4g} to {np.nanmax(highest):.4g}"
+            why = f"{name} takes values from {ends} {output.unit}; {low:g} to {high:g} {output.unit} is safe"
+            return _fails(len(failing), names, names[first], why)
+    return ""
+
+
+def levels_words(plant: type[Plant], point: Sequence[float]) -> str:
+    """An operating point in words."""
+    return ", ".join(f"{v:g} {o.unit}" for v, o in zip(point, plant.outputs.values(), strict=True))
+
+
+def open_words(parameters: Parameters, asked: OpenQuestion) -> str:
+    """What a decision hangs on, and what to do, in words."""
+    declared, drives = parameters.model.declared[asked.parameter], parameters.model.plant.drives
+    text = declared.text or asked.parameter
+    drive = drives[asked.drive]
+    named = drive.text.split(",")[0] or asked.drive
+    return (
+        f"it hangs on {asked.parameter} ({text}), which this recording does not show: step {named} by "
+        f"{asked.step:g} {drive.unit}"
+    )

@@ -1,0 +1,176 @@
+"""What happens when a law runs on a twin, in the compiled loop: over a profile, and after a load."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from twinmatch.dynamics import (
+    Law,
+    Linear,
+    LinearLaw,
+    Parameters,
+    SensorRealisation,
+    TwoLevel,
+    simulate_closed_loop,
+)
+from twinmatch.dynamics.laws import LOW
+from twinmatch.signals import FloatArray
+
+SETTLED: Final = 0.05
+"""Share of a set-point's step within which the output has settled; at least three times its noise."""
+LOAD: Final = 0.1
+"""Load at an input, as a share of the drive's range."""
+
+
+class Run(NamedTuple):
+    """One simulated course, sample by sample."""
+
+    references: FloatArray
+    """Shape (N, r)."""
+    outputs: FloatArray
+    """The outputs themselves, without the noise of their readings, shape (N, o)."""
+    inputs: FloatArray
+    """Shape (N, m)."""
+
+
+def loaded(law: Law, load: FloatArray) -> Law:
+    """The same law with a load at the plant's inputs, shape (m,): the plant receives command plus load."""
+    if isinstance(law, TwoLevel):
+        by = float(load[0])
+        return replace(law, off=law.off + by, on=law.on + by)
+    assert isinstance(law, LinearLaw)  # noqa: S101 (callers convert)
+    return replace(
+        law,
+        offset=law.offset + load,
+        low=law.low + load,
+        high=law.high + load,
+        shift=law.shift - law.G @ load,
+    )
+
+
+def state_holding(law: Law, references: FloatArray, outputs: FloatArray, inputs: FloatArray) -> FloatArray:
+    """The state in which a law gives these commands at these readings for as long as they last, shape (q,).
+
+    A law without integral action has none that fits exactly; then the nearest.
+    """
+    if isinstance(law, TwoLevel):
+        on = float(inputs[0] > 0.5 * (law.off + law.on))
+        return np.array([on, law.least_on + law.least_off, float(outputs[0])])
+    assert isinstance(law, LinearLaw)  # noqa: S101 (callers convert)
+    known = law.B @ outputs + law.F @ references + law.G @ inputs + law.shift
+    given = inputs - law.D @ outputs - law.E @ references - law.offset
+    rows = np.vstack([law.C, np.eye(law.n_states) - law.A])
+    state: FloatArray = np.linalg.lstsq(rows, np.concatenate([given, known]), rcond=None)[0]
+    return state
+
+
+def run_law(
+    parameters: Parameters,
+    law: Law,
+    references: FloatArray,
+    start: Linear,
+    *,
+    states: FloatArray | None = None,
+    load: FloatArray | None = None,
+    disturbances: FloatArray | None = None,
+    noise: FloatArray | None = None,
+) -> Run:
+    """Run a law over set-points, shape (N, r), from where the plant is held, or from other states on.
+
+    `load` acts from the first sample on, shape (m,); `noise` is that of the readings, shape (N, o).
+    """
+    begun, inputs = start.rest.states if states is None else states, start.rest.inputs
+    model, size = parameters.model, len(references)
+    row = model.disturbance_row(disturbances)
+    at: FloatArray = model.kernels.outputs_at(parameters.vector, begun, inputs, row)[0]
+    given = np.zeros((size, at.size)) if noise is None else noise
+    run = simulate_closed_loop(
+        parameters,
+        references,
+        states=begun,
+        law=law if load is None else loaded(law, load),
+        controller=state_holding(law, references[0], at, inputs),
+        disturbances=np.tile(row, (size, 1)),
+        sensor=SensorRealisation(given, np.zeros(size, dtype=np.bool_), 0.0),
+    )
+    return Run(references, run.outputs - given, run.inputs if load is None else run.inputs - load)
+
+
+class StepFigures(NamedTuple):
+    """How an output follows the steps of its set-point; NaN without a step."""
+
+    overshoot: float
+    """Largest distance beyond the new set-point, in the output's unit."""
+    settling: float
+    """Longest time until it stays within `SETTLED` of a step, s; infinite if it does not before the next."""
+
+
+def step_figures(reference: FloatArray, output: FloatArray, noise: float, period: float) -> StepFigures:
+    """Over all steps of a set-point, each until the next one; arrays of shape (N,)."""
+    places = np.flatnonzero(np.diff(reference)) + 1
+    beyond, times = [], []
+    for first, last in pairwise([*places, reference.size]):
+        step = reference[first] - reference[first - 1]
+        error = (output[first:last] - reference[first]) * math.copysign(1.0, step)
+        away = np.flatnonzero(~(np.abs(error) <= max(SETTLED * abs(step), 3.0 * noise)))
+        beyond.append(max(float(error.max()), 0.0))
+        ended = away.size and away[-1] == error.size - 1
+        times.append(math.inf if ended else period * (away[-1] + 1 if away.size else 0))
+    return StepFigures(max(beyond, default=math.nan), max(times, default=math.nan))
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """What is measured of a course."""
+
+    name: str
+    signal: str
+    """Name of the output or drive; empty: of the whole loop."""
+    unit: str
+
+
+def quantities_of(run: Run, loads: Sequence[Run], model_of: Parameters, law: Law) -> dict[Quantity, float]:
+    """All figures of a course over a profile, and of those after a load at each input."""
+    plant, period = model_of.model.plant, law.period
+    found: dict[Quantity, float] = {}
+    off = run.outputs - run.references
+    with np.errstate(over="ignore", invalid="ignore"):
+        for j, (name, output) in enumerate(plant.outputs.items()):
+            steps = step_figures(run.references[:, j], run.outputs[:, j], output.noise, period)
+            found[Quantity("mean squared error", name, f"{output.unit}²")] = float(np.mean(off[:, j] ** 2))
+            found[Quantity("overshoot", name, output.unit)] = steps.overshoot
+            found[Quantity("settling time", name, "s")] = steps.settling
+            found[Quantity("lowest", name, output.unit)] = float(run.outputs[:, j].min())
+            found[Quantity("highest", name, output.unit)] = float(run.outputs[:, j].max())
+            for drive, load in zip(plant.drives, loads, strict=True):
+                from_ = "" if len(plant.drives) == 1 else f" at {drive}"
+                worst = float(np.abs(load.outputs[:, j] - load.references[:, j]).max())
+                found[Quantity(f"excursion after a load{from_}", name, output.unit)] = worst
+        if isinstance(law, TwoLevel):
+            return found | _cycle(run, next(iter(plant.outputs.values())).unit, period)
+        for i, (name, declared) in enumerate(plant.drives.items()):
+            u, low, high = run.inputs[:, i], *law.code[LOW + i :: law.n_inputs][:2]
+            moved = float(np.abs(np.diff(u)).sum()) * 60.0 / (period * max(u.size - 1, 1))
+            found[Quantity("travel a minute", name, declared.unit)] = moved
+            limited = float(np.mean((u <= low) | (u >= high)))
+            found[Quantity("time at a limit", name, "%")] = 100.0 * limited
+    return found
+
+
+def _cycle(run: Run, unit: str, period: float) -> dict[Quantity, float]:
+    """Cycle and switching rate of two levels, over the whole course."""
+    on = run.inputs[:, 0] > run.inputs[:, 0].mean()
+    starts = np.flatnonzero(~on[:-1] & on[1:])
+    cycle = period * float(np.diff(starts).mean()) if starts.size > 1 else math.inf
+    swing = [np.ptp(run.outputs[a:b, 0]) for a, b in pairwise(starts)]
+    return {
+        Quantity("cycle", "", "s"): cycle,
+        Quantity("switchings an hour", "", ""): 3600.0 / period * float(np.mean(on[:-1] != on[1:])),
+        Quantity("swing of a cycle", "", unit): float(np.median(swing)) if swing else math.nan,
+    }

@@ -1,0 +1,161 @@
+"""Whether a law holds every twin that a recording allows, and on what that hangs where it is open."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+
+from twinmatch.controllers.members import Holding, Member
+from twinmatch.controllers.whole_loop import ChannelMargins, WholeLoop
+from twinmatch.dynamics import LinearLaw, Parameters, PlantError, begin, simulate_driven
+from twinmatch.signals import FloatArray
+
+MAX_UNSTABLE: Final = 0.01
+"""Share of unstable draws up to which a law is sound on a twin; from one minus that on it fails."""
+STEP: Final = 0.1
+"""Step of a drive that is suggested, as a share of its range."""
+Point = tuple[float, ...]
+"""An operating point: a level for each output."""
+
+
+@dataclass(frozen=True, eq=False)
+class MemberStability:
+    """The whole loop of a law with one twin, over all operating points."""
+
+    member: Member
+    eigenvalue: float
+    """The largest, over the points, with the twin's own parameters."""
+    point: Point
+    """Where that is."""
+    drawn: tuple[Parameters, ...]
+    eigenvalues: FloatArray
+    """The largest of every draw, shape (draws,)."""
+    margins: tuple[ChannelMargins, ...]
+    """The least over the points, of every command; with the twin's own parameters."""
+    sensitivity: float
+    """Maximum sensitivity of the whole loop."""
+
+    @cached_property
+    def unstable(self) -> float:
+        """Probability that the loop is unstable."""
+        return float(np.mean(self.eigenvalues >= 1.0))
+
+    @property
+    def fails(self) -> bool:
+        """Whether the loop is unstable, as far as the recording tells."""
+        return self.eigenvalue >= 1.0 and self.unstable >= 1.0 - MAX_UNSTABLE
+
+    @property
+    def sound(self) -> bool:
+        """Whether the loop is stable, as far as the recording tells."""
+        return self.eigenvalue < 1.0 and self.unstable <= MAX_UNSTABLE
+
+
+def stability_of(
+    member: Member,
+    law: LinearLaw,
+    points: Sequence[Point],
+    holding: Holding,
+    drawn: Sequence[Parameters],
+) -> MemberStability:
+    """The whole loop at those operating points at which the twin can be held.
+
+    Raises:
+        PlantError: it can be held at none of them.
+    """
+    row = member.disturbances
+    loops, error = _loops(member.parameters, law, points, holding, row)
+    if not loops:
+        raise PlantError(error)
+    sizes = {point: loop.eigenvalue for point, loop in loops.items()}
+    worst = max(sizes, key=sizes.__getitem__)
+    margins = [loop.margins() for loop in loops.values()]
+    known = list(loops)
+    each = [_loops(one, law, known, holding, row)[0] for one in drawn]
+    return MemberStability(
+        member,
+        sizes[worst],
+        worst,
+        tuple(drawn),
+        np.array([max((loop.eigenvalue for loop in held.values()), default=math.inf) for held in each]),
+        tuple(_least(channel) for channel in zip(*margins, strict=True)),
+        max(loop.sensitivity() for loop in loops.values()),
+    )
+
+
+def _loops(
+    parameters: Parameters, law: LinearLaw, points: Sequence[Point], holding: Holding, row: FloatArray | None
+) -> tuple[dict[Point, WholeLoop], str]:
+    """The loop at every point at which the plant can be held, and why not at another."""
+    held, error = {}, ""
+    for point in points:
+        try:
+            held[point] = WholeLoop(holding.linear(parameters, point, row), law)
+        except PlantError as found:
+            error = str(found)
+    return held, error
+
+
+def _least(margins: Sequence[ChannelMargins]) -> ChannelMargins:
+    return ChannelMargins(
+        max(m.gain_down for m in margins),
+        min(m.gain_up for m in margins),
+        min(m.delay for m in margins),
+        max(m.sensitivity for m in margins),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class OpenQuestion:
+    """What a decision hangs on, and the experiment that would settle it."""
+
+    parameter: str
+    """Name of the parameter with which the largest eigenvalue moves most."""
+    drive: str
+    """Name of the drive whose step shows that parameter most."""
+    step: float
+    """That step, in the drive's unit."""
+
+
+def open_question(found: MemberStability, point: Sequence[float], holding: Holding) -> OpenQuestion:
+    """The parameter that decides over the draws, and the step after which the outputs show it most."""
+    free, drawn = found.member.free, found.drawn
+    values = np.array([[one[name] for name in free] for one in drawn])
+    spread, finite = values.std(axis=0), np.isfinite(found.eigenvalues)
+    sizes = np.where(finite, found.eigenvalues, 2.0)
+    with np.errstate(all="ignore"):
+        moved = (values - values.mean(axis=0)) / spread
+        related = np.nan_to_num(np.abs(moved.T @ (sizes - sizes.mean())))
+    name = free[int(np.argmax(related))]
+    ends = [drawn[int(f(values[:, free.index(name)]))] for f in (np.argmin, np.argmax)]
+    parameters, shown = found.member.parameters, {}
+    for drive, declared in parameters.model.plant.drives.items():
+        step = STEP * (declared.limits[1] - declared.limits[0])
+        pair = [parameters.replace(**{name: end[name]}) for end in ends]
+        shown[drive] = (_difference(pair, drive, step, point, holding), step)
+    best = max(shown, key=lambda drive: shown[drive][0])
+    return OpenQuestion(name, best, shown[best][1])
+
+
+def _difference(
+    pair: Sequence[Parameters], drive: str, step: float, point: Sequence[float], holding: Holding
+) -> float:
+    """RMS difference of two plants after a step of a drive, in the outputs' noise."""
+    model = pair[0].model
+    change = np.array([step * (name == drive) for name in model.plant.drives])
+    moves: list[FloatArray] = []
+    for one in pair:
+        states = begin(one, point)
+        runs = (
+            simulate_driven(
+                one, np.tile(model.rest + by, (holding.samples, 1)), states=states, period=holding.period
+            )
+            for by in (0.0 * change, change)
+        )
+        moves.append(np.subtract(*(run.outputs for run in runs)))
+    return float(np.sqrt(np.mean(((moves[0] - moves[1]) / model.noise) ** 2)))

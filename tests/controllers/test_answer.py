@@ -1,0 +1,192 @@
+"""The answer: known truth is sorted rightly, and courses, figures and cycles are those of others."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import control
+import numpy as np
+import pytest
+
+from tests.support.exchanging import Heaters
+from tests.support.plants import Lag
+from twinmatch.controllers import (
+    ControllerAnswer,
+    ControllerError,
+    ControllerQuestion,
+    Decision,
+    FilteredPid,
+    Holding,
+    Member,
+    Quantity,
+    WholeLoop,
+    pid_law,
+    try_controller,
+)
+from twinmatch.controllers.responses import run_law, step_figures
+from twinmatch.dynamics import (
+    LinearLaw,
+    Parameters,
+    PlantError,
+    TwoLevel,
+    linearised,
+    rest_at,
+    simulate_driven,
+)
+
+LIMITS = {"low": -10.0, "high": 10.0}
+HEATED = {"low": 0.0, "high": 100.0}
+PI = pid_law([FilteredPid(proportional=1.0, integral=0.2, back_calculation=0.5, **LIMITS)], 1.0)
+HOLDING = Holding(PI, 1.0, 60)
+STEPS = np.repeat([[3.0], [5.0], [3.0]], 60, axis=0)
+LAG = Lag.model().parameters()
+
+
+def lag(name: str = "found", spread: float = 0.1, **values: float) -> Member:
+    parameters = LAG.replace(**values)
+    return Member(name, parameters, ("gain", "lag"), spread**2 * np.diag([parameters["gain"] ** 2, 0.01]))
+
+
+def tried(members: list[Member], law: LinearLaw | TwoLevel, **changes: object) -> ControllerAnswer:
+    question = {"law": law, "references": STEPS, "holding": HOLDING, "draws": 50} | changes
+    return try_controller(members, ControllerQuestion(**question))  # type: ignore[arg-type]
+
+
+def limit_of(parameters: Parameters) -> float:
+    """The gain from which proportional control is unstable: 1 − exp(−1/τ) per sample, u held."""
+    pole = math.exp(-1.0 / parameters["lag"])
+    return (1.0 + pole) / ((1.0 - pole) * parameters["gain"])
+
+
+@pytest.mark.parametrize(
+    ("share", "decision"), [(0.7, Decision.SAFE), (0.97, Decision.UNDECIDED), (1.5, Decision.FAILS)]
+)
+def test_what_the_draws_leave_open_decides(share: float, decision: Decision) -> None:
+    """The limit is that of a first order, in closed form; of gain and lag only the gain is uncertain."""
+    law = pid_law([FilteredPid(proportional=share * limit_of(LAG), low=-1e6, high=1e6)], 1.0)
+    answer = tried([lag(spread=0.08)], law, references=STEPS[:60])
+    assert answer.decision is decision, answer.sentence
+    found = answer.stability[0]
+    limits = np.array([limit_of(one) for one in found.drawn])
+    np.testing.assert_array_equal(found.eigenvalues >= 1.0, share * limit_of(LAG) >= limits)
+    assert found.eigenvalue == pytest.approx(abs(math.exp(-0.2) - share * (1.0 + math.exp(-0.2))), rel=1e-6)
+    if decision is Decision.UNDECIDED:
+        assert answer.question is not None
+        assert (answer.question.parameter, answer.question.drive, answer.question.step) == ("gain", "u", 2.0)
+        assert answer.sentence.startswith("undecided: unstable in ")
+        assert answer.sentence.endswith("which this recording does not show: step u by 2 V")
+
+
+def test_one_twin_that_fails_is_named() -> None:
+    law = pid_law([FilteredPid(proportional=0.8 * limit_of(LAG), low=-1e6, high=1e6)], 1.0)
+    answer = tried([lag("weak"), lag("strong", spread=0.01, gain=4.0)], law)
+    assert answer.decision is Decision.FAILS
+    assert answer.sentence.startswith("fails on 1 of 2 twins, first on strong: its loop is unstable at ")
+
+
+def test_it_hangs_on_the_exchange_and_on_the_heater_that_shows_it() -> None:
+    """Two heaters; what is not known is how strongly the second one heats."""
+    plant = Heaters.model().parameters()
+    level = np.tile([45.0, 38.0], (60, 1))
+    base = FilteredPid(proportional=4.0, integral=0.2, derivative=6.0, filter=4.0, low=0.0, high=100.0)
+    plain = pid_law([base, base], 2.0)
+    up = WholeLoop(linearised(plant, level[0], 2.0), plain).margins()[1].gain_up
+    hot = FilteredPid(**{**{k: getattr(base, k) * up for k in ("proportional", "integral", "derivative")},
+                         "filter": 4.0, "low": 0.0, "high": 100.0})  # fmt: skip
+    member = Member("both", plant, ("loss", "second_gain"), np.diag([1e-8, 1e-6]))
+    question = ControllerQuestion(pid_law([base, hot], 2.0), level, Holding(None, 2.0, 60), draws=40)
+    answer = try_controller([member], question)
+    assert answer.decision is Decision.UNDECIDED
+    assert answer.question is not None
+    assert (answer.question.parameter, answer.question.drive) == ("second_gain", "second_power")
+
+
+def test_leaving_the_safe_range_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Lag, "outputs", {"y": replace(Lag.y, safe=(-1.0, 5.2))})
+    wild = pid_law([FilteredPid(proportional=1.0, integral=0.6, **LIMITS)], 1.0)
+    answer = tried([lag(spread=0.001)], wild)
+    assert answer.decision is Decision.FAILS
+    assert "; -1 to 5.2 m is safe" in answer.sentence
+
+
+def test_the_course_under_a_load_is_that_of_the_plant_driven_with_it() -> None:
+    """Commands as the law gives them, and a plant that receives them plus the load; limits and windup too."""
+    start = linearised(LAG, 3.0, 1.0)
+    reference = np.repeat([[3.0], [17.0], [2.0]], 40, axis=0)
+    run = run_law(LAG, PI, reference, start, load=np.array([0.7]))
+    assert run.inputs.max() == 10.0
+    driven = simulate_driven(LAG, run.inputs + 0.7, states=start.rest.states)
+    np.testing.assert_allclose(run.outputs, driven.outputs, atol=1e-9)
+    still = run_law(LAG, PI, reference[:40], start)
+    np.testing.assert_allclose(still.outputs, 3.0, atol=1e-9)
+
+
+def test_overshoot_and_settling_are_those_of_python_control() -> None:
+    system = control.tf([1.0], [25.0, 4.0, 1.0])
+    time = np.linspace(0.0, 199.9, 2000)
+    _, y = control.step_response(system, time)
+    theirs = control.step_info(system, time, SettlingTimeThreshold=0.05)
+    reference = np.concatenate([np.zeros(10), np.full(2000, 2.0)])
+    found = step_figures(reference, np.concatenate([np.zeros(10), 2.0 * y]), 0.0, 0.1)
+    assert found.overshoot == pytest.approx(2.0 * theirs["Overshoot"] / 100.0, rel=1e-3)
+    assert found.settling == pytest.approx(theirs["SettlingTime"], abs=0.2)
+
+
+def test_two_levels_cycle_as_a_first_order_does() -> None:
+    """The period of a relay with hysteresis around a first order, in closed form; sampling adds a sample at
+    each switch."""
+    period, slow = 0.1, 40.0
+    law = TwoLevel(0.0, 5.0, 0.4, 0.4, period=period)
+    member = Member("slow", LAG.replace(lag=slow), ("lag",), np.array([[1e-6]]))
+    level = np.full((3000, 1), 3.0)
+    answer = tried([member], law, references=level, holding=Holding(None, period, 600), draws=25)
+    low, high, top = 2.6, 3.4, 10.0
+    exact = slow * (math.log((top - low) / (top - high)) + math.log(high / low))
+    assert answer.decision is Decision.SAFE
+    assert answer.courses.figures[Quantity("cycle", "", "s")].median == pytest.approx(exact, abs=3 * period)
+    rate = answer.courses.figures[Quantity("switchings an hour", "", "")].median
+    assert rate == pytest.approx(2 * 3600.0 / exact, rel=0.03)
+
+
+def test_bands_are_of_the_draws_and_beside_the_law_that_ran() -> None:
+    answer = tried([lag()], pid_law([FilteredPid(proportional=2.0, integral=0.4, **LIMITS)], 1.0))
+    error = Quantity("mean squared error", "y", "m²")
+    values = answer.courses.values[error]
+    figure = answer.courses.figures[error]
+    assert np.mean((values >= figure.low) & (values <= figure.high)) == pytest.approx(0.9, abs=0.05)
+    assert answer.running is not None
+    assert figure.median < answer.running.figures[error].median  # twice the gains follow faster
+    assert (answer.courses.outputs[0] <= answer.courses.outputs[2]).all()
+    again = tried([lag()], pid_law([FilteredPid(proportional=2.0, integral=0.4, **LIMITS)], 1.0))
+    np.testing.assert_array_equal(again.courses.outputs, answer.courses.outputs)
+
+
+def test_a_twin_that_cannot_be_held_is_left_out_with_the_reason() -> None:
+    answer = tried([lag(), lag("dull", gain=0.2)], PI)
+    assert answer.members == ("found",)
+    assert answer.notes == (
+        "dull is left out: Lag, lag: it is not held at 5 m within the limits of its drives",
+    )
+    with pytest.raises(ControllerError, match=r"none of the twins can be held there; dull is left out"):
+        tried([lag("dull", gain=0.2)], PI)
+    with pytest.raises(ControllerError, match="there is no twin"):
+        tried([], PI)
+
+
+def test_draws_have_the_covariance_and_are_possible() -> None:
+    spread = np.array([[0.04, 0.06], [0.06, 0.25]])
+    drawn = Member("one", LAG, ("gain", "lag"), spread).drawn(2000, seed=3)
+    rows = np.array([[one["gain"], one["lag"]] for one in drawn])
+    np.testing.assert_allclose(np.cov(rows.T), spread, atol=0.02)
+    wide = Member("two", LAG, ("gain",), np.array([[100.0]])).drawn(50, seed=3)
+    assert len(wide) == 50
+    assert min(one["gain"] for one in wide) > 0.0
+    assert Member("exact", LAG).drawn(50, seed=3) == [LAG]
+
+
+def test_two_levels_that_ran_hold_nothing_at_rest() -> None:
+    assert Holding(TwoLevel(0.0, 5.0, 0.4, 0.4), 1.0, 60).linear(LAG, [3.0]).rest.input == pytest.approx(1.5)
+    with pytest.raises(PlantError):
+        HOLDING.linear(LAG, [25.0])
+    assert rest_at(LAG, 3.0).input == pytest.approx(HOLDING.linear(LAG, [3.0]).rest.input, rel=1e-4)
