@@ -50,6 +50,7 @@ def lag(name: str = "found", spread: float = 0.1, **values: float) -> Member:
 
 def tried(members: list[Member], law: LinearLaw | TwoLevel, **changes: object) -> ControllerAnswer:
     question = {"law": law, "references": STEPS, "holding": HOLDING, "draws": 50} | changes
+    question["before"] = np.array([3.0])
     return try_controller(members, ControllerQuestion(**question))  # type: ignore[arg-type]
 
 
@@ -95,7 +96,9 @@ def test_it_hangs_on_the_exchange_and_on_the_heater_that_shows_it() -> None:
     hot = FilteredPid(**{**{k: getattr(base, k) * up for k in ("proportional", "integral", "derivative")},
                          "filter": 4.0, "low": 0.0, "high": 100.0})  # fmt: skip
     member = Member("both", plant, ("loss", "second_gain"), np.diag([1e-8, 1e-6]))
-    question = ControllerQuestion(pid_law([base, hot], 2.0), level, Holding(None, 2.0, 60), draws=40)
+    question = ControllerQuestion(
+        pid_law([base, hot], 2.0), level, level[0], Holding(None, 2.0, 60), draws=40
+    )
     answer = try_controller([member], question)
     assert answer.decision is Decision.UNDECIDED
     assert answer.question is not None
@@ -114,12 +117,14 @@ def test_the_course_under_a_load_is_that_of_the_plant_driven_with_it() -> None:
     """Commands as the law gives them, and a plant that receives them plus the load; limits and windup too."""
     start = linearised(LAG, 3.0, 1.0)
     reference = np.repeat([[3.0], [17.0], [2.0]], 40, axis=0)
-    run = run_law(LAG, PI, reference, start, load=np.array([0.7]))
+    run = run_law(LAG, PI, reference, start, before=reference[0], load=np.array([0.7]))
     assert run.inputs.max() == 10.0
     driven = simulate_driven(LAG, run.inputs + 0.7, states=start.rest.states)
     np.testing.assert_allclose(run.outputs, driven.outputs, atol=1e-9)
-    still = run_law(LAG, PI, reference[:40], start)
+    still = run_law(LAG, PI, reference[:40], start, before=reference[0])
     np.testing.assert_allclose(still.outputs, 3.0, atol=1e-9)
+    stepped = run_law(LAG, PI, reference[40:80], start, before=reference[0])
+    assert stepped.inputs[0, 0] == 10.0  # a step at the first sample is a step: 1.5 V + 14 m · 1 V/m, limited
 
 
 def test_overshoot_and_settling_are_those_of_python_control() -> None:

@@ -28,6 +28,7 @@ _COMMANDS: Final[dict[str, str]] = {
     "import": "turn a recording (.csv, .mat or a ROS bag) into an MCAP session",
     "replay": "judge recorded sessions offline, as fast as possible",
     "forecast": "forecast from chosen samples of a session, with a prediction band",
+    "try-controller": "may a controller be run? answered from recorded sessions, before it runs",
     "verify": "judge a recorded session again and compare the verdicts, bit for bit",
     "backtest": "score the twin's forecasts of recorded sessions against the measurements and against other "
     "methods",

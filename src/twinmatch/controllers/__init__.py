@@ -17,6 +17,7 @@ from twinmatch.controllers.answer import (
     levels_words,
     try_controller,
 )
+from twinmatch.controllers.guarantee import Guarantee
 from twinmatch.controllers.law_document import law_from
 from twinmatch.controllers.members import Holding, Member
 from twinmatch.controllers.pids import FilteredPid, as_linear, pid_law
@@ -35,6 +36,7 @@ __all__ = [
     "Courses",
     "Decision",
     "FilteredPid",
+    "Guarantee",
     "Holding",
     "Member",
     "MemberStability",

@@ -10,6 +10,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from twinmatch.controllers.guarantee import Guarantee, guarantee_of
 from twinmatch.controllers.members import Holding, Member
 from twinmatch.controllers.pids import as_linear
 from twinmatch.controllers.responses import LOAD, Quantity, Run, quantities_of, run_law
@@ -52,6 +53,8 @@ class ControllerQuestion:
     law: Law
     references: FloatArray
     """Set-points of every sample, shape (N, r)."""
+    before: FloatArray
+    """Set-points until then, shape (r,): the law takes over without a bump at these."""
     holding: Holding
     """How the plant is brought to an operating point; its law is the one that ran, for comparison."""
     draws: int = 200
@@ -113,8 +116,8 @@ class ControllerAnswer:
     running: Courses | None
     """Of the law that ran, if it is known."""
     notes: tuple[str, ...] = ()
-    guarantee: str = ""
-    """What holds beyond the draws, with its premises; empty if nothing does."""
+    guarantee: Guarantee | None = None
+    """Of a linear law that holds all twins."""
 
 
 def operating_points(references: FloatArray) -> tuple[Point, ...]:
@@ -159,7 +162,9 @@ def try_controller(
     courses = [_courses(owners, law, question, progress) for law in laws]
     names = tuple(members[k].name for k in kept)
     decision, sentence, asked = _decide(plant, names, stability, courses[0], question)
-    period = question.holding.period
+    period, guarantee = question.holding.period, None
+    if linear and all(one.eigenvalue < 1.0 for one in stability):
+        guarantee = guarantee_of(plant, stability, as_linear(question.law))
     return ControllerAnswer(
         plant,
         decision,
@@ -173,6 +178,7 @@ def try_controller(
         courses[0],
         courses[1] if len(courses) > 1 else None,
         tuple(notes),
+        guarantee,
     )
 
 
@@ -201,10 +207,10 @@ def _courses(
             try:
                 runs.append(_course(member, parameters, acting, question, rng))
             except PlantError:
-                continue  # a draw that cannot be held at the first set-point
+                continue  # a draw that cannot be held where courses begin
             owner.append(k)
     if not runs:
-        raise ControllerError("controller: no draw can be held at the first set-point of the profile")
+        raise ControllerError("controller: no draw can be held where the profile begins")
     values = {q: np.array([found[q] for _, found in runs]) for q in runs[0][1]}
     return Courses(
         {q: Spread.of(row.tolist()) for q, row in values.items()},
@@ -224,17 +230,17 @@ def _course(
 ) -> tuple[Run, dict[Quantity, float]]:
     """One draw over the profile with noisy readings, and without noise after a load at each input."""
     model, holding, references = parameters.model, question.holding, question.references
-    at_rest = holding.linear(parameters, references[0].tolist(), member.disturbances)
-    start, given = at_rest, {"disturbances": member.disturbances}
+    at_rest = holding.linear(parameters, question.before.tolist(), member.disturbances)
+    start, before, row = at_rest, question.before, member.disturbances
     if member.states is not None and member.inputs is not None:
         start = at_rest._replace(rest=Rest(member.states, member.inputs))
     noise = model.noise * rng.standard_normal((len(references), model.noise.size))
-    run = run_law(parameters, law, references, start, noise=noise, **given)
-    level, loads = np.tile(references[0], (holding.samples, 1)), []
+    run = run_law(parameters, law, references, start, before=before, noise=noise, disturbances=row)
+    level, loads = np.tile(question.before, (holding.samples, 1)), []
     for i, drive in enumerate(model.plant.drives.values()):
         load = np.zeros(len(model.plant.drives))
         load[i] = LOAD * (drive.limits[1] - drive.limits[0])
-        loads.append(run_law(parameters, law, level, at_rest, load=load, **given))
+        loads.append(run_law(parameters, law, level, at_rest, before=before, load=load, disturbances=row))
     return run, quantities_of(run, loads, parameters, law)
 
 
@@ -268,14 +274,17 @@ def _decide(
         words = f"undecided: unstable in {unstable} of {draws} draws of what the data leave open"
         if not first.member.free:
             return Decision.UNDECIDED, words, None
-        asked = open_question(first, question.references[0], question.holding)
+        asked = open_question(first, question.before.tolist(), question.holding)
         return Decision.UNDECIDED, f"{words}; {open_words(first.member.parameters, asked)}", asked
     of = f"{len(names)} of {len(names)} twins"
     if not stability:
         return Decision.SAFE, f"safe for all that the data allow: within the safe range on {of}", None
     worst = max(stability, key=lambda one: one.eigenvalue)
+    every = [margin for one in stability for margin in one.margins]
+    gain, delay = min(m.gain_change for m in every), min(m.delay for m in every)
     words = (
-        f"stable on {of} and in {draws} draws of their parameters, largest eigenvalue {worst.eigenvalue:.4f}"
+        f"stable on {of} and in {draws} draws of their parameters, largest eigenvalue "
+        f"{worst.eigenvalue:.4f}, until a gain changes {gain:.2f} times or a dead time grows by {delay:.3g} s"
     )
     return Decision.SAFE, f"safe for all that the data allow: {words}", None
 
@@ -312,7 +321,8 @@ def open_words(parameters: Parameters, asked: OpenQuestion) -> str:
     text = declared.text or asked.parameter
     drive = drives[asked.drive]
     named = drive.text.split(",")[0] or asked.drive
+    unit = "" if named.lower() == drive.unit.lower() else f" {drive.unit}"
     return (
         f"it hangs on {asked.parameter} ({text}), which this recording does not show: step {named} by "
-        f"{asked.step:g} {drive.unit}"
+        f"{asked.step:g}{unit}"
     )

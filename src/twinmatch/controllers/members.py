@@ -37,7 +37,7 @@ class Member:
     covariance: FloatArray | None = None
     """Their covariance, shape (n, n); None: they are exact."""
     states: FloatArray | None = None
-    """States at the session's end; None: courses begin at rest."""
+    """States at the first sample after the session; None: courses begin at rest."""
     inputs: FloatArray | None = None
     """Commands at the session's end, shape (m,)."""
     disturbances: FloatArray | None = None

@@ -76,6 +76,7 @@ def run_law(
     references: FloatArray,
     start: Linear,
     *,
+    before: FloatArray,
     states: FloatArray | None = None,
     load: FloatArray | None = None,
     disturbances: FloatArray | None = None,
@@ -83,7 +84,8 @@ def run_law(
 ) -> Run:
     """Run a law over set-points, shape (N, r), from where the plant is held, or from other states on.
 
-    `load` acts from the first sample on, shape (m,); `noise` is that of the readings, shape (N, o).
+    The law takes over without a bump at the set-points `before`, shape (r,), the readings and the commands of
+    that moment. `load` acts from the first sample on, shape (m,); `noise` is that of readings, shape (N, o).
     """
     begun, inputs = start.rest.states if states is None else states, start.rest.inputs
     model, size = parameters.model, len(references)
@@ -95,7 +97,7 @@ def run_law(
         references,
         states=begun,
         law=law if load is None else loaded(law, load),
-        controller=state_holding(law, references[0], at, inputs),
+        controller=state_holding(law, before, at, inputs),
         disturbances=np.tile(row, (size, 1)),
         sensor=SensorRealisation(given, np.zeros(size, dtype=np.bool_), 0.0),
     )

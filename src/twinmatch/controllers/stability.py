@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
@@ -12,11 +12,13 @@ import numpy as np
 
 from twinmatch.controllers.members import Holding, Member
 from twinmatch.controllers.whole_loop import ChannelMargins, WholeLoop
-from twinmatch.dynamics import LinearLaw, Parameters, PlantError, begin, simulate_driven
+from twinmatch.dynamics import Linear, LinearLaw, Parameters, PlantError, begin, simulate_driven
 from twinmatch.signals import FloatArray
 
 MAX_UNSTABLE: Final = 0.01
 """Share of unstable draws up to which a law is sound on a twin; from one minus that on it fails."""
+COMPARED: Final = 5
+"""Draws of each twin whose plants are kept, to be compared with others."""
 STEP: Final = 0.1
 """Step of a drive that is suggested, as a share of its range."""
 Point = tuple[float, ...]
@@ -39,6 +41,10 @@ class MemberStability:
     """The least over the points, of every command; with the twin's own parameters."""
     sensitivity: float
     """Maximum sensitivity of the whole loop."""
+    plants: Mapping[Point, Linear]
+    """The twin, linearised at the operating points at which it can be held."""
+    others: tuple[Linear, ...]
+    """Some draws, likewise."""
 
     @cached_property
     def unstable(self) -> float:
@@ -75,8 +81,7 @@ def stability_of(
     sizes = {point: loop.eigenvalue for point, loop in loops.items()}
     worst = max(sizes, key=sizes.__getitem__)
     margins = [loop.margins() for loop in loops.values()]
-    known = list(loops)
-    each = [_loops(one, law, known, holding, row)[0] for one in drawn]
+    each = [_loops(one, law, list(loops), holding, row)[0] for one in drawn]
     return MemberStability(
         member,
         sizes[worst],
@@ -85,6 +90,8 @@ def stability_of(
         np.array([max((loop.eigenvalue for loop in held.values()), default=math.inf) for held in each]),
         tuple(_least(channel) for channel in zip(*margins, strict=True)),
         max(loop.sensitivity() for loop in loops.values()),
+        {point: loop.plant for point, loop in loops.items()},
+        tuple(loop.plant for held in each[:COMPARED] for loop in held.values()),
     )
 
 

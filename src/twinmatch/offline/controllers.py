@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from twinmatch.comparing import LEVEL_WORDS, TrustLevel, Verdict
 from twinmatch.controllers import ControllerError, Holding, Member, law_from
-from twinmatch.dynamics import Law, Plant
+from twinmatch.dynamics import Law, Plant, advance
 from twinmatch.errors import TwinmatchError
 from twinmatch.forecasting import ForecastError, SetPoints
 from twinmatch.offline.judging import Terms, Watch, judge
@@ -20,21 +19,12 @@ from twinmatch.plants.files import load_law
 from twinmatch.sessions import Session
 from twinmatch.sessions.files import read_bounded
 from twinmatch.signals import FloatArray, Sample
-from twinmatch.twin import Outcome, Twin
+from twinmatch.twin import Outcome, Twin, TwinSettings
 
 MAX_BYTES = 1 << 20
 """Largest file of a law, bytes."""
 SHARE = 0.1
 """Step of the usual profile, as a share of the range of the set-points."""
-
-
-class Known(NamedTuple):
-    """What a session has taught about its plant."""
-
-    members: tuple[Member, ...]
-    holding: Holding
-    level: FloatArray
-    """The set-points at its end, or the outputs where the loop is not known; shape (o,)."""
 
 
 def read_law(path: Path, plant: type[Plant], period: float) -> Law:
@@ -49,10 +39,11 @@ def read_law(path: Path, plant: type[Plant], period: float) -> Law:
         return law_from(json.loads(read_bounded(path, MAX_BYTES)), plant, period)
     except OSError as error:
         raise ControllerError(f"{path}: cannot be read ({error.strerror}); give a .json or .py") from error
+    except TwinmatchError as error:
+        known = str(error).startswith(str(path))
+        raise ControllerError(str(error) if known else f"{path}: {error}") from error
     except (ValueError, RecursionError) as error:
         raise ControllerError(f"{path}: is not JSON ({error}); give an object of keys and values") from error
-    except TwinmatchError as error:
-        raise ControllerError(f"{path.name}: {str(error).removeprefix(f'{path}: ')}") from error
 
 
 def _at_period(law: Law, plant: type[Plant], period: float) -> Law:
@@ -70,7 +61,7 @@ def _at_period(law: Law, plant: type[Plant], period: float) -> Law:
     return law.at_period(period)
 
 
-def known_from(session: Session, terms: Terms, *, watch: Watch | None = None) -> Known:
+def members_from(session: Session, terms: Terms, *, watch: Watch | None = None) -> tuple[Member, ...]:
     """Judge a session, and collect the twins at its end.
 
     Raises:
@@ -84,10 +75,18 @@ def known_from(session: Session, terms: Terms, *, watch: Watch | None = None) ->
 
     judged = judge(session, terms, watch=watch, beside=beside)
     _require_trusted(session.name, judged.verdicts[-1] if judged.verdicts else None)
-    settings = terms.settings
-    holding = Holding(settings.law, settings.period, settings.schedule.span)
+    return tuple(members)
+
+
+def holding_of(settings: TwinSettings) -> Holding:
+    """How the plant of a session is held."""
+    return Holding(settings.law, settings.period, settings.schedule.span)
+
+
+def level_of(session: Session, settings: TwinSettings) -> FloatArray:
+    """The set-points at a session's end, or the outputs where the loop is not known; shape (o,)."""
     last = session.samples[-1]
-    return Known(tuple(members), holding, np.array(last.references if settings.law else last.outputs))
+    return np.array(last.references if settings.law else last.outputs)
 
 
 def _members(twin: Twin) -> list[Member]:
@@ -95,15 +94,17 @@ def _members(twin: Twin) -> list[Member]:
     for name in forecaster.names:
         known = forecaster.outlook(name)
         n, sample = known.states.size, known.sample
+        row = np.array(sample.disturbances) if sample.disturbances else None
+        after = advance(known.parameters, known.states, sample.inputs, known.period, row)
         members.append(
             Member(
                 name,
                 known.parameters,
                 known.unsure,
                 known.covariance[n:, n:],
-                known.states,
+                after,
                 np.array(sample.inputs),
-                np.array(sample.disturbances) if sample.disturbances else None,
+                row,
             )
         )
     return members
@@ -131,6 +132,19 @@ def usual_profile(plant: type[Plant], level: FloatArray, samples: int) -> FloatA
             moved[j] = np.clip(level[j] + way * SHARE * (high - low), *output.safe)
             rows += [moved, level]
     return np.repeat(np.array(rows), samples, axis=0)
+
+
+def recorded_profile(session: Session) -> FloatArray:
+    """The set-points of a session, shape (N, r).
+
+    Raises:
+        ControllerError: it has none.
+    """
+    if not session.has_reference:
+        raise ControllerError(
+            f"session {session.name}: has no set-points; give a profile with --over or --set"
+        )
+    return np.array([sample.references for sample in session.samples], dtype=np.float64)
 
 
 def planned_profile(
@@ -182,8 +196,3 @@ def stepped_profile(
         now[j] = moved
         plan[time] = now
     return planned_profile(plant, level, [(t, *row.tolist()) for t, row in plan.items()], period, samples)
-
-
-def from_rest(known: Known) -> Known:
-    """The same twins, whose courses begin at rest instead of in the state of the session's end."""
-    return known._replace(members=tuple(replace(member, states=None) for member in known.members))

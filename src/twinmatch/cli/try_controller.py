@@ -1,0 +1,134 @@
+"""`twinmatch try-controller`: may a controller be run? Answered from recorded sessions, before it runs."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+from twinmatch.cli.shared import TERMS, Progress, add_options, check_writable, open_shown, write_json
+from twinmatch.controllers import ControllerError, ControllerQuestion, Decision, Member, try_controller
+from twinmatch.offline.controllers import (
+    holding_of,
+    level_of,
+    members_from,
+    planned_profile,
+    read_law,
+    recorded_profile,
+    stepped_profile,
+    usual_profile,
+)
+from twinmatch.offline.judging import Terms, terms_from_files
+from twinmatch.offline.outlooks import RECORDED, planned_rows
+from twinmatch.offline.processes import held_interrupts
+from twinmatch.sessions import Session
+from twinmatch.showing.controllers import answer_document, answer_words
+from twinmatch.signals import FloatArray
+
+EXITS: Final = {Decision.SAFE: 0, Decision.FAILS: 1, Decision.UNDECIDED: 3}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.description = (
+        "Judges the sessions, and tries the law on every twin at their end and on draws of what the "
+        "recordings leave open. Exit code: 0 safe, 1 fails, 3 undecided. Nothing is commanded. Without a "
+        "profile, every set-point steps up and down around the level of the session's end."
+    )
+    add_options(parser, "sessions")
+    law = "the law to try: a document (.json), or Python (.py), which is executed, with the law as `loop`"
+    parser.add_argument("--loop", type=Path, required=True, metavar="FILE", help=law)
+    profile = parser.add_mutually_exclusive_group()
+    over = "set-points to try it over: a .csv of seconds and a level for each output"
+    profile.add_argument("--over", type=Path, metavar="PROFILE", help=over)
+    steps: dict[str, Any] = {"action": "extend", "nargs": "+", "metavar": "NAME=LEVEL@S"}
+    profile.add_argument("--set", **steps, help="steps of set-points: output, level, and time in seconds")
+    profile.add_argument("--reference", choices=[RECORDED], help="the set-points of the last session")
+    begin = "begin in the state of the session's end (default), or at rest"
+    parser.add_argument("--begin", choices=["end", "rest"], default="end", help=begin)
+    draws = "draws of the parameters over all twins (default: 200)"
+    parser.add_argument("--draws", type=int, default=200, metavar="N", help=draws)
+    add_options(parser, "--json", help="write the answer with all figures and bands to this file")
+    add_options(parser, "--figure", help="draw what happens, beside the law that ran (.png, .svg or .pdf)")
+    add_options(parser, *TERMS)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Try the law and print the answer; returns the exit code.
+
+    Raises:
+        TwinmatchError: a session, the law or the profile cannot be used.
+    """
+    if options.draws < 1:
+        raise ControllerError(f"try-controller: --draws is {options.draws}; give a positive number")
+    check_writable(options.json, options.figure)
+    with held_interrupts():
+        opened = [_opened(path, options) for path in options.sessions]
+        session, terms = _last(opened)
+        law = read_law(options.loop, terms.settings.plant, terms.settings.period)
+        references = _profile(options, session, terms)
+        members = _members(opened)
+        holding = holding_of(terms.settings)
+        with Progress("trying") as progress:
+            before = references[0] if options.begin == "rest" else level_of(session, terms.settings)
+            question = ControllerQuestion(law, references, before, holding, options.draws)
+            answer = try_controller(_begun(members, options), question, progress.advance)
+    first, *rest = answer_words(answer)
+    print(f"{options.loop.name}: {first}")
+    for line in rest:
+        print(f"  {line}")
+    write_json(options.json, lambda: answer_document(answer))
+    if options.figure is not None:
+        from twinmatch.showing.figures.controllers import draw_answer  # noqa: PLC0415 — matplotlib is slow
+        from twinmatch.showing.figures.drawing import save  # noqa: PLC0415
+
+        save(draw_answer(answer), options.figure)
+    return EXITS[answer.decision]
+
+
+def _opened(path: Path, options: argparse.Namespace) -> tuple[Session, Terms]:
+    session = open_shown(path, options.plant)
+    return session, terms_from_files(session, options.config, options.candidates)
+
+
+def _last(opened: Sequence[tuple[Session, Terms]]) -> tuple[Session, Terms]:
+    """The last session, whose law and end count; all have to be of one plant and period."""
+    session, terms = opened[-1]
+    for other, of in opened[:-1]:
+        if (of.settings.plant, of.settings.period) != (terms.settings.plant, terms.settings.period):
+            raise ControllerError(
+                f"session {other.name}: is of another plant or period than {session.name}; try them one by "
+                "one"
+            )
+    return session, terms
+
+
+def _members(opened: Sequence[tuple[Session, Terms]]) -> list[Member]:
+    """The twins of all sessions; of several, with the session's name before theirs."""
+    members: list[Member] = []
+    for session, terms in opened:
+        with Progress() as progress:
+            found = members_from(session, terms, watch=progress.advance)
+        before = f"{session.name}: " if len(opened) > 1 else ""
+        members += [replace(member, name=before + member.name) for member in found]
+    return members
+
+
+def _begun(members: Sequence[Member], options: argparse.Namespace) -> list[Member]:
+    """The twins with the states in which courses begin."""
+    return [replace(each, states=None) if options.begin == "rest" else each for each in members]
+
+
+def _profile(options: argparse.Namespace, session: Session, terms: Terms) -> FloatArray:
+    settings = terms.settings
+    plant, period, samples = settings.plant, settings.period, settings.schedule.span
+    level = level_of(session, settings)
+    if options.reference == RECORDED:
+        return recorded_profile(session)
+    if options.over is not None:
+        rows = [line.split(",") for line in planned_rows(options.over) if line.strip()]
+        return planned_profile(plant, level, rows, period, samples)
+    if options.set:
+        return stepped_profile(plant, level, options.set, period, samples)
+    return usual_profile(plant, level, samples)

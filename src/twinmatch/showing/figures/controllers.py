@@ -1,0 +1,55 @@
+"""A controller that was tried, beside the one that ran: outputs and commands with their bands."""
+
+from __future__ import annotations
+
+from textwrap import wrap
+from typing import TYPE_CHECKING, Final
+
+from twinmatch.controllers import ControllerAnswer
+from twinmatch.showing.figures.drawing import draw_set_point, new_figure, stack, styled
+from twinmatch.showing.quantities import with_unit
+from twinmatch.showing.style import CLOSED, PLANT
+from twinmatch.signals import FloatArray
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_LETTERS: Final = 100
+"""Characters per line of the sentence above the figure."""
+
+
+@styled
+def draw_answer(answer: ControllerAnswer) -> Figure:
+    """A row for each output with its set-points, then one for each command."""
+    plant = answer.plant
+    outputs, drives = list(plant.outputs.items()), list(plant.drives.items())
+    ratios = [2.0] * len(outputs) + [1.4] * len(drives)
+    figure = new_figure(9.0, 1.2 + 1.3 * sum(ratios))
+    axes = stack(figure, ratios)
+    for j, (name, output) in enumerate(outputs):
+        draw_set_point(axes[j], answer.time, answer.references[:, j], 0.9, named=not j)
+        _draw(axes[j], answer, "outputs", j)
+        axes[j].set_ylabel(with_unit(name.replace("_", " "), output.unit))
+    for i, (name, drive) in enumerate(drives):
+        each = axes[len(outputs) + i]
+        _draw(each, answer, "inputs", i)
+        each.set_ylabel(drive.unit if name.lower() == drive.unit.lower() else with_unit(name, drive.unit))
+    axes[-1].set_xlabel("time / s")
+    axes[0].set_title("\n".join(wrap(answer.sentence, _LETTERS)), size=9)
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
+    return figure
+
+
+def _draw(axes: Axes, answer: ControllerAnswer, which: str, place: int) -> None:
+    if answer.running is not None:
+        _band(axes, answer.time, getattr(answer.running, which)[:, :, place], PLANT, "law that ran")
+    _band(axes, answer.time, getattr(answer.courses, which)[:, :, place], CLOSED, "law that is tried")
+    axes.margins(x=0.01)
+
+
+def _band(axes: Axes, time: FloatArray, rows: FloatArray, colour: str, name: str) -> None:
+    """The band of one law, with its median."""
+    low, median, high = rows
+    axes.fill_between(time, low, high, color=colour, alpha=0.25, lw=0)
+    axes.plot(time, median, color=colour, lw=1.0, label=f"{name}: median and 90 % band")

@@ -1,0 +1,210 @@
+"""A controller tried on sessions: profiles, files of laws, what is refused, and the command."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.support.exchanging import Heaters
+from tests.support.places import SHIPPED
+from tests.support.plants import Lag
+from tests.support.steps import drive_lost
+from twinmatch.cli import main
+from twinmatch.controllers import (
+    ControllerError,
+    ControllerQuestion,
+    Decision,
+    Member,
+    Quantity,
+    try_controller,
+)
+from twinmatch.dynamics import LinearLaw, PidGains, law_of
+from twinmatch.errors import TwinmatchError
+from twinmatch.offline.controllers import (
+    holding_of,
+    level_of,
+    members_from,
+    planned_profile,
+    read_law,
+    recorded_profile,
+    stepped_profile,
+    usual_profile,
+)
+from twinmatch.offline.judging import Terms, terms_from_files
+from twinmatch.plants import Peltier
+from twinmatch.sessions import Session, read_session, write_session
+
+RUNNING = {
+    "kind": "pid",
+    "proportional": 38.57,
+    "integral": 1.46877,
+    "derivative": 6.66875,
+    "back_calculation": 1.0,
+}
+LEVEL = np.array([45.0, 38.0])
+
+
+@pytest.fixture(scope="module")
+def session() -> Session:
+    return read_session(SHIPPED)
+
+
+@pytest.fixture(scope="module")
+def terms(session: Session) -> Terms:
+    return terms_from_files(session)
+
+
+@pytest.fixture(scope="module")
+def members(session: Session, terms: Terms) -> tuple[Member, ...]:
+    return members_from(session, terms)
+
+
+def law_file(folder: Path, **changes: Any) -> Path:
+    path = folder / "law.json"
+    path.write_text(json.dumps(RUNNING | changes), encoding="utf-8")
+    return path
+
+
+def test_the_law_that_ran_is_safe_and_the_same_beside_itself(
+    session: Session, terms: Terms, members: tuple[Member, ...], tmp_path: Path
+) -> None:
+    law, holding = read_law(law_file(tmp_path), Peltier, 1.0), holding_of(terms.settings)
+    references = usual_profile(Peltier, level_of(session, terms.settings), 120)
+    answer = try_controller(members, ControllerQuestion(law, references, references[0], holding, draws=50))
+    assert answer.decision is Decision.SAFE, answer.sentence
+    assert answer.guarantee is not None
+    assert answer.guarantee.holds
+    assert answer.running is not None
+    for quantity, figure in answer.courses.figures.items():
+        assert figure == pytest.approx(answer.running.figures[quantity], rel=1e-6, nan_ok=True)
+    rested = [replace(member, states=None) for member in members]
+    rest = try_controller(rested, ControllerQuestion(law, references[:120], references[0], holding, draws=50))
+    still = rest.courses.figures[Quantity("mean squared error", "temperature", "°C²")]
+    assert still.high < 0.1**2  # in closed loop the noise of the readings moves the plate by less
+
+
+def test_what_was_foretold_of_the_last_part_came(session: Session, terms: Terms) -> None:
+    """The law that ran, tried on what the first four fifths have taught, over the set-points of the rest: the
+    mean squared error of the recording is in the band, within 1 %."""
+    cut = len(session.samples) * 4 // 5
+    early = members_from(replace(session, samples=session.samples[:cut]), terms)
+    later = session.samples[cut:]
+    references = np.array([sample.references for sample in later])
+    law = law_of(Peltier, 1.0)
+    before = np.array(session.samples[cut - 1].references)
+    question = ControllerQuestion(law, references, before, holding_of(terms.settings), draws=50)
+    answer = try_controller(early, question)
+    came = np.mean([(s.output - s.reference) ** 2 for s in later]) - Peltier.output.noise**2
+    found = answer.courses.figures[Quantity("mean squared error", "temperature", "°C²")]
+    assert 0.99 * found.low <= came <= 1.01 * found.high
+
+
+def test_a_session_that_ends_in_a_fault_is_refused(tmp_path: Path) -> None:
+    lost = read_session(write_session(tmp_path / "lost", drive_lost()))
+    with pytest.raises(ControllerError, match=r"its twin ends fault \(the plant shows drive-lost\)"):
+        members_from(lost, terms_from_files(lost))
+
+
+def test_a_session_whose_twin_is_not_trusted_yet_is_refused(session: Session, terms: Terms) -> None:
+    short = replace(session, samples=session.samples[:200])
+    with pytest.raises(ControllerError, match="record until the twin is trusted"):
+        members_from(short, terms)
+
+
+def test_profiles() -> None:
+    usual = usual_profile(Heaters, LEVEL, 10)
+    assert usual.shape == (90, 2)
+    steps = usual[::10] - LEVEL
+    np.testing.assert_array_equal(steps[[0, 2, 4, 6, 8]], np.zeros((5, 2)))
+    np.testing.assert_allclose(steps[[1, 3, 5, 7]], [[15.0, 0.0], [-15.0, 0.0], [0.0, 15.0], [0.0, -15.0]])
+    planned = planned_profile(Heaters, LEVEL, [(0, 45, 38), (4, 50, 38), (8, 50, 40)], 2.0, 3)
+    np.testing.assert_array_equal(
+        planned, [[45, 38], [50, 38], [50, 38], [50, 40], [50, 40], [50, 40], [50, 40]]
+    )
+    stepped = stepped_profile(Heaters, LEVEL, ["second=40@8", "first=50@4"], 2.0, 3)
+    np.testing.assert_array_equal(stepped, planned)
+
+
+def test_mistakes_in_profiles_are_named(session: Session) -> None:
+    with pytest.raises(
+        ControllerError, match="a row has no level for second; give seconds, then first, second"
+    ):
+        planned_profile(Heaters, LEVEL, [(0, 45)], 1.0, 10)
+    with pytest.raises(ControllerError, match="first: profile: row 1: the set-point is 400"):
+        planned_profile(Heaters, LEVEL, [(0, 400, 40)], 1.0, 10)
+    with pytest.raises(
+        ControllerError, match="--set third=3@4: give NAME=LEVEL@S, with S in seconds and NAME of"
+    ):
+        stepped_profile(Heaters, LEVEL, ["third=3@4"], 1.0, 10)
+    assert recorded_profile(session).shape == (len(session.samples), 1)
+
+
+def test_a_law_in_python(tmp_path: Path) -> None:
+    path = tmp_path / "law.py"
+    path.write_text("from twinmatch.dynamics import PidGains\nloop = PidGains(2, 1, 0, 0, -5, 5)\n")
+    assert read_law(path, Lag, 0.5) == PidGains(2, 1, 0, 0, -5, 5, period=0.5)
+    assert isinstance(read_law(law_file(tmp_path), Lag, 1.0), LinearLaw)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "words"),
+    [
+        ("absent.json", None, "absent.json: cannot be read (No such file or directory)"),
+        ("torn.json", '{"kind"', "torn.json: is not JSON"),
+        ("odd.json", '{"kind": "pid", "kp": 1}', "odd.json: kp: is not a known key"),
+        ("none.py", "x = 1", "none.py: has no law; write one such as loop = PidGains"),
+        ("wrong.py", "loop = oops", "wrong.py, line 1: "),
+        ("slow.py", "from twinmatch.dynamics import PidGains\nloop = PidGains(2, 1, 0, 0, -5, 5, period=3.0)",
+         "slow.py: the law runs every 3 s, the samples come every 1 s"),
+    ],
+)  # fmt: skip
+def test_mistakes_in_files_of_laws_are_one_line(
+    name: str, text: str | None, words: str, tmp_path: Path
+) -> None:
+    path = tmp_path / name
+    if text is not None:
+        path.write_text(text, encoding="utf-8")
+    with pytest.raises(TwinmatchError) as caught:
+        read_law(path, Lag, 1.0)
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Three laws, three exit codes; the answer as JSON, and as a figure."""
+    out, figure = tmp_path / "answer.json", tmp_path / "answer.svg"
+    base = ["try-controller", str(SHIPPED), "--draws", "25", "--set", "temperature=75@60"]
+    safe = [*base, "--loop", str(law_file(tmp_path)), "--json", str(out), "--figure", str(figure)]
+    assert main(safe) == 0
+    assert capsys.readouterr().out.startswith("law.json: safe for all that the data allow: stable on ")
+    document = json.loads(out.read_text("utf-8"))
+    assert document["decision"] == "safe"
+    assert (
+        len(document["t"]) == len(document["outputs"][0]["median"]) == len(document["references"][0]) == 300
+    )
+    assert {"overshoot", "settling time"} <= {row["name"] for row in document["figures"]}
+    assert figure.read_text("utf-8").count("<svg") == 1
+    assert main([*base, "--loop", str(law_file(tmp_path, proportional=150, integral=10))]) == 3
+    assert "undecided: unstable in " in capsys.readouterr().out
+    assert main([*base, "--loop", str(law_file(tmp_path, proportional=600, integral=10))]) == 1
+    assert "law.json: fails on " in capsys.readouterr().out
+    assert main([*base, "--loop", str(tmp_path / "no.json")]) == 2
+    assert "cannot be read" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [(["--draws", "0"], "--draws is 0; give a positive number"),
+     (["--set", "x=1@2"], "--set x=1@2: give NAME=LEVEL@S"),
+     (["--set", "temperature=500@0"], "temperature: profile: row 1")],
+)  # fmt: skip
+def test_mistakes_on_the_command_line(
+    options: list[str], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["try-controller", str(SHIPPED), "--loop", str(law_file(tmp_path)), *options]) == 2
+    assert words in capsys.readouterr().err
