@@ -13,13 +13,13 @@ from tests.support.exchanging import Heaters
 from tests.support.plants import Lag
 from twinmatch.controllers import (
     ControllerAnswer,
+    ControllerDecision,
     ControllerError,
     ControllerQuestion,
-    Decision,
+    CourseFigure,
     FilteredPid,
     Holding,
-    Member,
-    Quantity,
+    TriedTwin,
     WholeLoop,
     pid_law,
     try_controller,
@@ -43,12 +43,12 @@ STEPS = np.repeat([[3.0], [5.0], [3.0]], 60, axis=0)
 LAG = Lag.model().parameters()
 
 
-def lag(name: str = "found", spread: float = 0.1, **values: float) -> Member:
+def lag(name: str = "found", spread: float = 0.1, **values: float) -> TriedTwin:
     parameters = LAG.replace(**values)
-    return Member(name, parameters, ("gain", "lag"), spread**2 * np.diag([parameters["gain"] ** 2, 0.01]))
+    return TriedTwin(name, parameters, ("gain", "lag"), spread**2 * np.diag([parameters["gain"] ** 2, 0.01]))
 
 
-def tried(members: list[Member], law: LinearLaw | TwoLevel, **changes: object) -> ControllerAnswer:
+def tried(members: list[TriedTwin], law: LinearLaw | TwoLevel, **changes: object) -> ControllerAnswer:
     question = {"law": law, "references": STEPS, "holding": HOLDING, "draws": 50} | changes
     question["before"] = np.array([3.0])
     return try_controller(members, ControllerQuestion(**question))  # type: ignore[arg-type]
@@ -61,9 +61,10 @@ def limit_of(parameters: Parameters) -> float:
 
 
 @pytest.mark.parametrize(
-    ("share", "decision"), [(0.7, Decision.SAFE), (0.97, Decision.UNDECIDED), (1.5, Decision.FAILS)]
+    ("share", "decision"),
+    [(0.7, ControllerDecision.SAFE), (0.97, ControllerDecision.UNDECIDED), (1.5, ControllerDecision.FAILS)],
 )
-def test_what_the_draws_leave_open_decides(share: float, decision: Decision) -> None:
+def test_what_the_draws_leave_open_decides(share: float, decision: ControllerDecision) -> None:
     """The limit is that of a first order, in closed form; of gain and lag only the gain is uncertain."""
     law = pid_law([FilteredPid(proportional=share * limit_of(LAG), low=-1e6, high=1e6)], 1.0)
     answer = tried([lag(spread=0.08)], law, references=STEPS[:60])
@@ -72,7 +73,7 @@ def test_what_the_draws_leave_open_decides(share: float, decision: Decision) -> 
     limits = np.array([limit_of(one) for one in found.drawn])
     np.testing.assert_array_equal(found.eigenvalues >= 1.0, share * limit_of(LAG) >= limits)
     assert found.eigenvalue == pytest.approx(abs(math.exp(-0.2) - share * (1.0 + math.exp(-0.2))), rel=1e-6)
-    if decision is Decision.UNDECIDED:
+    if decision is ControllerDecision.UNDECIDED:
         assert answer.question is not None
         assert (answer.question.parameter, answer.question.drive, answer.question.step) == ("gain", "u", 2.0)
         assert answer.sentence.startswith("undecided: unstable in ")
@@ -82,7 +83,7 @@ def test_what_the_draws_leave_open_decides(share: float, decision: Decision) -> 
 def test_one_twin_that_fails_is_named() -> None:
     law = pid_law([FilteredPid(proportional=0.8 * limit_of(LAG), low=-1e6, high=1e6)], 1.0)
     answer = tried([lag("weak"), lag("strong", spread=0.01, gain=4.0)], law)
-    assert answer.decision is Decision.FAILS
+    assert answer.decision is ControllerDecision.FAILS
     assert answer.sentence.startswith("fails on 1 of 2 twins, first on strong: its loop is unstable at ")
 
 
@@ -95,12 +96,12 @@ def test_it_hangs_on_the_exchange_and_on_the_heater_that_shows_it() -> None:
     up = WholeLoop(linearised(plant, level[0], 2.0), plain).margins()[1].gain_up
     hot = FilteredPid(**{**{k: getattr(base, k) * up for k in ("proportional", "integral", "derivative")},
                          "filter": 4.0, "low": 0.0, "high": 100.0})  # fmt: skip
-    member = Member("both", plant, ("loss", "second_gain"), np.diag([1e-8, 1e-6]))
+    member = TriedTwin("both", plant, ("loss", "second_gain"), np.diag([1e-8, 1e-6]))
     question = ControllerQuestion(
         pid_law([base, hot], 2.0), level, level[0], Holding(None, 2.0, 60), draws=40
     )
     answer = try_controller([member], question)
-    assert answer.decision is Decision.UNDECIDED
+    assert answer.decision is ControllerDecision.UNDECIDED
     assert answer.question is not None
     assert (answer.question.parameter, answer.question.drive) == ("second_gain", "second_power")
 
@@ -109,7 +110,7 @@ def test_leaving_the_safe_range_fails(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Lag, "outputs", {"y": replace(Lag.y, safe=(-1.0, 5.2))})
     wild = pid_law([FilteredPid(proportional=1.0, integral=0.6, **LIMITS)], 1.0)
     answer = tried([lag(spread=0.001)], wild)
-    assert answer.decision is Decision.FAILS
+    assert answer.decision is ControllerDecision.FAILS
     assert "; -1 to 5.2 m is safe" in answer.sentence
 
 
@@ -143,20 +144,22 @@ def test_two_levels_cycle_as_a_first_order_does() -> None:
     each switch."""
     period, slow = 0.1, 40.0
     law = TwoLevel(0.0, 5.0, 0.4, 0.4, period=period)
-    member = Member("slow", LAG.replace(lag=slow), ("lag",), np.array([[1e-6]]))
+    member = TriedTwin("slow", LAG.replace(lag=slow), ("lag",), np.array([[1e-6]]))
     level = np.full((3000, 1), 3.0)
     answer = tried([member], law, references=level, holding=Holding(None, period, 600), draws=25)
     low, high, top = 2.6, 3.4, 10.0
     exact = slow * (math.log((top - low) / (top - high)) + math.log(high / low))
-    assert answer.decision is Decision.SAFE
-    assert answer.courses.figures[Quantity("cycle", "", "s")].median == pytest.approx(exact, abs=3 * period)
-    rate = answer.courses.figures[Quantity("switchings an hour", "", "")].median
+    assert answer.decision is ControllerDecision.SAFE
+    assert answer.courses.figures[CourseFigure("cycle", "", "s")].median == pytest.approx(
+        exact, abs=3 * period
+    )
+    rate = answer.courses.figures[CourseFigure("switchings an hour", "", "")].median
     assert rate == pytest.approx(2 * 3600.0 / exact, rel=0.03)
 
 
 def test_bands_are_of_the_draws_and_beside_the_law_that_ran() -> None:
     answer = tried([lag()], pid_law([FilteredPid(proportional=2.0, integral=0.4, **LIMITS)], 1.0))
-    error = Quantity("mean squared error", "y", "m²")
+    error = CourseFigure("mean squared error", "y", "m²")
     values = answer.courses.values[error]
     figure = answer.courses.figures[error]
     assert np.mean((values >= figure.low) & (values <= figure.high)) == pytest.approx(0.9, abs=0.05)
@@ -181,13 +184,13 @@ def test_a_twin_that_cannot_be_held_is_left_out_with_the_reason() -> None:
 
 def test_draws_have_the_covariance_and_are_possible() -> None:
     spread = np.array([[0.04, 0.06], [0.06, 0.25]])
-    drawn = Member("one", LAG, ("gain", "lag"), spread).drawn(2000, seed=3)
+    drawn = TriedTwin("one", LAG, ("gain", "lag"), spread).drawn(2000, seed=3)
     rows = np.array([[one["gain"], one["lag"]] for one in drawn])
     np.testing.assert_allclose(np.cov(rows.T), spread, atol=0.02)
-    wide = Member("two", LAG, ("gain",), np.array([[100.0]])).drawn(50, seed=3)
+    wide = TriedTwin("two", LAG, ("gain",), np.array([[100.0]])).drawn(50, seed=3)
     assert len(wide) == 50
     assert min(one["gain"] for one in wide) > 0.0
-    assert Member("exact", LAG).drawn(50, seed=3) == [LAG]
+    assert TriedTwin("exact", LAG).drawn(50, seed=3) == [LAG]
 
 
 def test_two_levels_that_ran_hold_nothing_at_rest() -> None:

@@ -16,11 +16,11 @@ from tests.support.plants import Lag
 from tests.support.steps import drive_lost
 from twinmatch.cli import main
 from twinmatch.controllers import (
+    ControllerDecision,
     ControllerError,
     ControllerQuestion,
-    Decision,
-    Member,
-    Quantity,
+    CourseFigure,
+    TriedTwin,
     try_controller,
 )
 from twinmatch.dynamics import LinearLaw, PidGains, law_of
@@ -60,7 +60,7 @@ def terms(session: Session) -> Terms:
 
 
 @pytest.fixture(scope="module")
-def members(session: Session, terms: Terms) -> tuple[Member, ...]:
+def members(session: Session, terms: Terms) -> tuple[TriedTwin, ...]:
     return members_from(session, terms)
 
 
@@ -71,12 +71,12 @@ def law_file(folder: Path, **changes: Any) -> Path:
 
 
 def test_the_law_that_ran_is_safe_and_the_same_beside_itself(
-    session: Session, terms: Terms, members: tuple[Member, ...], tmp_path: Path
+    session: Session, terms: Terms, members: tuple[TriedTwin, ...], tmp_path: Path
 ) -> None:
     law, holding = read_law(law_file(tmp_path), Peltier, 1.0), holding_of(terms.settings)
     references = usual_profile(Peltier, level_of(session, terms.settings), 120)
     answer = try_controller(members, ControllerQuestion(law, references, references[0], holding, draws=50))
-    assert answer.decision is Decision.SAFE, answer.sentence
+    assert answer.decision is ControllerDecision.SAFE, answer.sentence
     assert answer.guarantee is not None
     assert answer.guarantee.holds
     assert answer.running is not None
@@ -84,11 +84,11 @@ def test_the_law_that_ran_is_safe_and_the_same_beside_itself(
         assert figure == pytest.approx(answer.running.figures[quantity], rel=1e-6, nan_ok=True)
     rested = [replace(member, states=None) for member in members]
     rest = try_controller(rested, ControllerQuestion(law, references[:120], references[0], holding, draws=50))
-    still = rest.courses.figures[Quantity("mean squared error", "temperature", "°C²")]
+    still = rest.courses.figures[CourseFigure("mean squared error", "temperature", "°C²")]
     assert still.high < 0.1**2  # in closed loop the noise of the readings moves the plate by less
 
 
-def test_what_was_foretold_of_the_last_part_came(session: Session, terms: Terms) -> None:
+def test_the_cost_of_the_last_part_was_predicted(session: Session, terms: Terms) -> None:
     """The law that ran, tried on what the first four fifths have taught, over the set-points of the rest: the
     mean squared error of the recording is in the band, within 1 %."""
     cut = len(session.samples) * 4 // 5
@@ -100,7 +100,7 @@ def test_what_was_foretold_of_the_last_part_came(session: Session, terms: Terms)
     question = ControllerQuestion(law, references, before, holding_of(terms.settings), draws=50)
     answer = try_controller(early, question)
     came = np.mean([(s.output - s.reference) ** 2 for s in later]) - Peltier.output.noise**2
-    found = answer.courses.figures[Quantity("mean squared error", "temperature", "°C²")]
+    found = answer.courses.figures[CourseFigure("mean squared error", "temperature", "°C²")]
     assert 0.99 * found.low <= came <= 1.01 * found.high
 
 

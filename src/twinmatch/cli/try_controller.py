@@ -9,7 +9,13 @@ from pathlib import Path
 from typing import Any, Final
 
 from twinmatch.cli.shared import TERMS, Progress, add_options, check_writable, open_shown, write_json
-from twinmatch.controllers import ControllerError, ControllerQuestion, Decision, Member, try_controller
+from twinmatch.controllers import (
+    ControllerDecision,
+    ControllerError,
+    ControllerQuestion,
+    TriedTwin,
+    try_controller,
+)
 from twinmatch.offline.controllers import (
     holding_of,
     level_of,
@@ -27,7 +33,7 @@ from twinmatch.sessions import Session
 from twinmatch.showing.controllers import answer_document, answer_words
 from twinmatch.signals import FloatArray
 
-EXITS: Final = {Decision.SAFE: 0, Decision.FAILS: 1, Decision.UNDECIDED: 3}
+EXITS: Final = {ControllerDecision.SAFE: 0, ControllerDecision.FAILS: 1, ControllerDecision.UNDECIDED: 3}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -104,9 +110,9 @@ def _last(opened: Sequence[tuple[Session, Terms]]) -> tuple[Session, Terms]:
     return session, terms
 
 
-def _members(opened: Sequence[tuple[Session, Terms]]) -> list[Member]:
+def _members(opened: Sequence[tuple[Session, Terms]]) -> list[TriedTwin]:
     """The twins of all sessions; of several, with the session's name before theirs."""
-    members: list[Member] = []
+    members: list[TriedTwin] = []
     for session, terms in opened:
         with Progress() as progress:
             found = members_from(session, terms, watch=progress.advance)
@@ -115,7 +121,7 @@ def _members(opened: Sequence[tuple[Session, Terms]]) -> list[Member]:
     return members
 
 
-def _begun(members: Sequence[Member], options: argparse.Namespace) -> list[Member]:
+def _begun(members: Sequence[TriedTwin], options: argparse.Namespace) -> list[TriedTwin]:
     """The twins with the states in which courses begin."""
     return [replace(each, states=None) if options.begin == "rest" else each for each in members]
 

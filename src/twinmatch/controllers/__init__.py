@@ -1,6 +1,6 @@
 """May a controller be run on a plant that is known only as well as its recordings show?
 
-A `Member` is a twin with what its recording leaves open. `try_controller` tries a law on every member and on
+A `TriedTwin` is a twin with what its recording leaves open. `try_controller` tries a law on every member and on
 draws of its parameters: the eigenvalues of the `WholeLoop` decide, its margins say how far it is from
 instability, and the compiled loop with its limits says what happens. `pid_law` makes a linear law of PIDs
 with filters and set-point weights, `law_from` a law of a document.
@@ -9,19 +9,19 @@ with filters and set-point weights, `law_from` a law of a document.
 from twinmatch.controllers.answer import (
     CONFIDENCE,
     ControllerAnswer,
+    ControllerDecision,
     ControllerError,
     ControllerQuestion,
     Courses,
-    Decision,
     Spread,
     levels_words,
     try_controller,
 )
 from twinmatch.controllers.guarantee import Guarantee
 from twinmatch.controllers.law_document import law_from
-from twinmatch.controllers.members import Holding, Member
+from twinmatch.controllers.members import Holding, TriedTwin
 from twinmatch.controllers.pids import FilteredPid, as_linear, pid_law
-from twinmatch.controllers.responses import LOAD, Quantity, Run
+from twinmatch.controllers.responses import LOAD, CourseFigure, Run
 from twinmatch.controllers.stability import MemberStability, OpenQuestion
 from twinmatch.controllers.whole_loop import UNSTABLE, ChannelMargins, WholeLoop
 
@@ -31,19 +31,19 @@ __all__ = [
     "UNSTABLE",
     "ChannelMargins",
     "ControllerAnswer",
+    "ControllerDecision",
     "ControllerError",
     "ControllerQuestion",
+    "CourseFigure",
     "Courses",
-    "Decision",
     "FilteredPid",
     "Guarantee",
     "Holding",
-    "Member",
     "MemberStability",
     "OpenQuestion",
-    "Quantity",
     "Run",
     "Spread",
+    "TriedTwin",
     "WholeLoop",
     "as_linear",
     "law_from",

@@ -11,9 +11,9 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from twinmatch.controllers.guarantee import Guarantee, guarantee_of
-from twinmatch.controllers.members import Holding, Member
+from twinmatch.controllers.members import Holding, TriedTwin
 from twinmatch.controllers.pids import as_linear
-from twinmatch.controllers.responses import LOAD, Quantity, Run, quantities_of, run_law
+from twinmatch.controllers.responses import LOAD, CourseFigure, Run, quantities_of, run_law
 from twinmatch.controllers.stability import (
     MAX_UNSTABLE,
     MemberStability,
@@ -38,7 +38,7 @@ class ControllerError(TwinmatchError):
     """A controller cannot be tried on these twins."""
 
 
-class Decision(Enum):
+class ControllerDecision(Enum):
     """Whether a controller may be run."""
 
     SAFE = "safe"
@@ -84,12 +84,12 @@ class Spread(NamedTuple):
 class Courses:
     """What one law does on all draws."""
 
-    figures: Mapping[Quantity, Spread]
+    figures: Mapping[CourseFigure, Spread]
     outputs: FloatArray
     """Lower end, median and upper end of the outputs at every sample, shape (3, N, o)."""
     inputs: FloatArray
     """Of the commands, shape (3, N, m)."""
-    values: Mapping[Quantity, FloatArray]
+    values: Mapping[CourseFigure, FloatArray]
     """The figures of every draw, shape (draws,)."""
     owner: FloatArray
     """Number of the twin of every draw, shape (draws,)."""
@@ -100,7 +100,7 @@ class ControllerAnswer:
     """Whether a law may be run, and what it does."""
 
     plant: type[Plant]
-    decision: Decision
+    decision: ControllerDecision
     sentence: str
     members: tuple[str, ...]
     points: tuple[Point, ...]
@@ -129,7 +129,7 @@ def operating_points(references: FloatArray) -> tuple[Point, ...]:
 
 
 def try_controller(
-    members: Sequence[Member],
+    members: Sequence[TriedTwin],
     question: ControllerQuestion,
     watch: Callable[[int, int], None] | None = None,
 ) -> ControllerAnswer:
@@ -193,7 +193,7 @@ class _Progress:
 
 
 def _courses(
-    owners: Sequence[tuple[Member, Sequence[Parameters]]],
+    owners: Sequence[tuple[TriedTwin, Sequence[Parameters]]],
     law: Law,
     question: ControllerQuestion,
     progress: _Progress,
@@ -222,12 +222,12 @@ def _courses(
 
 
 def _course(
-    member: Member,
+    member: TriedTwin,
     parameters: Parameters,
     law: Law,
     question: ControllerQuestion,
     rng: np.random.Generator,
-) -> tuple[Run, dict[Quantity, float]]:
+) -> tuple[Run, dict[CourseFigure, float]]:
     """One draw over the profile with noisy readings, and without noise after a load at each input."""
     model, holding, references = parameters.model, question.holding, question.references
     at_rest = holding.linear(parameters, question.before.tolist(), member.disturbances)
@@ -256,16 +256,16 @@ def _decide(
     stability: Sequence[MemberStability],
     courses: Courses,
     question: ControllerQuestion,
-) -> tuple[Decision, str, OpenQuestion | None]:
+) -> tuple[ControllerDecision, str, OpenQuestion | None]:
     """The decision, its sentence, and what is left open."""
     failing = [one for one in stability if one.fails]
     if failing:
         first = max(failing, key=lambda one: one.eigenvalue)
         where = levels_words(plant, first.point)
         why = f"its loop is unstable at {where}: largest eigenvalue {first.eigenvalue:.4f}"
-        return Decision.FAILS, _fails(len(failing), names, first.member.name, why), None
+        return ControllerDecision.FAILS, _fails(len(failing), names, first.member.name, why), None
     if leaving := _leaves_range(plant, names, courses):
-        return Decision.FAILS, leaving, None
+        return ControllerDecision.FAILS, leaving, None
     unsure = [one for one in stability if not one.sound]
     draws = sum(one.eigenvalues.size for one in stability)
     if unsure:
@@ -273,12 +273,16 @@ def _decide(
         unstable = sum(int(np.sum(one.eigenvalues >= 1.0)) for one in stability)
         words = f"undecided: unstable in {unstable} of {draws} draws of what the data leave open"
         if not first.member.free:
-            return Decision.UNDECIDED, words, None
+            return ControllerDecision.UNDECIDED, words, None
         asked = open_question(first, question.before.tolist(), question.holding)
-        return Decision.UNDECIDED, f"{words}; {open_words(first.member.parameters, asked)}", asked
+        return ControllerDecision.UNDECIDED, f"{words}; {open_words(first.member.parameters, asked)}", asked
     of = f"{len(names)} of {len(names)} twins"
     if not stability:
-        return Decision.SAFE, f"safe for all that the data allow: within the safe range on {of}", None
+        return (
+            ControllerDecision.SAFE,
+            f"safe for all that the data allow: within the safe range on {of}",
+            None,
+        )
     worst = max(stability, key=lambda one: one.eigenvalue)
     every = [margin for one in stability for margin in one.margins]
     gain, delay = min(m.gain_change for m in every), min(m.delay for m in every)
@@ -286,7 +290,7 @@ def _decide(
         f"stable on {of} and in {draws} draws of their parameters, largest eigenvalue "
         f"{worst.eigenvalue:.4f}, until a gain changes {gain:.2f} times or a dead time grows by {delay:.3g} s"
     )
-    return Decision.SAFE, f"safe for all that the data allow: {words}", None
+    return ControllerDecision.SAFE, f"safe for all that the data allow: {words}", None
 
 
 def _fails(number: int, names: Sequence[str], first: str, why: str) -> str:
@@ -298,7 +302,9 @@ def _leaves_range(plant: type[Plant], names: Sequence[str], courses: Courses) ->
     """A sentence if an output leaves the range that is safe for the plant; empty otherwise."""
     for name, output in plant.outputs.items():
         low, high = output.safe
-        lowest, highest = (courses.values[Quantity(end, name, output.unit)] for end in ("lowest", "highest"))
+        lowest, highest = (
+            courses.values[CourseFigure(end, name, output.unit)] for end in ("lowest", "highest")
+        )
         outside = (lowest < low) | (highest > high) | ~np.isfinite(highest - lowest)
         share = [float(np.mean(outside[courses.owner == k])) for k in range(len(names))]
         failing = [k for k, part in enumerate(share) if part > MAX_UNSTABLE]

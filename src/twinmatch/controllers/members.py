@@ -27,7 +27,7 @@ _ATTEMPTS: Final = 20
 
 
 @dataclass(frozen=True, eq=False)
-class Member:
+class TriedTwin:
     """One twin that may be the plant."""
 
     name: str

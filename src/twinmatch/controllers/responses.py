@@ -128,7 +128,7 @@ def step_figures(reference: FloatArray, output: FloatArray, noise: float, period
 
 
 @dataclass(frozen=True, slots=True)
-class Quantity:
+class CourseFigure:
     """What is measured of a course."""
 
     name: str
@@ -137,42 +137,46 @@ class Quantity:
     unit: str
 
 
-def quantities_of(run: Run, loads: Sequence[Run], model_of: Parameters, law: Law) -> dict[Quantity, float]:
+def quantities_of(
+    run: Run, loads: Sequence[Run], model_of: Parameters, law: Law
+) -> dict[CourseFigure, float]:
     """All figures of a course over a profile, and of those after a load at each input."""
     plant, period = model_of.model.plant, law.period
-    found: dict[Quantity, float] = {}
+    found: dict[CourseFigure, float] = {}
     off = run.outputs - run.references
     with np.errstate(over="ignore", invalid="ignore"):
         for j, (name, output) in enumerate(plant.outputs.items()):
             steps = step_figures(run.references[:, j], run.outputs[:, j], output.noise, period)
-            found[Quantity("mean squared error", name, f"{output.unit}²")] = float(np.mean(off[:, j] ** 2))
-            found[Quantity("overshoot", name, output.unit)] = steps.overshoot
-            found[Quantity("settling time", name, "s")] = steps.settling
-            found[Quantity("lowest", name, output.unit)] = float(run.outputs[:, j].min())
-            found[Quantity("highest", name, output.unit)] = float(run.outputs[:, j].max())
+            found[CourseFigure("mean squared error", name, f"{output.unit}²")] = float(
+                np.mean(off[:, j] ** 2)
+            )
+            found[CourseFigure("overshoot", name, output.unit)] = steps.overshoot
+            found[CourseFigure("settling time", name, "s")] = steps.settling
+            found[CourseFigure("lowest", name, output.unit)] = float(run.outputs[:, j].min())
+            found[CourseFigure("highest", name, output.unit)] = float(run.outputs[:, j].max())
             for drive, load in zip(plant.drives, loads, strict=True):
                 from_ = "" if len(plant.drives) == 1 else f" at {drive}"
                 worst = float(np.abs(load.outputs[:, j] - load.references[:, j]).max())
-                found[Quantity(f"excursion after a load{from_}", name, output.unit)] = worst
+                found[CourseFigure(f"excursion after a load{from_}", name, output.unit)] = worst
         if isinstance(law, TwoLevel):
             return found | _cycle(run, next(iter(plant.outputs.values())).unit, period)
         for i, (name, declared) in enumerate(plant.drives.items()):
             u, low, high = run.inputs[:, i], *law.code[LOW + i :: law.n_inputs][:2]
             moved = float(np.abs(np.diff(u)).sum()) * 60.0 / (period * max(u.size - 1, 1))
-            found[Quantity("travel a minute", name, declared.unit)] = moved
+            found[CourseFigure("travel a minute", name, declared.unit)] = moved
             limited = float(np.mean((u <= low) | (u >= high)))
-            found[Quantity("time at a limit", name, "%")] = 100.0 * limited
+            found[CourseFigure("time at a limit", name, "%")] = 100.0 * limited
     return found
 
 
-def _cycle(run: Run, unit: str, period: float) -> dict[Quantity, float]:
+def _cycle(run: Run, unit: str, period: float) -> dict[CourseFigure, float]:
     """Cycle and switching rate of two levels, over the whole course."""
     on = run.inputs[:, 0] > run.inputs[:, 0].mean()
     starts = np.flatnonzero(~on[:-1] & on[1:])
     cycle = period * float(np.diff(starts).mean()) if starts.size > 1 else math.inf
     swing = [np.ptp(run.outputs[a:b, 0]) for a, b in pairwise(starts)]
     return {
-        Quantity("cycle", "", "s"): cycle,
-        Quantity("switchings an hour", "", ""): 3600.0 / period * float(np.mean(on[:-1] != on[1:])),
-        Quantity("swing of a cycle", "", unit): float(np.median(swing)) if swing else math.nan,
+        CourseFigure("cycle", "", "s"): cycle,
+        CourseFigure("switchings an hour", "", ""): 3600.0 / period * float(np.mean(on[:-1] != on[1:])),
+        CourseFigure("swing of a cycle", "", unit): float(np.median(swing)) if swing else math.nan,
     }

@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from twinmatch.controllers.members import Holding, Member
+from twinmatch.controllers.members import Holding, TriedTwin
 from twinmatch.controllers.whole_loop import ChannelMargins, WholeLoop
 from twinmatch.dynamics import Linear, LinearLaw, Parameters, PlantError, begin, simulate_driven
 from twinmatch.signals import FloatArray
@@ -29,7 +29,7 @@ Point = tuple[float, ...]
 class MemberStability:
     """The whole loop of a law with one twin, over all operating points."""
 
-    member: Member
+    member: TriedTwin
     eigenvalue: float
     """The largest, over the points, with the twin's own parameters."""
     point: Point
@@ -63,7 +63,7 @@ class MemberStability:
 
 
 def stability_of(
-    member: Member,
+    member: TriedTwin,
     law: LinearLaw,
     points: Sequence[Point],
     holding: Holding,

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from twinmatch.comparing import LEVEL_WORDS, TrustLevel, Verdict
-from twinmatch.controllers import ControllerError, Holding, Member, law_from
+from twinmatch.controllers import ControllerError, Holding, TriedTwin, law_from
 from twinmatch.dynamics import Law, Plant, advance
 from twinmatch.errors import TwinmatchError
 from twinmatch.forecasting import ForecastError, SetPoints
@@ -61,13 +61,13 @@ def _at_period(law: Law, plant: type[Plant], period: float) -> Law:
     return law.at_period(period)
 
 
-def members_from(session: Session, terms: Terms, *, watch: Watch | None = None) -> tuple[Member, ...]:
+def members_from(session: Session, terms: Terms, *, watch: Watch | None = None) -> tuple[TriedTwin, ...]:
     """Judge a session, and collect the twins at its end.
 
     Raises:
         ControllerError: the session ends in a fault, its twin is not trusted, or there is none.
     """
-    members: list[Member] = []
+    members: list[TriedTwin] = []
 
     def beside(twin: Twin, sample: Sample, _: Outcome) -> None:
         if sample is session.samples[-1]:
@@ -89,7 +89,7 @@ def level_of(session: Session, settings: TwinSettings) -> FloatArray:
     return np.array(last.references if settings.law else last.outputs)
 
 
-def _members(twin: Twin) -> list[Member]:
+def _members(twin: Twin) -> list[TriedTwin]:
     forecaster, members = twin.discriminator.forecaster, []
     for name in forecaster.names:
         known = forecaster.outlook(name)
@@ -97,7 +97,7 @@ def _members(twin: Twin) -> list[Member]:
         row = np.array(sample.disturbances) if sample.disturbances else None
         after = advance(known.parameters, known.states, sample.inputs, known.period, row)
         members.append(
-            Member(
+            TriedTwin(
                 name,
                 known.parameters,
                 known.unsure,

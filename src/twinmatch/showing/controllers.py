@@ -9,9 +9,9 @@ import numpy as np
 
 from twinmatch.controllers import (
     ControllerAnswer,
+    CourseFigure,
     Guarantee,
     MemberStability,
-    Quantity,
     Spread,
     levels_words,
 )
@@ -84,7 +84,7 @@ def _known(spread: Spread) -> bool:
     return not math.isnan(spread.median)
 
 
-def _figure_words(quantity: Quantity, spread: Spread, ran: Spread | None) -> str:
+def _figure_words(quantity: CourseFigure, spread: Spread, ran: Spread | None) -> str:
     signal = f" of {quantity.signal}" if quantity.signal else ""
     beside = "" if ran is None else f"; ran: {_spread_words(ran)}"
     return f"{quantity.name}{signal}: {_spread_words(spread)} {quantity.unit}{beside}".replace(" ;", ";")
