@@ -1,6 +1,6 @@
 """May a controller be run on a plant that is known only as well as its recordings show?
 
-A `TriedTwin` is a twin with what its recording leaves open. `try_controller` tries a law on every member and on
+A `TriedTwin` is a twin with what its recording leaves open. `try_controller` tries a law on every twin and on
 draws of its parameters: the eigenvalues of the `WholeLoop` decide, its margins say how far it is from
 instability, and the compiled loop with its limits says what happens. `pid_law` makes a linear law of PIDs
 with filters and set-point weights, `law_from` a law of a document.
