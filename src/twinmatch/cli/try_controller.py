@@ -17,19 +17,18 @@ from twinmatch.controllers import (
     try_controller,
 )
 from twinmatch.offline.controllers import (
-    holding_of,
-    level_of,
+    Ground,
+    ground_of,
     members_from,
     planned_profile,
     read_law,
     recorded_profile,
+    resting_point,
     stepped_profile,
     usual_profile,
 )
-from twinmatch.offline.judging import Terms, terms_from_files
 from twinmatch.offline.outlooks import RECORDED, planned_rows
 from twinmatch.offline.processes import held_interrupts
-from twinmatch.sessions import Session
 from twinmatch.showing.controllers import answer_document, answer_words
 from twinmatch.signals import FloatArray
 
@@ -71,15 +70,16 @@ def run(options: argparse.Namespace) -> int:
     check_writable(options.json, options.figure)
     with held_interrupts():
         opened = [_opened(path, options) for path in options.sessions]
-        session, terms = _last(opened)
-        law = read_law(options.loop, terms.settings.plant, terms.settings.period)
-        references = _profile(options, session, terms)
+        ground = _last(opened)
+        law = read_law(options.loop, ground.plant, ground.session.period)
+        level = ground.level if ground.session.has_reference else _around(options, ground)
+        references = _profile(options, ground, level)
         members = _members(opened)
-        holding = holding_of(terms.settings)
         with Progress("trying") as progress:
-            before = references[0] if options.begin == "rest" else level_of(session, terms.settings)
-            question = ControllerQuestion(law, references, before, holding, options.draws)
+            before = references[0] if options.begin == "rest" else level
+            question = ControllerQuestion(law, references, before, ground.holding, options.draws)
             answer = try_controller(_begun(members, options), question, progress.advance)
+    answer = replace(answer, notes=answer.notes + ground.unvisited(references))
     first, *rest = answer_words(answer)
     print(f"{options.loop.name}: {first}")
     for line in rest:
@@ -93,30 +93,35 @@ def run(options: argparse.Namespace) -> int:
     return EXITS[answer.decision]
 
 
-def _opened(path: Path, options: argparse.Namespace) -> tuple[Session, Terms]:
-    session = open_shown(path, options.plant)
-    return session, terms_from_files(session, options.config, options.candidates)
+def _opened(path: Path, options: argparse.Namespace) -> Ground:
+    return ground_of(open_shown(path, options.plant), options.config, options.candidates)
 
 
-def _last(opened: Sequence[tuple[Session, Terms]]) -> tuple[Session, Terms]:
+def _around(options: argparse.Namespace, ground: Ground) -> FloatArray:
+    """The level of a session without set-points: that of the law's document, or where the outputs were."""
+    point = resting_point(options.loop)
+    return ground.level if point is None or point.size != len(ground.plant.outputs) else point
+
+
+def _last(opened: Sequence[Ground]) -> Ground:
     """The last session, whose law and end count; all have to be of one plant and period."""
-    session, terms = opened[-1]
-    for other, of in opened[:-1]:
-        if (of.settings.plant, of.settings.period) != (terms.settings.plant, terms.settings.period):
+    last = opened[-1]
+    for other in opened[:-1]:
+        if (other.plant, other.session.period) != (last.plant, last.session.period):
             raise ControllerError(
-                f"session {other.name}: is of another plant or period than {session.name}; try them one by "
-                "one"
+                f"session {other.session.name}: is of another plant or period than {last.session.name}; try "
+                "them one by one"
             )
-    return session, terms
+    return last
 
 
-def _members(opened: Sequence[tuple[Session, Terms]]) -> list[TriedTwin]:
+def _members(opened: Sequence[Ground]) -> list[TriedTwin]:
     """The twins of all sessions; of several, with the session's name before theirs."""
     members: list[TriedTwin] = []
-    for session, terms in opened:
+    for ground in opened:
         with Progress() as progress:
-            found = members_from(session, terms, watch=progress.advance)
-        before = f"{session.name}: " if len(opened) > 1 else ""
+            found = members_from(ground, watch=progress.advance)
+        before = f"{ground.session.name}: " if len(opened) > 1 else ""
         members += [replace(member, name=before + member.name) for member in found]
     return members
 
@@ -126,12 +131,10 @@ def _begun(members: Sequence[TriedTwin], options: argparse.Namespace) -> list[Tr
     return [replace(each, states=None) if options.begin == "rest" else each for each in members]
 
 
-def _profile(options: argparse.Namespace, session: Session, terms: Terms) -> FloatArray:
-    settings = terms.settings
-    plant, period, samples = settings.plant, settings.period, settings.schedule.span
-    level = level_of(session, settings)
+def _profile(options: argparse.Namespace, ground: Ground, level: FloatArray) -> FloatArray:
+    plant, period, samples = ground.plant, ground.session.period, ground.holding.samples
     if options.reference == RECORDED:
-        return recorded_profile(session)
+        return recorded_profile(ground.session)
     if options.over is not None:
         rows = [line.split(",") for line in planned_rows(options.over) if line.strip()]
         return planned_profile(plant, level, rows, period, samples)

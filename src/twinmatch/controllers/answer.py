@@ -234,7 +234,8 @@ def _course(
     start, before, row = at_rest, question.before, member.disturbances
     if member.states is not None and member.inputs is not None:
         start = at_rest._replace(rest=Rest(member.states, member.inputs))
-    noise = model.noise * rng.standard_normal((len(references), model.noise.size))
+    deviations = model.noise if member.noise is None else member.noise
+    noise = deviations * rng.standard_normal((len(references), deviations.size))
     run = run_law(parameters, law, references, start, before=before, noise=noise, disturbances=row)
     level, loads = np.tile(question.before, (holding.samples, 1)), []
     for i, drive in enumerate(model.plant.drives.values()):

@@ -40,6 +40,8 @@ class TriedTwin:
     """States at the first sample after the session; None: courses begin at rest."""
     inputs: FloatArray | None = None
     """Commands at the session's end, shape (m,)."""
+    noise: FloatArray | None = None
+    """Standard deviations of the readings, shape (o,); None: those of the plant file."""
     disturbances: FloatArray | None = None
     """The measured disturbances, shape (d,), which stay as they are; None: the defaults of the plant file."""
 

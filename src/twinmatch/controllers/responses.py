@@ -158,6 +158,10 @@ def quantities_of(
                 from_ = "" if len(plant.drives) == 1 else f" at {drive}"
                 worst = float(np.abs(load.outputs[:, j] - load.references[:, j]).max())
                 found[CourseFigure(f"excursion after a load{from_}", name, output.unit)] = worst
+        units = {output.unit for output in plant.outputs.values()}
+        if len(plant.outputs) > 1 and len(units) == 1:
+            whole = float(np.mean(np.sum(off**2, axis=1)))
+            found[CourseFigure("mean squared error", "all outputs", f"{units.pop()}²")] = whole
         if isinstance(law, TwoLevel):
             return found | _cycle(run, next(iter(plant.outputs.values())).unit, period)
         for i, (name, declared) in enumerate(plant.drives.items()):

@@ -4,27 +4,47 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from twinmatch.comparing import LEVEL_WORDS, TrustLevel, Verdict
 from twinmatch.controllers import ControllerError, Holding, TriedTwin, law_from
 from twinmatch.dynamics import Law, Plant, advance
+from twinmatch.dynamics.pace import plant_scale, time_constant
 from twinmatch.errors import TwinmatchError
+from twinmatch.fitting import fit_session
 from twinmatch.forecasting import ForecastError, SetPoints
-from twinmatch.offline.judging import Terms, Watch, judge
+from twinmatch.offline.judging import Terms, Watch, judge, terms_from_files
+from twinmatch.plants import Peltier, plant_named
 from twinmatch.plants.files import load_law
 from twinmatch.sessions import Session
 from twinmatch.sessions.files import read_bounded
-from twinmatch.signals import FloatArray, Sample
-from twinmatch.twin import Outcome, Twin, TwinSettings
+from twinmatch.signals import FloatArray, Sample, Window, stretches
+from twinmatch.twin import Outcome, Twin
 
 MAX_BYTES = 1 << 20
 """Largest file of a law, bytes."""
 SHARE = 0.1
 """Step of the usual profile, as a share of the range of the set-points."""
+HOLD = 240
+"""Time for which a level is held, s, on a plant with a time constant of 100 s."""
+NORMAL = 1.4826
+"""Standard deviation of a normal distribution whose median distance from the mean is 1."""
+VISITED = 3.0
+"""Margin around the visited levels, in the output's noise."""
+WINDOW = 10.0
+"""Length of the windows that are fitted where no verdicts are made, time constants of the plant."""
+MIN_WINDOW = 120
+"""Samples of such a window, at least."""
+MIN_FIT = 0.5
+"""Least fit to the worst output of the whole session."""
+MAX_CHARGE = 10.0
+"""How much more than the best a structure may be charged for: twice the logarithm of the odds, below which a
+model has no support (Burnham and Anderson 2002)."""
 
 
 def read_law(path: Path, plant: type[Plant], period: float) -> Law:
@@ -46,6 +66,15 @@ def read_law(path: Path, plant: type[Plant], period: float) -> Law:
         raise ControllerError(f"{path}: is not JSON ({error}); give an object of keys and values") from error
 
 
+def resting_point(path: Path) -> FloatArray | None:
+    """The outputs y0 around which the regulator in a document was made, shape (o,); None without them."""
+    try:
+        document = json.loads(read_bounded(path, MAX_BYTES))
+        return np.array(document["y0"], dtype=np.float64).ravel()
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return None
+
+
 def _at_period(law: Law, plant: type[Plant], period: float) -> Law:
     sizes, of = (law.n_outputs, law.n_inputs), (len(plant.outputs), len(plant.drives))
     if sizes != of:
@@ -61,32 +90,124 @@ def _at_period(law: Law, plant: type[Plant], period: float) -> Law:
     return law.at_period(period)
 
 
-def members_from(session: Session, terms: Terms, *, watch: Watch | None = None) -> tuple[TriedTwin, ...]:
-    """Judge a session, and collect the twins at its end.
+class Ground(NamedTuple):
+    """A session on which controllers are tried."""
+
+    session: Session
+    plant: type[Plant]
+    terms: Terms | None
+    """How it is judged; None for a plant with several loops, whose windows are fitted instead."""
+
+    @property
+    def holding(self) -> Holding:
+        """How its plant is brought to an operating point."""
+        if self.terms is not None:
+            settings = self.terms.settings
+            return Holding(settings.law, settings.period, settings.schedule.span)
+        period = self.session.period
+        return Holding(None, period, round(HOLD * plant_scale(self.plant, period) / period))
+
+    @property
+    def level(self) -> FloatArray:
+        """The set-points at its end or, if it has none, the median of the outputs, shape (o,)."""
+        if self.session.has_reference:
+            return np.array(self.session.samples[-1].references)
+        return np.median([sample.outputs for sample in self.session.samples], axis=0)
+
+    @property
+    def noise(self) -> FloatArray:
+        """Standard deviations of readings, shape (o,): from their second differences, since a plant hardly
+        bends within three samples; of a reading that mostly repeats itself, that of the plant file."""
+        bends = np.diff([sample.outputs for sample in self.session.samples], n=2, axis=0)
+        found = NORMAL * np.median(np.abs(bends), axis=0) / np.sqrt(6.0)
+        declared = np.array([output.noise for output in self.plant.outputs.values()])
+        return np.where(found > 0.0, found, declared)
+
+    def unvisited(self, references: FloatArray) -> tuple[str, ...]:
+        """A note for each output whose set-points, shape (N, r), are beyond its readings."""
+        seen = np.array([sample.outputs for sample in self.session.samples])
+        notes = []
+        for j, (name, output) in enumerate(self.plant.outputs.items()):
+            low, high, room = seen[:, j].min(), seen[:, j].max(), VISITED * output.noise
+            asked = references[:, j].min(), references[:, j].max()
+            if asked[0] < low - room or asked[1] > high + room:
+                notes.append(
+                    f"{name} from {asked[0]:.4g} to {asked[1]:.4g} {output.unit}, of which only {low:.4g} to "
+                    f"{high:.4g} was visited: the rest is the plant's equations"
+                )
+        return tuple(notes)
+
+
+def ground_of(session: Session, config: Path | None = None, candidates: Path | None = None) -> Ground:
+    """A session with the terms on which it is judged, if its plant has one loop.
 
     Raises:
-        ControllerError: the session ends in a fault, its twin is not trusted, or there is none.
+        TwinmatchError: the plant is not known, or a file cannot be used.
     """
+    plant = plant_named(session.plant) if session.plant else Peltier
+    if len(plant.outputs) == len(plant.drives) == 1:
+        return Ground(session, plant, terms_from_files(session, config, candidates))
+    if len(plant.outputs) != len(plant.drives):
+        raise ControllerError(
+            f"plant {plant.name}: has {len(plant.outputs)} outputs and {len(plant.drives)} inputs; "
+            "controllers are tried on plants with as many inputs as outputs"
+        )
+    return Ground(session, plant, None)
+
+
+def members_from(ground: Ground, *, watch: Watch | None = None) -> tuple[TriedTwin, ...]:
+    """The twins that a session leaves: at its end those of its verdicts, or fits of its windows.
+
+    Raises:
+        ControllerError: the session ends in a fault, its twin is not trusted, or nothing explains it.
+    """
+    if ground.terms is None:
+        return _fitted(ground, watch)
     members: list[TriedTwin] = []
+    session = ground.session
 
     def beside(twin: Twin, sample: Sample, _: Outcome) -> None:
         if sample is session.samples[-1]:
             members.extend(_members(twin))
 
-    judged = judge(session, terms, watch=watch, beside=beside)
+    judged = judge(session, ground.terms, watch=watch, beside=beside)
     _require_trusted(session.name, judged.verdicts[-1] if judged.verdicts else None)
+    return tuple(replace(member, noise=ground.noise) for member in members)
+
+
+def _fitted(ground: Ground, watch: Watch | None) -> tuple[TriedTwin, ...]:
+    """Fits of the session's windows, each `WINDOW` time constants long, in the structures that explain the
+    whole session best. What changes from window to window, such as the room, shows as their differences."""
+    session, plant = ground.session, ground.plant
+    whole = stretches(session.samples, session.period)
+    models = [plant.model(name) for name, structure in plant.structures.items() if structure.watched]
+    fits = [fit_session(model, whole, law=None) for model in models]
+    best = min(fits, key=lambda fit: fit.charge)
+    if not best.fit[0] >= MIN_FIT:
+        raise ControllerError(
+            f"session {session.name}: {best.model.title} explains only {100 * max(best.fit[0], 0.0):.0f} % "
+            "of its movement, so it cannot say what a controller would do; record steps of every input"
+        )
+    kept = [fit.model for fit in fits if fit.charge <= best.charge + MAX_CHARGE]
+    length = WINDOW * (time_constant(plant) or session.period * HOLD) / session.period
+    windows = [part for window in whole for part in _parts(window, length)]
+    members, total = [], len(windows) * len(kept)
+    for k, (model, window) in enumerate((model, window) for model in kept for window in windows):
+        fit = fit_session(model, window, law=None)
+        if watch is not None:
+            watch(k + 1, total)
+        if fit.converged:
+            free, name = model.structure.free, f"{model.structure_name}, {window.first} to {window.last}"
+            found = TriedTwin(name, fit.parameters, free, fit.covariance, noise=ground.noise)
+            members.append(found)
     return tuple(members)
 
 
-def holding_of(settings: TwinSettings) -> Holding:
-    """How the plant of a session is held."""
-    return Holding(settings.law, settings.period, settings.schedule.span)
-
-
-def level_of(session: Session, settings: TwinSettings) -> FloatArray:
-    """The set-points at a session's end, or the outputs where the loop is not known; shape (o,)."""
-    last = session.samples[-1]
-    return np.array(last.references if settings.law else last.outputs)
+def _parts(window: Window, length: float) -> list[Window]:
+    """A window in parts of about this number of samples."""
+    number = max(1, round(len(window) / max(length, MIN_WINDOW)))
+    ends = (window.first + np.linspace(0, len(window), number + 1)).astype(int).tolist()
+    return [window.part(a, b - 1) for a, b in pairwise(ends) if b - a >= MIN_WINDOW]
 
 
 def _members(twin: Twin) -> list[TriedTwin]:
@@ -104,7 +225,7 @@ def _members(twin: Twin) -> list[TriedTwin]:
                 known.covariance[n:, n:],
                 after,
                 np.array(sample.inputs),
-                row,
+                disturbances=row,
             )
         )
     return members
