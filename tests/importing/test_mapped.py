@@ -59,6 +59,13 @@ def test_a_table_of_several_signals_is_imported(tmp_path: Path) -> None:
     found = mapped(tmp_path, Heaters, TWO, closed)
     assert found.has_reference
     assert found.samples[2] == Sample(2, EPOCH + 4 * 10**9, (45.0, 55.0), (23.0, 33.0), (12.0, 20.0))
+    names = ("time", "output.1", "output.2", "input.1", "input.2", "reference.1", "reference.2")
+    numbered = [f"{name}={entry.partition('=')[2]}" for name, entry in zip(names, closed, strict=True)]
+    assert mapped(tmp_path, Heaters, TWO, numbered).samples == found.samples
+    with pytest.raises(RecordingError, match=r"no signal 'output.3'; it has time, first \(output.1\), s"):
+        mapped(tmp_path, Heaters, TWO, [*numbered, "output.3=T1"])
+    with pytest.raises(RecordingError, match=r"first and output.1 are the same signal"):
+        mapped(tmp_path, Heaters, TWO, [*OF_TWO, "output.1=T1"])
     driven = mapped(tmp_path, Heaters, TWO, OF_TWO)
     assert not driven.has_reference
     assert {s.references for s in driven.samples} == {(21.0, 31.0)}

@@ -17,8 +17,8 @@ import numpy as np
 from twinmatch.adding.check import Shown
 from twinmatch.adding.proposal import noise_of
 from twinmatch.adding.trial import CheckedPlant, Finding, time_constants
-from twinmatch.dynamics import Law, Output, Plant, PlantError, commands_of
-from twinmatch.fitting import FittingError
+from twinmatch.dynamics import Law, Parameters, Plant, PlantError, commands_of
+from twinmatch.fitting import FittingError, Noise, in_parts
 from twinmatch.fitting.gate import Status
 from twinmatch.importing import open_any
 from twinmatch.importing.mapped import map_samples, with_plant_names
@@ -28,7 +28,7 @@ from twinmatch.offline.judging import judge, terms_from_files
 from twinmatch.sampling.sources import TIME, SignalMap
 from twinmatch.sessions import Session
 from twinmatch.showing.series import root_mean_square
-from twinmatch.signals import FloatArray, Sample, Window, only, unbroken
+from twinmatch.signals import FloatArray, Sample, Window, only, stretches, unbroken
 from twinmatch.twin import MatchReport, StructureScore, TwinSettings, choose_structure, filled_stretches
 
 _SMALL: Final = 3.0
@@ -70,27 +70,16 @@ def data_for(path: Path, plant: type[Plant], given: SignalMap, period: float | N
 
 
 def check_data(session: Session, plant: type[Plant], show: Shown = lambda *_: None) -> CheckedPlant:
-    """Check the plant against a recording: noise, duration, and results of the matches.
+    """Check the plant against a recording: noise, duration, and results of the matches; with several loops,
+    which are not matched, results of the fits to all of it.
 
     `show` is called with what is being done, how many samples of it are done, and of how many.
     """
+    if len(plant.outputs) > 1 or len(plant.drives) > 1:
+        return _check_fits(session, plant, show)
     terms = terms_from_files(session)
     judgement = judge(session, terms, watch=partial(show, "judging the recording"))
-    y = np.array([sample.output for sample in session.samples])
-    noise, declared = noise_of(y), plant.output.noise
-    notes = [f"{session.name}: {y.size} samples, one every {session.period:g} s; measured noise {noise:g}"]
-    findings = []
-    if not declared / _LARGE <= noise <= declared * _SMALL:
-        what = f"the noise of the output is declared as {declared:g}, but measured as {noise:g}"
-        findings.append(Finding(what, "correct `noise`: every judgement of the fit depends on it"))
-    if _SMALL * noise < declared <= _LARGE * noise:
-        ratio = f"{declared / noise:.2g} times the measured one"
-        notes.append(f"errors count in units of the declared noise, {ratio}")
-    lags = time_constants(terms.settings.start)
-    if lags.size and y.size * session.period < 2 * lags[-1]:
-        what = f"the recording lasts {y.size * session.period:g} s, less than twice the slowest time constant"
-        todo = "record longer, or check the default of that parameter"
-        findings.append(Finding(f"{what} ({lags[-1]:.3g} s)", todo))
+    findings, notes = _of_samples(session, plant, terms.settings.start)
     findings += loop_findings(session, plant, terms.settings.law)
     faults = [verdict.reason for verdict in judgement.verdicts if verdict.fault]
     size = len(session.samples)
@@ -104,20 +93,60 @@ def check_data(session: Session, plant: type[Plant], show: Shown = lambda *_: No
     if 2 * accepted < len(matches):
         findings += compared.findings  # where matches are accepted anyway, it is a remark
     if not accepted and any(match.status is Status.NOT_EXPLAINED for match in matches):
-        findings += _of_what_is_left(compared.least, plant.output)
+        findings += _of_what_is_left(compared.least, plant)
     return CheckedPlant(f"{plant.title} on {session.name}", tuple(findings), tuple(notes))
 
 
-def _of_what_is_left(least: float, output: Output) -> Iterator[Finding]:
+def _check_fits(session: Session, plant: type[Plant], show: Shown) -> CheckedPlant:
+    findings, notes = _of_samples(session, plant, plant.model().parameters())
+    size = len(session.samples)
+    show(f"fitting {len(plant.structures)} structures to {size} samples", size, size)
+    windows = [
+        part for w in _windows(stretches(session.samples, session.period)) for part in in_parts(plant, w)
+    ]
+    compared = _compared(windows, plant, size, noise=Noise.of(plant), law=None)
+    findings += [*compared.findings, *_of_what_is_left(compared.least, plant)]
+    return CheckedPlant(f"{plant.title} on {session.name}", tuple(findings), (*notes, *compared.notes))
+
+
+def _of_samples(
+    session: Session, plant: type[Plant], parameters: Parameters
+) -> tuple[list[Finding], list[str]]:
+    """The noise of every output, and the duration."""
+    findings, size, outputs = [], len(session.samples), plant.outputs
+    rows = np.array([sample.outputs for sample in session.samples]).T
+    measured = {name: noise_of(row) for name, row in zip(outputs, rows, strict=True)}
+    listed = ", ".join(
+        f"{noise:g}{f' ({name})' if len(outputs) > 1 else ''}" for name, noise in measured.items()
+    )
+    notes = [f"{session.name}: {size} samples, one every {session.period:g} s; measured noise {listed}"]
+    for name, noise in measured.items():
+        declared, of = outputs[name].noise, f" {name}" if len(outputs) > 1 else ""
+        if not declared / _LARGE <= noise <= declared * _SMALL:
+            what = f"the noise of the output{of} is declared as {declared:g}, but measured as {noise:g}"
+            findings.append(Finding(what, "correct `noise`: every judgement of the fit depends on it"))
+        if _SMALL * noise < declared <= _LARGE * noise:
+            ratio = f"{declared / noise:.2g} times the measured one"
+            notes.append(f"errors{of and f' of{of}'} count in units of the declared noise, {ratio}")
+    lags = time_constants(parameters)
+    if lags.size and size * session.period < 2 * lags[-1]:
+        what = f"the recording lasts {size * session.period:g} s, less than twice the slowest time constant"
+        todo = "record longer, or check the default of that parameter"
+        findings.append(Finding(f"{what} ({lags[-1]:.3g} s)", todo))
+    return findings, notes
+
+
+def _of_what_is_left(least: tuple[float, ...], plant: type[Plant]) -> Iterator[Finding]:
     """Advice for equations that no measurement noise explains, but that may be good enough."""
-    if least > _UNEXPLAINED * output.noise:
-        what = f"over the whole recording, the best of the structures leaves {least:.2g} {output.unit}"
-        yield Finding(
-            what.rstrip(),
-            "if errors of that size are good enough for you, declare "
-            f"noise={float(f'{least / _PART:.1g}'):g}: errors of fits and forecasts are judged in units of "
-            "the noise",
-        )
+    for output, left in zip(plant.outputs.values(), least, strict=False):
+        if left > _UNEXPLAINED * output.noise:
+            of = f" of {output.name}" if len(plant.outputs) > 1 else ""
+            size, noise = f"{left:.2g} {output.unit}".rstrip(), float(f"{left / _PART:.1g}")
+            yield Finding(
+                f"over the whole recording, the best of the structures leaves {size}{of}",
+                f"if errors of that size are good enough for you, declare noise={noise:g}: errors of fits "
+                "and forecasts are judged in units of the noise",
+            )
 
 
 def _of_matches(matches: tuple[MatchReport, ...], faults: Sequence[str]) -> Iterator[Finding]:
@@ -208,8 +237,8 @@ class Compared(NamedTuple):
     findings: list[Finding]
     """That another structure than the first one is preferred: the first is matched to windows."""
     notes: list[str]
-    least: float
-    """RMS of the smallest residuals, in the output's unit; NaN if nothing could be fitted."""
+    least: tuple[float, ...]
+    """RMS of each output's smallest residuals, in its unit; empty if nothing could be fitted."""
 
 
 def compare_structures(
@@ -220,23 +249,39 @@ def compare_structures(
     The structure that the data support is the one that the twin has `chosen`, as the last verdict says.
     Only of a recording too short for that is it the choice of these fits.
     """
+    windows = _windows(filled_stretches(samples, settings))
+    first, total = settings.start.model.structure_name, len(samples)
+    return _compared(
+        windows, plant, total, noise=settings.noise, law=settings.law, first=first, chosen=chosen
+    )
+
+
+def _compared(
+    windows: Sequence[Window],
+    plant: type[Plant],
+    total: int,
+    *,
+    noise: Noise,
+    law: Law | None,
+    first: str = "",
+    chosen: str = "",
+) -> Compared:
     names = [name for name, structure in plant.structures.items() if structure.external is None]
-    windows = _windows(samples, settings)
     if not windows:
-        return Compared([], [], math.nan)
+        return Compared([], [], ())
     models = [plant.model(name) for name in names]
     try:
-        choice = choose_structure(windows, models, noise=settings.noise, law=settings.law)
+        choice = choose_structure(windows, models, noise=noise, law=law)
     except (FittingError, PlantError) as error:
-        return Compared([], [f"the structures cannot be compared on this recording: {error}"], math.nan)
+        return Compared([], [f"the structures cannot be compared on this recording: {error}"], ())
     used = sum(len(window) for window in windows)
-    notes = [f"each structure fitted to {'all' if used == len(samples) else 'the first'} {used} samples:"]
+    notes = [f"each structure fitted to {'all' if used == total else 'the first'} {used} samples:"]
     notes += [f"  {_line(score, plant)}" for score in choice.scores]
     if len(names) > 1:
         notes.append(f"as in the last verdict, the samples justify: {chosen}" if chosen else choice.sentence)
     chosen = chosen or choice.chosen
-    least = min(map(_rms, choice.scores))
-    first = settings.start.model.structure_name
+    least = tuple(np.min([_rms(score) for score in choice.scores], axis=0).tolist())
+    first = first or names[0]
     if chosen == first:
         return Compared([], notes, least)
     what = f"the recording supports the structure {chosen!r} rather than {first!r}"
@@ -244,9 +289,9 @@ def compare_structures(
     return Compared([Finding(what, todo)], notes, least)
 
 
-def _windows(samples: Sequence[Sample], settings: TwinSettings) -> list[Window]:
+def _windows(whole: Sequence[Window]) -> list[Window]:
     windows, left = [], _MAX_SAMPLES
-    for stretch in filled_stretches(samples, settings):
+    for stretch in whole:
         count = min(left, len(stretch))
         if count >= _SHORTEST:
             windows.append(stretch.part(stretch.first, stretch.first + count - 1))
@@ -255,13 +300,15 @@ def _windows(samples: Sequence[Sample], settings: TwinSettings) -> list[Window]:
 
 
 def _line(score: StructureScore, plant: type[Plant]) -> str:
-    y = plant.output
-    rms = _rms(score)
     values = ", ".join(f"{name} = {score.parameters[name]:.4g}" for name in score.fitted.model.structure.free)
     fit = "" if math.isnan(score.fit[0]) else f", fit {score.fit[0]:.1%}"
-    return f"{score.name}: leaves {rms:.3g} {y.unit} ({rms / y.noise:.3g} × noise){fit}; {values}"
+    pairs = zip(plant.outputs.values(), _rms(score), strict=True)
+    left = " and ".join(f"{rms:.3g} {y.unit} ({rms / y.noise:.3g} × noise)" for y, rms in pairs)
+    return f"{score.name}: leaves {left}{fit}; {values}"
 
 
-def _rms(score: StructureScore) -> float:
-    off = [m[0] - s[0] for m, s in zip(score.fitted.measured, score.fitted.simulated, strict=True)]
-    return root_mean_square(off)
+def _rms(score: StructureScore) -> list[float]:
+    """Of each output, in its unit."""
+    pairs = list(zip(score.fitted.measured, score.fitted.simulated, strict=True))
+    outputs = len(score.fitted.model.plant.outputs)
+    return [root_mean_square([m[k] - s[k] for m, s in pairs]) for k in range(outputs)]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 from twinmatch.cli.shared import (
@@ -19,7 +20,7 @@ from twinmatch.cli.shared import (
 )
 from twinmatch.errors import EXIT_USER_ERROR, TwinmatchError
 from twinmatch.offline.archive import find_sessions
-from twinmatch.offline.backtest import Choices, backtest_session
+from twinmatch.offline.backtest import Choices, backtest_outputs
 from twinmatch.offline.backtest.scoring import Backtest, document, over_all
 from twinmatch.showing.forecasts import backtest_tables, backtest_words
 
@@ -44,37 +45,58 @@ def run(options: argparse.Namespace) -> int:
     check_writable(options.json, options.figure)
     sessions = find_sessions(options.sessions)
     tests: list[Backtest] = []
+    tested = 0
     for path in sessions:
         try:
-            tests.append(_one(path, options))
+            tests += _tested(path, options)
+            tested += 1
         except TwinmatchError as error:
             if len(sessions) == 1:
                 raise
             print(f"twinmatch: skipped {path}: {error}", file=sys.stderr)
     if not tests:
         return EXIT_USER_ERROR
-    total = tests[0] if len(tests) == 1 else over_all(tests)
-    if len(tests) > 1:
+    totals = _totals(tests)
+    for total in totals if len(tests) > len(totals) else ():
         _print(total)
+    of_all = [document(total, forecasts=False) for total in totals]
     write_json(
         options.json,
-        lambda: {"sessions": [document(each) for each in tests], "total": document(total, forecasts=False)},
+        lambda: {
+            "sessions": [document(each) for each in tests],
+            "total": of_all if of_all[1:] else of_all[0],
+        },
     )
     if options.figure is not None:
         from twinmatch.showing.figures.drawing import save  # noqa: PLC0415 — matplotlib is slow
         from twinmatch.showing.figures.forecasts import draw_backtest  # noqa: PLC0415
 
-        save(draw_backtest(total), options.figure)
-    return 0 if len(tests) == len(sessions) else EXIT_PARTLY
+        for number, total in enumerate(totals):
+            place = (
+                options.figure
+                if not number
+                else options.figure.with_stem(f"{options.figure.stem}_{total.plant.output.name}")
+            )
+            save(draw_backtest(total), place)
+    return 0 if tested == len(sessions) else EXIT_PARTLY
 
 
-def _one(path: Path, options: argparse.Namespace) -> Backtest:
+def _totals(tests: Sequence[Backtest]) -> list[Backtest]:
+    """Over all sessions, output by output."""
+    outputs: dict[object, list[Backtest]] = {}
+    for test in tests:
+        outputs.setdefault(test.plant.output, []).append(test)
+    return [of[0] if len(of) == 1 else over_all(of) for of in outputs.values()]
+
+
+def _tested(path: Path, options: argparse.Namespace) -> tuple[Backtest, ...]:
     horizons = None if options.horizon is None else tuple(options.horizon)
     choices = Choices(options.every, horizons, tuple(options.peers))
     with Progress() as progress:
-        tested = backtest_session(path, choices, second=True, **judging(options, progress))
-    _print(tested)
-    return tested
+        tests = backtest_outputs(path, choices, second=True, **judging(options, progress))
+    for tested in tests:
+        _print(tested)
+    return tests
 
 
 def _print(tested: Backtest) -> None:

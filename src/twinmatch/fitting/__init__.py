@@ -22,7 +22,7 @@ from twinmatch.fitting.data import ORDERS, FittingError, Order, parse_order
 from twinmatch.fitting.gate import GateLimits, Status
 from twinmatch.fitting.match import Fit, Match, match
 from twinmatch.fitting.problem import Bounds, Noise
-from twinmatch.fitting.structures import StructureFit, fit_session, fit_structure
+from twinmatch.fitting.structures import StructureFit, fit_session, fit_structure, in_parts
 
 __all__ = [
     "ORDERS",
@@ -40,6 +40,7 @@ __all__ = [
     "estimate_ladder",
     "fit_session",
     "fit_structure",
+    "in_parts",
     "match",
     "parse_order",
 ]

@@ -25,6 +25,7 @@ from twinmatch.dynamics import (
     LoopLaw,
     Model,
     Parameters,
+    Plant,
     descend,
 )
 from twinmatch.dynamics.pace import time_constant
@@ -163,15 +164,17 @@ def fit_session(
     Raises:
         FittingError: as `fit_structure`.
     """
-    stretches = []
-    for window in [session] if isinstance(session, Window) else session:
-        samples = stretch * time_constant(model.plant) / window.period
-        number = max(1, round(len(window) / max(samples, 2.0 * SETTLE))) if samples else 1
-        ends = window.first + np.linspace(0, len(window), number + 1).astype(int)
-        stretches += [
-            window.part(a, b - 1) for a, b in zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True)
-        ]
-    return fit_structure(stretches, model, noise=noise, law=law, informed=informed)
+    windows = [session] if isinstance(session, Window) else session
+    parts = [part for window in windows for part in in_parts(model.plant, window, stretch)]
+    return fit_structure(parts, model, noise=noise, law=law, informed=informed)
+
+
+def in_parts(plant: type[Plant], window: Window, stretch: float = STRETCH) -> list[Window]:
+    """A window in equal parts of about `stretch` time constants of the plant; whole if it has none."""
+    samples = stretch * time_constant(plant) / window.period
+    number = max(1, round(len(window) / max(samples, 2.0 * SETTLE))) if samples else 1
+    ends = window.first + np.linspace(0, len(window), number + 1).astype(int)
+    return [window.part(a, b - 1) for a, b in zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True)]
 
 
 def _known(model: Model, windows: int) -> dict[str, Known]:

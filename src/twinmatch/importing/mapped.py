@@ -162,10 +162,20 @@ def _names(plant: type[Plant]) -> dict[str, tuple[str, ...]]:
     more = ("setpoint", "set_point", "set-point") if loop.references == (REFERENCE,) else ()
     return {
         TIME: (TIME,),
-        **{signal: (signal, name) for signal, name in zip(loop.outputs, plant.outputs, strict=True)},
-        **{signal: (signal, name) for signal, name in zip(loop.inputs, plant.drives, strict=True)},
-        **{signal: (signal, *more) for signal in loop.references},
+        **_numbered(OUTPUT, loop.outputs, tuple(plant.outputs)),
+        **_numbered(INPUT, loop.inputs, tuple(plant.drives)),
+        **{signal: (*names, *more) for signal, names in _numbered(REFERENCE, loop.references).items()},
         **{name: (name,) for name in plant.disturbances},
+    }
+
+
+def _numbered(kind: str, signals: tuple[str, ...], names: tuple[str, ...] = ()) -> dict[str, tuple[str, ...]]:
+    """Accepted names of each signal; where there are several, one is its number, such as output.2."""
+    own = names or signals
+    number = (lambda k: (f"{kind}.{k}",)) if len(signals) > 1 else (lambda _: ())
+    return {
+        signal: tuple(dict.fromkeys((signal, name, *number(k))))
+        for k, (signal, name) in enumerate(zip(signals, own, strict=True), 1)
     }
 
 
@@ -181,7 +191,8 @@ def by_signal(plant: type[Plant], sources: Mapping[str, SignalSource]) -> dict[s
     for name, source in sources.items():
         if name not in known:
             signals = ", ".join(
-                f"{s} ({n[1]})" if s in (OUTPUT, INPUT) else s for s, n in _names(plant).items()
+                f"{s} ({n[1]})" if len(n) > 1 and s not in (TIME, REFERENCE) else s
+                for s, n in _names(plant).items()
             )
             raise RecordingError(f"--map: plant {plant.name} has no signal {name!r}; it has {signals}")
         if known[name] in named:

@@ -25,7 +25,6 @@ from twinmatch.offline.backtest.run import (
     Listener,
     ask,
     backtest,
-    backtest_session,
     graded,
     mark,
     origins,
@@ -48,6 +47,7 @@ from twinmatch.offline.backtest.scoring import (
     document,
     over_all,
 )
+from twinmatch.offline.backtest.several import backtest_session
 from twinmatch.offline.judging import judge_samples, terms_from_files
 from twinmatch.plants import Peltier
 from twinmatch.sessions import samples_of, write_session

@@ -3,9 +3,10 @@
 `backtest_session` runs a session through the twin and makes forecasts with all forecasters at every verdict
 and every minute; a `Backtest` holds the results. `marks` scores one forecast, `cards` summarise many. The
 peers are the referees of the verdict: persistence and ARX, from the same samples as there.
+`backtest_outputs` takes plants with several loops, too: one `Backtest` for each output.
 """
 
-from twinmatch.offline.backtest.run import Choices, Listener, backtest, backtest_session, graded, portable
+from twinmatch.offline.backtest.run import Choices, Listener, backtest, graded, portable
 from twinmatch.offline.backtest.scoring import (
     PEERS,
     Backtest,
@@ -22,6 +23,7 @@ from twinmatch.offline.backtest.scoring import (
     marks,
     over_all,
 )
+from twinmatch.offline.backtest.several import backtest_outputs, backtest_session
 
 __all__ = [
     "PEERS",
@@ -34,6 +36,7 @@ __all__ = [
     "Marks",
     "SignalMarks",
     "backtest",
+    "backtest_outputs",
     "backtest_session",
     "best_in_hindsight",
     "cards",

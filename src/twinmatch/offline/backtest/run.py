@@ -6,7 +6,6 @@ import itertools
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -14,7 +13,6 @@ import numpy as np
 from twinmatch.comparing import BASELINES
 from twinmatch.dynamics import SKIPPED, Law, Parameters, Plant
 from twinmatch.forecasting import CONFIDENCE, ArxForecast, Band, Forecast, Outlook
-from twinmatch.importing import open_any
 from twinmatch.offline.backtest.scoring import (
     CONSTANT,
     LEADER,
@@ -29,10 +27,10 @@ from twinmatch.offline.backtest.scoring import (
     marks,
     samples_within,
 )
-from twinmatch.offline.judging import Judgement, Terms, Watch, judge, terms_from_files
-from twinmatch.offline.processes import Beside, beside, held_interrupts
+from twinmatch.offline.judging import Judgement, Terms, Watch, judge
+from twinmatch.offline.processes import Beside, held_interrupts
 from twinmatch.sessions import Session
-from twinmatch.sessions.files import ProgressCallback, part_of
+from twinmatch.sessions.files import part_of
 from twinmatch.signals import FloatArray, Sample, Window
 from twinmatch.twin import Outcome, Twin, TwinSettings, filled_stretches, response_on
 from twinmatch.twin.matcher import one_thread
@@ -63,9 +61,10 @@ class Origin:
 
     @property
     def ahead(self) -> FloatArray:
-        """The future values that a forecast may use: the set-points, or the inputs if the loop is not
-        known."""
-        return self.came.input if self.driven else self.came.reference
+        """The future values that a forecast may use: the set-points, or the inputs if the loop is not known;
+        shape (N,), or of several (N, r)."""
+        held = self.came.inputs if self.driven else self.came.references
+        return held[:, 0] if held.shape[1] == 1 else held
 
     @property
     def disturbances(self) -> FloatArray | None:
@@ -146,7 +145,7 @@ def mark(
     ]
 
 
-_SPARSER: Final = 2.0
+SPARSER: Final = 2.0
 """Default time between two forecasts, in times between two forecasts that the twin scores."""
 
 
@@ -247,7 +246,7 @@ class Listener:
         self.common, self.work = _Common(session, settings, self.horizons, choices.peers), work or Beside()
         self.held = filled_stretches(samples, settings)
         """The stretches between gaps that are too long to be filled."""
-        every = _SPARSER * scored.every if choices.every is None else choices.every
+        every = SPARSER * scored.every if choices.every is None else choices.every
         self.wanted = frozenset(regular(self.held, every))
         """Samples at which outlooks are recorded, besides those of the verdicts."""
         self.graded: dict[int, Callable[[], _Graded] | None] = {}
@@ -309,35 +308,6 @@ def _grade(terms: _Common, origin: Origin, asked: _Outlooks) -> _Graded:
     return _Graded(marked, forecasts[asked.who[LEADER]])
 
 
-def backtest_session(
-    path: Path,
-    choices: Choices | None = None,
-    *,
-    config: Path | None = None,
-    candidates: Path | None = None,
-    plant: str | None = None,
-    watch: Watch | None = None,
-    progress: ProgressCallback | None = None,
-    second: bool = False,
-) -> Backtest:
-    """Test the twin on a session, an .mcap file or a recording.
-
-    Args:
-        path: session, .mcap file or recording.
-        choices: horizons, interval and peers.
-        config, candidates: files of parameters and initial candidates; without them the defaults and none.
-        plant: name or file of the plant, if the session does not name it or it is in a file.
-        watch, progress: called with the progress of judging and of reading.
-        second: whether a second process may forecast meanwhile; it is a fork of this one.
-    """
-    with beside(possible=second) as work:
-        session = open_any(path, progress=progress, plant=plant)
-        terms = terms_from_files(session, config, candidates)
-        return backtest(
-            session, terms, choices, watch=watch, work=work if portable(terms.settings.plant) else None
-        )
-
-
 def portable(plant: type[Plant]) -> bool:
     """Whether another process can run all structures of a plant: not FMUs, which answer this one."""
     return not any(structure.external for structure in plant.structures.values())
@@ -351,7 +321,7 @@ def backtest(
     watch: Watch | None = None,
     work: Beside | None = None,
 ) -> Backtest:
-    """Test the twin on a session with these settings; see `backtest_session`."""
+    """Test the twin on a session with these settings; see `backtest_outputs`."""
     listener = Listener(session.name, session.samples, terms.settings, choices or Choices(), work)
     judgement = judge(session, terms, watch=part_of(watch, 0, 2), beside=listener)
     return graded(judgement, listener, watch=part_of(watch, 1, 2))
@@ -394,12 +364,12 @@ def graded(judgement: Judgement, listener: Listener, *, watch: Watch | None = No
         confidence=CONFIDENCE,
         marked=tuple(marked),
         came=listener.held,
-        shown=_one_after_another(result.shown for result, _ in results if result.shown.sample in judged),
+        shown=one_after_another(result.shown for result, _ in results if result.shown.sample in judged),
         notes=tuple(_notes(total, judged, everything, spoilt, unasked)),
     )
 
 
-def _one_after_another(forecasts: Iterable[Forecast]) -> tuple[Forecast, ...]:
+def one_after_another(forecasts: Iterable[Forecast]) -> tuple[Forecast, ...]:
     """Select forecasts that begin where the one before ends."""
     shown: list[Forecast] = []
     for forecast in forecasts:

@@ -1,0 +1,250 @@
+"""Backtests of plants with several inputs and outputs, output by output.
+
+Verdicts run one loop, so there is no family to ask. Every structure that the plant file lets run beside the
+plant is fitted to the first part of the session, and so is the ARX model; all forecast the rest, driven by
+the recorded inputs. The twins are followed by the forecaster that a verdict uses, so their bands continue
+learning.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from twinmatch.comparing import Candidate
+from twinmatch.dynamics import Plant
+from twinmatch.dynamics.pace import plant_scale
+from twinmatch.fitting import fit_session
+from twinmatch.forecasting import ArxForecast, Forecast
+from twinmatch.importing import open_any
+from twinmatch.offline.backtest.run import (
+    SPARSER,
+    Choices,
+    Origin,
+    ask,
+    backtest,
+    mark,
+    one_after_another,
+    origins,
+    portable,
+    regular,
+)
+from twinmatch.offline.backtest.scoring import (
+    LEADER,
+    PEERS,
+    Backtest,
+    BacktestError,
+    Marked,
+    best_in_hindsight,
+    common,
+)
+from twinmatch.offline.judging import Watch, terms_from_files
+from twinmatch.offline.processes import beside
+from twinmatch.plants import Peltier, plant_named
+from twinmatch.sessions import Session
+from twinmatch.sessions.files import ProgressCallback
+from twinmatch.signals import Window, stretches
+from twinmatch.twin import Forecaster, ForecastSettings
+from twinmatch.twin.matcher import one_thread
+
+FITTED: Final = 0.6
+"""Share of a session to which the structures are fitted; the rest is forecast."""
+
+
+def backtest_outputs(
+    path: Path,
+    choices: Choices | None = None,
+    *,
+    config: Path | None = None,
+    candidates: Path | None = None,
+    plant: str | None = None,
+    watch: Watch | None = None,
+    progress: ProgressCallback | None = None,
+    second: bool = False,
+) -> tuple[Backtest, ...]:
+    """Test the twin on a session, an .mcap file or a recording: one backtest for each output of the plant.
+
+    Args:
+        path: session, .mcap file or recording.
+        choices: horizons, interval and peers.
+        config, candidates: files of parameters and initial candidates; without them the defaults and none.
+        plant: name or file of the plant, if the session does not name it or it is in a file.
+        watch, progress: called with the progress of judging and of reading.
+        second: whether a second process may forecast meanwhile; it is a fork of this one.
+
+    Raises:
+        BacktestError: parameters or candidates are given for a plant with several loops, or too little is
+            left to forecast.
+    """
+    with beside(possible=second) as work:
+        session, choices = open_any(path, progress=progress, plant=plant), choices or Choices()
+        kind = plant_named(session.plant) if session.plant else Peltier
+        if len(kind.outputs) == 1 and len(kind.drives) == 1:
+            terms = terms_from_files(session, config, candidates)
+            own = work if portable(terms.settings.plant) else None
+            return (backtest(session, terms, choices, watch=watch, work=own),)
+        if config or candidates:
+            raise BacktestError(
+                f"backtest: {kind.title} has several loops, and its twin is fitted to the session itself; "
+                "leave out --config and --candidates"
+            )
+        return backtest_each(session, kind, choices, watch=watch)
+
+
+def backtest_session(path: Path, choices: Choices | None = None, **options: Any) -> Backtest:
+    """Test the twin of a plant with one output on a session; arguments as of `backtest_outputs`.
+
+    Raises:
+        BacktestError: the plant has several outputs.
+    """
+    tests = backtest_outputs(path, choices, **options)
+    if len(tests) > 1:
+        raise BacktestError(f"backtest: {path} has {len(tests)} outputs; call backtest_outputs")
+    return tests[0]
+
+
+def backtest_each(
+    session: Session,
+    plant: type[Plant],
+    choices: Choices,
+    *,
+    watch: Watch | None = None,
+) -> tuple[Backtest, ...]:
+    """The backtests of all outputs of a plant on a session; see `backtest_outputs`."""
+    period, held = session.period, stretches(session.samples, session.period)
+    settings = ForecastSettings.of(plant_scale(plant, period), period)
+    horizons = choices.ahead(settings.horizons, period)
+    split = session.samples[int(FITTED * len(session.samples))].index
+    every = SPARSER * settings.every if choices.every is None else choices.every
+    wanted = [k for k in regular(held, every) if k >= split]
+    places = {origin.sample: origin for origin in origins(held, wanted, horizons, driven=True)}
+    if not places:
+        raise BacktestError(
+            f"backtest: the last {100 * (1 - FITTED):.0f} % of {session.name} are shorter than "
+            f"{horizons[0]:g} s; record longer, or choose a shorter --horizon"
+        )
+    forecaster = Forecaster(None, settings, period=period)
+    forecaster.enter(_fitted(plant, [_before(window, split) for window in held if window.first < split]))
+    marked: list[list[Marked]] = [[] for _ in plant.outputs]
+    shown: list[list[Forecast]] = [[] for _ in plant.outputs]
+    arx = None
+    for done, sample in enumerate(session.samples):
+        forecaster.push(sample)
+        if sample.index in places:
+            origin = places[sample.index]
+            arx = arx or forecaster.arx
+            made = _forecasts(forecaster, arx, origin, choices.peers)
+            for k in range(len(plant.outputs)):
+                marked[k] += _Scored(session.name, horizons, origin, made).marked(plant, k)
+                shown[k].append(_only(made[LEADER], k))
+            if watch is not None:
+                watch(done, len(session.samples))
+    fitted = f"fitted to the samples before {split}; forecasts are of those after, under the recorded inputs"
+    return tuple(
+        Backtest(
+            name=f"{session.name}, {name}",
+            plant=channel(plant, k),
+            period=period,
+            horizons=horizons,
+            confidence=shown[k][0].confidence,
+            marked=tuple(common(marked[k])),
+            came=tuple(_alone(window, k) for window in held),
+            shown=one_after_another(shown[k]),
+            notes=(fitted,),
+        )
+        for k, name in enumerate(plant.outputs)
+    )
+
+
+def _before(window: Window, split: int) -> Window:
+    return window.part(window.first, min(window.last, split - 1))
+
+
+def _fitted(plant: type[Plant], past: list[Window]) -> list[Candidate]:
+    """A candidate for each watched structure."""
+    candidates = []
+    for name, structure in plant.structures.items():
+        if structure.watched and structure.external is None:
+            fit = fit_session(plant.model(name), past, law=None)
+            point = float(past[-1].outputs[-1, 0])
+            candidates.append(
+                Candidate(name, point, fit.parameters, past[-1], structure.free, fit.covariance)
+            )
+    return candidates
+
+
+def _forecasts(
+    forecaster: Forecaster, arx: ArxForecast, origin: Origin, peers: tuple[str, ...]
+) -> dict[str, Forecast]:
+    """Those of all structures, of the leader under that name, and of the peers, with coefficients as they
+    were at the first origin."""
+    past = origin.past
+    rows = np.hstack([past.outputs, past.inputs, past.disturbances])[: -len(arx.past) - 1 : -1]
+    asked = ask(arx._replace(past=np.ascontiguousarray(rows)), origin)
+    with one_thread():
+        made = {
+            name: forecaster.outlook(name).forecast(origin.ahead, origin.disturbances)
+            for name in forecaster.names
+        }
+    leader = made[forecaster.leader or forecaster.names[0]]
+    return {LEADER: leader, **made, **{PEERS[name]: asked[name] for name in peers}}
+
+
+class _Scored(NamedTuple):
+    """What is scored at one origin."""
+
+    session: str
+    horizons: tuple[float, ...]
+    origin: Origin
+    made: dict[str, Forecast]
+
+    def marked(self, plant: type[Plant], output: int) -> list[Marked]:
+        """The marks of one output's forecasts, and those of the best of the structures."""
+        own = self.origin
+        origin, of = (
+            Origin(own.sample, _alone(own.stretch, output), own.count, driven=True),
+            channel(plant, output),
+        )
+        by = {
+            who: mark(self.session, who, _only(forecast, output), origin, horizons=self.horizons, plant=of)
+            for who, forecast in self.made.items()
+        }
+        twins = [one for who, marks in by.items() if who in plant.structures for one in marks]
+        others = [one for who, marks in by.items() if who not in plant.structures for one in marks]
+        return [*others, *best_in_hindsight(twins)]
+
+
+@cache
+def channel(plant: type[Plant], output: int) -> type[Plant]:
+    """One output of a plant with the drive in the same place, for the names, units and noise of scores."""
+    alone: type[Plant] = type(plant.__name__, (plant,), {"title": plant.title}, name=plant.name)
+    y, u = list(plant.outputs), list(plant.drives)
+    alone.outputs = {y[output]: plant.outputs[y[output]]}
+    name = u[min(output, len(u) - 1)]
+    alone.drives = {name: plant.drives[name]}
+    return alone
+
+
+def _alone(window: Window, output: int) -> Window:
+    """The signals of a channel."""
+    u = min(output, window.inputs.shape[1] - 1)
+    return replace(
+        window,
+        references=window.references[:, [output]],
+        outputs=window.outputs[:, [output]],
+        inputs=window.inputs[:, [u]],
+    )
+
+
+def _only(forecast: Forecast, output: int) -> Forecast:
+    u = min(output, len(forecast.inputs) - 1)
+    return replace(
+        forecast,
+        references=forecast.references[:, 0],
+        outputs=(forecast.outputs[output],),
+        inputs=(forecast.inputs[u],),
+    )
