@@ -15,7 +15,16 @@ import mpmath as mp
 import numpy as np
 
 from benchmarks.common import Row, main, measure_side_by_side, peer, rows_of
-from twinmatch.comparing import GraphSymbol, nu_gap, nu_gap_matrix, stability_margin
+from twinmatch.comparing import (
+    GraphSymbol,
+    StateSpace,
+    matrix_margin,
+    matrix_nu_gap,
+    nu_gap,
+    nu_gap_matrix,
+    stability_margin,
+)
+from twinmatch.comparing.matrix_gap import closed_loop
 
 Fraction = tuple[np.ndarray, np.ndarray]
 
@@ -28,7 +37,7 @@ def run(quick: bool) -> list[Row]:
     for order in (2, 5) if quick else (2, 3, 4, 5):
         rows += _one_output(order, repeats, accurate=not quick)
         rows += _two_outputs(order, repeats)
-    return rows + _loop(repeats)
+    return rows + _loop(repeats) + _matrices(repeats)
 
 
 def _one_output(order: int, repeats: int, *, accurate: bool) -> list[Row]:
@@ -97,6 +106,42 @@ def _loop(repeats: int) -> list[Row]:
         name: f"b = {timing.result:.9f}" for name, timing in timings.items() if timing.result is not None
     }
     return rows_of("nu_gap", "stability margin of a PID loop", timings, notes=notes)
+
+
+def _matrices(repeats: int) -> list[Row]:
+    """Two inputs and two outputs, four states: the gap of a pair, beside the largest of its two halves by the
+    exact way; and the margin, beside 1/‖·‖∞ in python-control."""
+    rng = np.random.default_rng(7)
+    halves = [[_model(rng, 2, 1.0) for _ in range(2)] for _ in range(2)]
+    symbols = [[GraphSymbol.of_transfer_functions([m], 1.0) for m in pair] for pair in halves]
+    plants = [
+        StateSpace.of(control.append(*(control.ss(control.tf(*model, 1.0)) for model in pair)))
+        for pair in halves
+    ]
+    gaps = measure_side_by_side(
+        {
+            "twinmatch": lambda: matrix_nu_gap(*plants),
+            "twinmatch, exact": lambda: max(nu_gap(a, b) for a, b in zip(*symbols, strict=True)),
+        },
+        repeats,
+    )
+    controller = StateSpace(np.eye(2), np.eye(2), 0.01 * np.eye(2), 0.3 * np.eye(2), 1.0)
+    loop = closed_loop(plants[0], controller)
+    whole = control.ss(loop.A, loop.B, loop.C, loop.D, 1.0) if loop else None
+    margins = measure_side_by_side(
+        {
+            "twinmatch": lambda: matrix_margin(plants[0], controller),
+            "control": lambda: 1 / control.system_norm(whole, "inf", tol=1e-9),
+        },
+        repeats,
+    )
+    rows = []
+    for case, timings in (("ν-gap", gaps), ("margin", margins)):
+        notes = {
+            name: f"{timing.result:.10f}" for name, timing in timings.items() if timing.result is not None
+        }
+        rows += rows_of("nu_gap", f"{case} of two inputs and outputs, four states", timings, notes=notes)
+    return rows
 
 
 def _model(rng: np.random.Generator, order: int, gain: float) -> Fraction:
