@@ -147,9 +147,14 @@ class Candidate:
     free: tuple[str, ...] = ()
     """Names of the parameters that were fitted."""
     covariance: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
-    """Covariance of these, in their order and units, (n, n); empty if the candidate was given: exact."""
+    """Covariance of these, in their order and units, (n, n); empty if it was given as exact."""
     states: FloatArray | None = None
     """States of its twin at the last samples of the window, shape (N, states), if its fit gave them."""
+
+    @property
+    def remembered(self) -> bool:
+        """Whether it is what earlier sessions have shown: given, with the spread between them as covariance."""
+        return self.window is None and len(self.covariance) > 0
 
     @property
     def samples(self) -> tuple[int, int]:

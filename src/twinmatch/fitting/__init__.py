@@ -21,7 +21,7 @@ from twinmatch.fitting.box_jenkins import BoxJenkins, estimate, estimate_ladder
 from twinmatch.fitting.data import ORDERS, FittingError, Order, parse_order
 from twinmatch.fitting.gate import GateLimits, Status
 from twinmatch.fitting.match import Fit, Match, match
-from twinmatch.fitting.problem import Bounds, Noise
+from twinmatch.fitting.problem import Bounds, Noise, Prior, Spread
 from twinmatch.fitting.structures import StructureFit, fit_session, fit_structure, in_parts
 
 __all__ = [
@@ -34,6 +34,8 @@ __all__ = [
     "Match",
     "Noise",
     "Order",
+    "Prior",
+    "Spread",
     "Status",
     "StructureFit",
     "estimate",

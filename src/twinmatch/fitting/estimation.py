@@ -14,7 +14,7 @@ import numpy as np
 
 from twinmatch.compiled import compiled
 from twinmatch.dynamics import Parameters, box_step
-from twinmatch.fitting.problem import Evaluation, Problem
+from twinmatch.fitting.problem import LASTING, Evaluation, Problem
 from twinmatch.signals import FloatArray
 
 _MAX_EVALUATIONS = 100
@@ -122,6 +122,8 @@ def uncertainty(problem: Problem, estimate: Estimate) -> Uncertainty:
     sums, expected = problem.noise_scores(estimate.values)
     free_samples = 1.0 - len(problem.names) / estimate.residuals.size
     scores = sums.T @ sums * (estimate.chi2 / free_samples / expected)
+    known, pull = len(problem.free), problem.experiment.pull
+    scores[:known, :known] += np.diag(LASTING * pull)
     return _uncertainty_of(fisher, scores, problem.scales)
 
 

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from operator import itemgetter
+from types import MappingProxyType
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -15,8 +16,7 @@ from twinmatch.errors import TwinmatchError
 from twinmatch.fitting.estimation import Uncertainty, on_bounds, solve, starts_for
 from twinmatch.fitting.gate import FitEvidence, GateLimits, Status, first_excited, judge, undetermined
 from twinmatch.fitting.identifiability import Identified, identify, unidentified
-from twinmatch.fitting.problem import Bounds, Noise, Problem, checked_free, checked_law
-from twinmatch.fitting.structures import LASTING
+from twinmatch.fitting.problem import LASTING, Bounds, Noise, Prior, Problem, checked_free, checked_law
 from twinmatch.signals import FloatArray, Window
 
 
@@ -145,6 +145,7 @@ def match(
     law: LoopLaw = FROM_PLANT_FILE,
     min_step: float | None = None,
     limits: GateLimits | None = None,
+    prior: Prior = MappingProxyType({}),
 ) -> Match:
     """Fit the twin to a window by nonlinear least squares.
 
@@ -168,6 +169,7 @@ def match(
         min_step: least step of the set-point (for a driven twin, of the input) that excites the plant, in its
             unit; default: the declared `least_step`.
         limits: limits of the gate.
+        prior: what is known of the parameters beforehand, such as from earlier sessions.
 
     Raises:
         FittingError: names or bounds are invalid, or the controller has another period.
@@ -176,7 +178,7 @@ def match(
     model, limits = start.model, limits or GateLimits()
     law = checked_law(model, window, law)
     names = checked_free(model, free)
-    problem = Problem(window, names, start, noise or Noise.of(model.plant), law, bounds)
+    problem = Problem(window, names, start, noise or Noise.of(model.plant), law, bounds, prior)
     if window.share_seen < limits.least_seen:
         reason = (
             f"only {window.share_seen:.0%} of the window's samples were received; "

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from twinmatch.dynamics import (
     SKIPPED,
     Descended,
     Experiment,
+    Known,
     Law,
     LoopLaw,
     Model,
@@ -28,6 +29,24 @@ from twinmatch.fitting.data import FittingError
 from twinmatch.signals import FloatArray, Window, only
 
 Bounds = Mapping[str, tuple[float, float]]
+LASTING: Final = 30.0
+"""Correlation length of the residuals, samples: so many count as one independent residual."""
+
+
+class Spread(NamedTuple):
+    """What is known of a parameter before a window, in its unit."""
+
+    mean: float
+    deviation: float
+
+
+Prior = Mapping[str, Spread]
+"""By name of the parameter."""
+
+
+def known_of(prior: Prior, windows: int = 1) -> dict[str, Known]:
+    """The prior of a search, with its weight divided among the windows."""
+    return {n: Known(each.mean, LASTING / (windows * each.deviation**2)) for n, each in prior.items()}
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,6 +212,8 @@ class Problem:
     law: Law | None
     bounds: Bounds | None = None
     """Replacements for some of the plant's bounds."""
+    prior: Prior = field(default_factory=dict)
+    """What is known beforehand; each counts as one independent residual."""
 
     @cached_property
     def unknowns(self) -> tuple[Unknown, ...]:
@@ -230,6 +251,7 @@ class Problem:
             free_starts=self.base.model.structure.free_starts,
             law=self.law,
             weights=tuple(1.0 / self.noise.all),
+            beforehand=known_of({name: self.prior[name] for name in self.free if name in self.prior}),
         )
 
     @property

@@ -30,7 +30,16 @@ from twinmatch.dynamics import (
 )
 from twinmatch.dynamics.pace import time_constant
 from twinmatch.fitting.data import FittingError
-from twinmatch.fitting.problem import Noise, checked_law, unknown_parameters, unknown_starts
+from twinmatch.fitting.problem import (
+    LASTING,
+    Noise,
+    Prior,
+    Spread,
+    checked_law,
+    known_of,
+    unknown_parameters,
+    unknown_starts,
+)
 from twinmatch.signals import BoolArray, FloatArray, Window
 
 SETTLE: Final = 60
@@ -42,8 +51,6 @@ _LOOK = 8
 _MAX_EVALUATIONS = 40
 STRETCH: Final = 10.0
 """Length of the stretches in which a session is fitted, time constants of the plant."""
-LASTING: Final = 30.0
-"""Correlation length of the residuals, samples: so many count as one independent residual."""
 SPREAD: Final = 0.5
 """Prior standard deviation of a parameter around its typical value, in units of that value."""
 
@@ -108,6 +115,7 @@ def fit_structure(
     law: LoopLaw = FROM_PLANT_FILE,
     thorough: bool = True,
     informed: bool = False,
+    prior: Prior | None = None,
 ) -> StructureFit:
     """Find the unknown parameters of one structure from windows of one plant.
 
@@ -123,13 +131,17 @@ def fit_structure(
         informed: use the plant file's typical values as prior, as one independent residual for each
             parameter. A few minutes leave a valley of parameters that fit equally well, whose ends forecast
             badly; an hour outweighs the prior.
+        prior: what earlier sessions have shown of the parameters, by name, as prior in place of those.
 
     Raises:
         FittingError: no window, one that is too short, or windows of different periods.
     """
-    known = _known(model, len(windows)) if informed and windows else {}
+    informed = informed or bool(prior)
+    given = {**_typical(model), **(prior or {})} if informed else {}
+    known = known_of(given, max(len(windows), 1))
     problem = _Problem(_runs(windows, model, noise or Noise.of(model.plant), law, known))
     plant = model.typical() if informed else model.parameters()
+    plant = plant.replace(**{name: each.mean for name, each in given.items()})
     if start is not None and start.model is model:
         values = problem.values_of(start.parameters, start.starts[-1])
     else:
@@ -177,13 +189,13 @@ def in_parts(plant: type[Plant], window: Window, stretch: float = STRETCH) -> li
     return [window.part(a, b - 1) for a, b in zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True)]
 
 
-def _known(model: Model, windows: int) -> dict[str, Known]:
-    """The plant file's typical values as prior, with its weight divided among the windows."""
+def _typical(model: Model) -> dict[str, Spread]:
+    """The plant file's typical values as prior."""
     typical, known = model.typical(), {}
     for name in model.structure.free:
         declared = model.declared[name]
         spread = SPREAD * abs(typical[name]) if declared.relative else declared.scale
-        known[name] = Known(typical[name], LASTING / (windows * (spread or declared.scale) ** 2))
+        known[name] = Spread(typical[name], spread or declared.scale)
     return known
 
 

@@ -76,8 +76,13 @@ class _NewestWindow(NamedTuple):
 class CandidatePool:
     """All candidates: the family of matches, the structures beside it, and the forecaster that runs them."""
 
-    def __init__(self, settings: TwinSettings, spoilt: Callable[[int, int], bool]) -> None:
-        """Begin without candidates; `spoilt(first, last)` excludes stretches from learning."""
+    def __init__(
+        self,
+        settings: TwinSettings,
+        spoilt: Callable[[int, int], bool],
+        remembered: Sequence[Candidate] = (),
+    ) -> None:
+        """Begin with the twins of earlier sessions; `spoilt(first, last)` excludes stretches from learning."""
         plant, law, period = settings.plant, settings.law, settings.period
         self._settings = settings
         self.forecaster = Forecaster(law, settings.forecasts, spoilt, period)
@@ -89,6 +94,7 @@ class CandidatePool:
             matched=settings.start.model,
             decimals=settings.decimals,
             scale=settings.forecasts.scale,
+            prior=settings.prior,
         )
         self.scores: FamilyScores | None = None
         """The newest scores; None before the first."""
@@ -98,6 +104,10 @@ class CandidatePool:
         self._newest: _NewestWindow | None = None
         self._reached: tuple[float, float] | None = None
         self._loop = LoopConditions(law, spans_of(plant), settings.schedule.span, period)
+        self._remembered = tuple(remembered)
+        self.estranged = ""
+        """Why the memory of earlier sessions was left; empty if it was not."""
+        self.forecaster.enter(self._remembered)
 
     @property
     def empty(self) -> bool:
@@ -139,20 +149,37 @@ class CandidatePool:
         return f"candidate {candidate.name} matched on samples {window.first} to {window.last}"
 
     def enter(self) -> None:
-        """Pass all candidates to the forecaster: the structures, then the matches, newest first."""
+        """Pass all candidates to the forecaster: the structures, the matches, newest first, and the
+        remembered twins."""
         matches = [member.candidate for member in reversed(self._members.values())]
         self.structures.watch([match.parameters.model for match in matches if match.window is not None])
-        self.forecaster.enter([*self.structures.candidates, *matches], self._successors)
+        self.forecaster.enter([*self.structures.candidates, *matches, *self._remembered], self._successors)
         self._successors = {}
+
+    def leave_memory(self) -> tuple[str, ...]:
+        """If the plant is not the remembered one, remove the remembered twins and the matches whose prior they
+        were; return the names of these."""
+        if self.estranged or not (estranged := self.structures.estranged):
+            return ()
+        self.estranged, self._remembered = estranged, ()
+        prior = self._settings.prior
+        self.forecaster.enter([c for c in self.structures.candidates if c.name not in prior])  # new accounts
+        self.structures.forget()
+        models = {name: member.candidate.parameters.model for name, member in self._members.items()}
+        return self._remove([name for name, model in models.items() if model.structure_name in prior])
 
     def expel(self, first: int, last: int) -> tuple[str, ...]:
         """Remove the candidates fitted to samples that overlap `first` to `last`; return their names."""
         spans = {name: member.candidate.samples for name, member in self._members.items()}
-        gone = tuple(name for name, span in spans.items() if span[0] <= last and span[1] >= first)
-        for name in gone:
+        matches = [name for name, span in spans.items() if span[0] <= last and span[1] >= first]
+        return self._remove(matches, self.structures.expel(first, last))
+
+    def _remove(self, matches: Sequence[str], structures: tuple[str, ...] = ()) -> tuple[str, ...]:
+        """Remove matches, and compare what is left; the structures are removed already. All their names."""
+        for name in matches:
             self._family.dismiss(name)
             del self._members[name]
-        gone += self.structures.expel(first, last)
+        gone = (*matches, *structures)
         self.enter()
         if gone and self.scores is not None and self._newest is not None:
             if self.empty:
@@ -195,7 +222,7 @@ class CandidatePool:
 
     def _score_all(self, newest: _NewestWindow) -> FamilyScores:
         """The scores of the family, and beside it of the structure with the best forecasts."""
-        fitted = {candidate.name: candidate for candidate in self.structures.candidates}
+        fitted = {c.name: c for c in (*self.structures.candidates, *self._remembered)}
         best = self.forecaster.standings.best_of(fitted)
         beside = [] if best is None else [fitted[best]]
         try:

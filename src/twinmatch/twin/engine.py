@@ -56,20 +56,24 @@ class Discriminator:
         *,
         snapshots: bool = False,
     ) -> None:
-        """Begin with the given candidates only (their twins are judged on the first excited window).
+        """Begin with the given candidates only.
+
+        Those that are exact are judged on the first excited window. Remembered ones forecast from the first
+        sample on, and what they say of the parameters is the prior of all fits.
 
         `snapshots`: whether steps have them. A snapshot takes longer than a sample without one.
         """
         self._snapshots = snapshots
         self.stamps: dict[int, int] = {}
         """Stamps of the newest samples and stand-ins, ns, by index."""
-        self.settings = settings or TwinSettings()
+        self._plain = settings or TwinSettings()
+        self.settings = self._plain.informed_by(given)
         self.monitor = Monitor(replace(self.settings.health, period=self.settings.period))
         self._schedule = _schedule(self.settings)
         self._external = [model for model in watched(self.settings.plant) if model.is_external]
-        self._pool = CandidatePool(self.settings, self._spoilt)
+        self._pool = CandidatePool(self.settings, self._spoilt, [each for each in given if each.remembered])
         self._bands = BandHistory(self.settings.limits.doubtful, self.settings.noise.output)
-        self._given = list(given)
+        self._given = [each for each in given if not each.remembered]
         self._waiting: deque[Sample] = deque()
         self._door = Door.of(self.settings)
         self._entered: deque[Sample] = deque()
@@ -166,11 +170,14 @@ class Discriminator:
                 self._admitted(self._given.pop(0), trigger.window)
         rival = self._pool.incumbent_at(trigger.operating_point)
         incumbent = rival.parameters if rival else None
+        start, expected = incumbent or self.settings.start, self.settings
+        if self._pool.estranged and start.model.structure_name in expected.prior:
+            start = self._plain.start  # in the structure of the memory, its values would be the prior
         return MatchRequest(
             sample=trigger.sample,
             operating_point=trigger.operating_point,
             window=trigger.window,
-            start=incumbent or self.settings.start,
+            start=start,
             incumbent=incumbent,
         )
 
@@ -232,6 +239,7 @@ class Discriminator:
                 self._fits = None
             elif self.monitor.fault_between(window.first, window.last) is None:
                 self._fit(trigger)
+            dismissed = pool.leave_memory()
             pool.enter()
             scored = bool(match.word) and not pool.empty
             if scored:
@@ -241,7 +249,7 @@ class Discriminator:
                     scored, match = False, MatchResult(match.word, f"nothing could be identified: {error}")
             if not scored:
                 pool.score_leader()
-            return verdict_of(self._known(trigger.sample, window, match, scored=scored))
+            return verdict_of(self._known(trigger.sample, window, match, scored=scored, dismissed=dismissed))
 
     def _known(
         self,
@@ -264,7 +272,7 @@ class Discriminator:
             leader=forecaster.leader,
             confidence=forecaster.confidence,
             forecasts=forecaster.scores,
-            standing=forecaster.sentence,
+            standing="; ".join(text for text in (forecaster.sentence, self._pool.estranged) if text),
             horizons=forecaster.settings.horizons,
             bands=bands,
             miss_limit=self.settings.limits.doubtful,
@@ -357,7 +365,7 @@ class Twin:
         """
         self.settings = settings or TwinSettings()
         self.discriminator = Discriminator(self.settings, given)
-        self._matching = matching or self.settings
+        self._matching = (matching or self.settings).informed_by(given)
 
     def push(self, sample: Sample) -> Outcome:
         """Take one sample; return the match and the verdicts that it triggers."""

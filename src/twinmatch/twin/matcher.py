@@ -105,6 +105,7 @@ def _matched(
             noise=settings.noise,
             law=settings.law,
             min_step=settings.least_movement,
+            prior=settings.prior.get(start.model.structure_name, {}),
         )
     except TwinmatchError as error:
         status, reason = Status.DID_NOT_CONVERGE, f"the window could not be matched: {error}"

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Final
 
-from twinmatch.comparing import spans_of
+import numpy as np
+
+from twinmatch.comparing import Candidate, spans_of
 from twinmatch.dynamics import (
     FROM_PLANT_FILE,
     Law,
@@ -18,7 +21,7 @@ from twinmatch.dynamics import (
 )
 from twinmatch.dynamics.pace import plant_scale
 from twinmatch.errors import TwinmatchError
-from twinmatch.fitting import Noise
+from twinmatch.fitting import Noise, Prior, Spread
 from twinmatch.forecasting import HORIZONS, ForecastError
 from twinmatch.health import HealthSettings
 from twinmatch.plants import Peltier
@@ -128,6 +131,8 @@ class TwinSettings:
     """Settings of the health monitor; their period is replaced by `period`."""
     forecasts: ForecastSettings = field(default_factory=ForecastSettings)
     """Horizons and intervals of the forecasts by which candidates are scored."""
+    prior: Mapping[str, Prior] = field(default_factory=dict)
+    """What earlier sessions have shown of the parameters, by structure and name."""
 
     @classmethod
     def of(
@@ -163,6 +168,26 @@ class TwinSettings:
             health=HealthSettings.of(plant, period),
             forecasts=ForecastSettings.of(plant_scale(plant, period, scale), period),
         )
+
+    def informed_by(self, given: Sequence[Candidate]) -> TwinSettings:
+        """These settings with what remembered candidates say: of each structure the first one is the prior.
+
+        Matches are then made in the structure of the first of all, unless another one than the plant's first,
+        or other free parameters than its, were asked for.
+        """
+        remembered = [each for each in given if each.remembered]
+        if not remembered:
+            return self
+        prior: dict[str, Prior] = {}
+        for each in remembered:
+            deviations = np.sqrt(np.diag(each.covariance)).tolist()
+            values = zip(each.free, deviations, strict=True)
+            known = {name: Spread(each.parameters[name], deviation) for name, deviation in values}
+            prior.setdefault(each.parameters.model.structure_name, known)
+        start, usual = remembered[0].parameters, self.plant.model()
+        if self.start.model is not usual or self.free != usual.structure.free:
+            return replace(self, prior=prior)
+        return replace(self, prior=prior, start=start, free=start.model.structure.free)
 
     @property
     def least_movement(self) -> float:

@@ -12,7 +12,8 @@ the first minutes they do not drift along the valley in which many parameters fi
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Final
 
 import numpy as np
@@ -20,8 +21,9 @@ import numpy as np
 from twinmatch.comparing import Candidate
 from twinmatch.dynamics import Law, Model, Parameters, Plant
 from twinmatch.errors import TwinmatchError
-from twinmatch.fitting import Noise, StructureFit, fit_structure
+from twinmatch.fitting import Noise, Prior, StructureFit, fit_structure
 from twinmatch.signals import Window
+from twinmatch.twin.recall import unlike
 from twinmatch.twin.structures import StructureChoice, choose_structure
 
 CHOICE_S: Final = (900.0, 1200.0, 1200.0)
@@ -30,6 +32,11 @@ MAX_SPAN_S: Final = 2400.0
 """Length of the newest stretch to which candidates are fitted, s."""
 EVERY_S: Final = 600.0
 """Age after which a candidate's fit is repeated even without excitation, s."""
+
+
+_GROWTH: Final = 1.5
+"""With what earlier sessions have shown, quiet samples teach, too: a structure is fitted again when it has so
+many times the samples."""
 
 
 def watched(plant: type[Plant]) -> tuple[Model, ...]:
@@ -83,6 +90,7 @@ class StructureFits:
         decimals: int = 2,
         choice: tuple[float, float, float] = CHOICE_S,
         scale: float = 1.0,
+        prior: Mapping[str, Prior] = MappingProxyType({}),
     ) -> None:
         """Begin without samples.
 
@@ -95,9 +103,11 @@ class StructureFits:
             decimals: decimal places of the tables of the information gain.
             choice: the times of `CHOICE_S`, s.
             scale: factor on these and the other times.
+            prior: what earlier sessions have shown of the parameters, by structure and name.
         """
         self._noise, self._law, self._decimals, self._matched = noise, law, decimals, matched
         self._models: tuple[Model, ...] = ()
+        self._prior = prior
         pace = scale / period
         self._least, self._choose_every, longest = (round(time * pace) for time in choice)
         self._compared = NewestSamples(longest)
@@ -151,6 +161,29 @@ class StructureFits:
         fitted_at = max((candidate.samples[1] for candidate, _ in self._fits.values()), default=None)
         if excited or (fitted_at is not None and not 0 <= window.last - fitted_at < self._fit_every):
             self._compete(self._models, window)
+        elif self._prior:
+            self._compete([m for m in self._models if self._grown(m.structure_name, window)], window)
+
+    def _grown(self, name: str, window: Window) -> bool:
+        """Whether a remembered structure has half as many samples again as its fit had."""
+        before = self._fits.get(name)
+        had = 0 if before is None or before[0].window is None else len(before[0].window)
+        return name in self._prior and len(window) >= _GROWTH * had
+
+    @property
+    def estranged(self) -> str:
+        """How the plant differs from the one of earlier sessions, in the structure in which it is expected;
+        empty while it may be the same."""
+        name = next(iter(self._prior), "")
+        return unlike(self._fits[name][1], self._prior[name]) if name in self._fits else ""
+
+    def forget(self) -> None:
+        """Leave what earlier sessions have shown, and the fits that rest on it."""
+        rested = [model for model in self._models if model.structure_name in self._prior]
+        self._fits = {name: fit for name, fit in self._fits.items() if name not in self._prior}
+        self._prior, self._matched = {}, None  # matches are made in another structure now
+        if self._fitted.window is not None:
+            self._compete(rested, self._fitted.window)
 
     def plant_now(self) -> Parameters | None:
         """The plant that candidates are compared with: the richest structure; None with too few samples.
@@ -182,9 +215,9 @@ class StructureFits:
         """Fit structures, except the matched one, to a window."""
         level = window.output if self._law is None else window.reference
         for model in models:
-            if model is self._matched:
-                continue
             name, free = model.structure_name, model.structure.free
+            if model is self._matched and name not in self._prior:
+                continue
             before = self._fits.get(name)
             fit = None if model.lost else self._fit(model, window, before and before[1], informed=True)
             if fit is not None:
@@ -205,6 +238,7 @@ class StructureFits:
                 law=self._law,
                 thorough=False,
                 informed=informed,
+                prior=self._prior.get(model.structure_name) if informed else None,
             )
         except TwinmatchError:
             return None

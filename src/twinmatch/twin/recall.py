@@ -1,0 +1,41 @@
+"""Whether the plant is the one that earlier sessions have shown."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from scipy.stats import chi2
+
+from twinmatch.fitting import Prior, StructureFit
+
+_TOLD: Final = 0.2
+"""Least share of the prior variance of a direction that the samples must have removed for it to count."""
+_CHANCE: Final = 1e-3
+"""Probability that a plant like the remembered ones looks so different once. The fits of a session are hardly
+independent, and who leaves a memory that was right has lost a quick start, no more."""
+
+
+def unlike(fit: StructureFit, prior: Prior) -> str:
+    """How the plant differs from the remembered ones, in a sentence; empty while it may be one of them.
+
+    With prior covariance Σ and that of the fit C, the fit of a plant like the remembered ones lies around the
+    prior mean with covariance Σ − C. Only directions count in which the samples have told something.
+    """
+    parameters, free = fit.parameters, fit.model.structure.free
+    mean, deviation = np.array([prior[name] for name in free]).T
+    away = (np.array([parameters[name] for name in free]) - mean) / deviation
+    left = fit.covariance / np.outer(deviation, deviation)
+    told, directions = np.linalg.eigh(np.eye(len(free)) - (left + left.T) / 2)
+    known = told >= _TOLD
+    surprise = float(np.sum(np.square(directions.T[known] @ away) / told[known]))
+    if not known.any() or surprise <= chi2.isf(_CHANCE, known.sum()):
+        return ""
+    place = int(np.argmax(np.abs(away)))
+    name = free[place]
+    unit = fit.model.declared[name].unit
+    is_, was = (
+        f"{name} is {parameters[name]:.3g} {unit}".rstrip(),
+        f"{mean[place]:.3g} ± {deviation[place]:.1g}",
+    )
+    return f"this is not the plant that the memory describes: {is_}, remembered {was}; the memory is left"
