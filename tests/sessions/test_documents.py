@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import yaml
 from hypothesis import given
@@ -21,8 +22,14 @@ from tests.support.places import PROJECT
 from tests.support.rig import rig
 from tests.support.schemas import bare
 from twinmatch.cli import main
+from twinmatch.comparing import Candidate
 from twinmatch.errors import TwinmatchError
-from twinmatch.parameters.candidates import CandidateFileError, parse_candidates, read_candidates
+from twinmatch.parameters.candidates import (
+    CandidateFileError,
+    candidates_text,
+    parse_candidates,
+    read_candidates,
+)
 from twinmatch.parameters.twin import read_settings
 from twinmatch.plants import Peltier
 from twinmatch.plants.records import parameters_from
@@ -268,6 +275,20 @@ def test_the_papers_family_has_the_papers_structure() -> None:
     assert {c.parameters.model for c in family} == {Peltier.model()}
 
 
+def test_remembered_candidates_come_back_from_their_text_bit_for_bit() -> None:
+    free = Peltier.model().structure.free
+    spread = np.diag(np.square([0.1 / 3.0, 1.0 / 7.0, 2.0 / 3.0]))
+    remembered = Candidate("remembered", 50.0, rig(seebeck=0.1 / 3.0), None, free, spread)
+    exact = Candidate("paper", 30.0, rig("sink with mass"), None)
+    read = parse_candidates(candidates_text([remembered, exact]), "file")
+    assert [(c.name, c.operating_point, c.parameters, c.free) for c in read] == [
+        (c.name, c.operating_point, c.parameters, c.free) for c in (remembered, exact)
+    ]
+    np.testing.assert_allclose(np.diag(read[0].covariance), np.diag(spread), rtol=1e-15)
+    assert [c.remembered for c in read] == [True, False]
+    assert candidates_text(read) == candidates_text(parse_candidates(candidates_text(read), "file"))
+
+
 def test_a_structure_is_taken_by_its_name() -> None:
     text = entry_candidates("plant: peltier, structure: 'sink with mass, sensor lag', sensor_lag: 0.4")
     (found,) = parse_candidates(text, "family")
@@ -288,6 +309,13 @@ def test_without_a_structure_the_values_say_which_parts_there_are() -> None:
         ("plant: kettle", "plant 'kettle': not known; choose from peltier"),
         ("structure: two sinks", "no structure 'two sinks'; it has held sink"),
         ("structure: held sink, sensor_lag: 1.0", "no parameter 'sensor_lag' in this structure"),
+        ("deviations: 3", "deviations is 3; give one number for each free parameter"),
+        ("deviations: {seebeck: 0.01}", "'held sink' needs those of seebeck, conductance, heat"),
+        ("deviations: {seebeck: high}", "deviation of seebeck is 'high'; give a number"),
+        (
+            "deviations: {seebeck: 0.01, conductance: 0.0, heat_capacity: 1}",
+            "deviation of conductance is 0; give a positive finite number",
+        ),
     ],
 )
 def test_what_no_candidate_can_be_is_refused_in_words(text: str, message: str) -> None:

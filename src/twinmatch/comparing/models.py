@@ -153,7 +153,7 @@ class Candidate:
 
     @property
     def remembered(self) -> bool:
-        """Whether it is what earlier sessions have shown: given, with the spread between them as covariance."""
+        """Whether it is what earlier sessions have shown: given, with their spread as covariance."""
         return self.window is None and len(self.covariance) > 0
 
     @property

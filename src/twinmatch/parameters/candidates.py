@@ -9,22 +9,36 @@ candidates:
     # other parameters of the structure: those of the plant file, unless given
     # plant: peltier          # the first of a plant's structures unless given
     # structure: held sink
+  - name: remembered         # what earlier sessions have shown: forecasts from the first sample on
+    operating_point: 50.0
+    seebeck: 0.0825
+    conductance: 0.35
+    heat_capacity: 31.93
+    deviations:              # of the free parameters, between those sessions: the prior of all fits
+      seebeck: 0.005
+      conductance: 0.02
+      heat_capacity: 1.5
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import yaml
+
 from twinmatch.comparing.models import Candidate
-from twinmatch.dynamics import Plant
+from twinmatch.dynamics import Parameters, Plant
 from twinmatch.errors import TwinmatchError
-from twinmatch.plants import Peltier, find_plant, plant_named
+from twinmatch.plants import Peltier, find_plant, plant_named, written_name
 from twinmatch.plants.records import parameters_from
 from twinmatch.sessions.documents import parse_yaml, read_text, shown
+from twinmatch.signals import FloatArray
 
-_WORDS = ("name", "plant", "structure")
+_WORDS = ("name", "plant", "structure", "deviations")
 MAX_NAME = 200
 """Longest name, characters."""
 
@@ -82,6 +96,7 @@ def _candidate(entry: Any, place: str, find: Callable[[str], type[Plant]]) -> Ca
             for key, usual in (("name", ""), ("plant", Peltier.name), ("structure", ""))
         )
         parameters = parameters_from(find(plant).name, structure, numbers)
+        free, covariance = _spread(entry.get("deviations", {}), parameters)
     except TwinmatchError as error:
         raise CandidateFileError(f"{place}: {error}") from error
     output = parameters.model.plant.output
@@ -92,7 +107,39 @@ def _candidate(entry: Any, place: str, find: Callable[[str], type[Plant]]) -> Ca
             f"{place}: operating_point is {operating_point:g}{unit}; give a value within {low:g} and "
             f"{high:g}{unit}"
         )
-    return Candidate(name, operating_point, parameters, None)
+    return Candidate(name, operating_point, parameters, None, free, covariance)
+
+
+def _spread(entry: Any, parameters: Parameters) -> tuple[tuple[str, ...], FloatArray]:
+    """The free parameters of a remembered candidate and their covariance; both empty for an exact one."""
+    free = parameters.model.structure.free
+    if not isinstance(entry, dict):
+        raise CandidateFileError(f"deviations is {shown(entry)}; give one number for each free parameter")
+    deviations = {str(name): _number(f"deviation of {name}", value) for name, value in entry.items()}
+    if deviations and deviations.keys() != {*free}:
+        raise CandidateFileError(
+            f"deviations are those of {', '.join(map(shown, deviations))}; the structure "
+            f"{parameters.model.structure_name!r} needs those of {', '.join(free)}"
+        )
+    for name, deviation in deviations.items():
+        if not 0.0 < deviation < math.inf:
+            raise CandidateFileError(f"deviation of {name} is {deviation:g}; give a positive finite number")
+    values = [deviations[name] for name in free] if deviations else []
+    return tuple(free) if deviations else (), np.diag(np.square(values))
+
+
+def candidates_text(candidates: Sequence[Candidate]) -> str:
+    """The file of these candidates: the inverse of `parse_candidates`."""
+    entries = []
+    for each in candidates:
+        model = each.parameters.model
+        deviations = np.sqrt(np.diag(each.covariance)).tolist() if each.remembered else []
+        entry = {"name": each.name, "operating_point": each.operating_point}
+        entry |= {"plant": written_name(model.plant), "structure": model.structure_name}
+        entry |= {name: each.parameters[name] for name in model.names}
+        entry |= {"deviations": dict(zip(each.free, deviations, strict=True))} if deviations else {}
+        entries.append(entry)
+    return yaml.safe_dump({"candidates": entries}, allow_unicode=True, sort_keys=False)
 
 
 def _word(key: str, value: Any) -> str:

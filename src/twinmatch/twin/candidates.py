@@ -82,7 +82,7 @@ class CandidatePool:
         spoilt: Callable[[int, int], bool],
         remembered: Sequence[Candidate] = (),
     ) -> None:
-        """Begin with the twins of earlier sessions; `spoilt(first, last)` excludes stretches from learning."""
+        """Begin with twins of earlier sessions; `spoilt(first, last)` excludes stretches from learning."""
         plant, law, period = settings.plant, settings.law, settings.period
         self._settings = settings
         self.forecaster = Forecaster(law, settings.forecasts, spoilt, period)
@@ -157,8 +157,8 @@ class CandidatePool:
         self._successors = {}
 
     def leave_memory(self) -> tuple[str, ...]:
-        """If the plant is not the remembered one, remove the remembered twins and the matches whose prior they
-        were; return the names of these."""
+        """If the plant is not the remembered one, remove the remembered twins and the matches that had their
+        values as prior; return the names of these."""
         if self.estranged or not (estranged := self.structures.estranged):
             return ()
         self.estranged, self._remembered = estranged, ()

@@ -174,12 +174,18 @@ class TwinSettings:
 
         Matches are then made in the structure of the first of all, unless another one than the plant's first,
         or other free parameters than its, were asked for.
+
+        Raises:
+            TwinError: one is of another plant.
         """
         remembered = [each for each in given if each.remembered]
         if not remembered:
             return self
         prior: dict[str, Prior] = {}
         for each in remembered:
+            if each.parameters.model.plant is not self.plant:
+                title, own = each.parameters.model.plant.title, self.plant.title
+                raise TwinError(f"twin: candidate {each.name} has parameters of {title}; give {own}'s")
             deviations = np.sqrt(np.diag(each.covariance)).tolist()
             values = zip(each.free, deviations, strict=True)
             known = {name: Spread(each.parameters[name], deviation) for name, deviation in values}
