@@ -484,7 +484,7 @@ def test_with_a_prior_the_match_is_where_an_independent_search_finds_it(record: 
     plain = match(window, start=START)
     assert abs(found.parameters["conductance"] - 0.5) < abs(plain.parameters["conductance"] - 0.5)
     right = match(window, start=START, prior={n: Spread(TRUTH[n], 0.1 * TRUTH[n]) for n in PLATE})
-    # What the window leaves open is known better. The prior weighs as much as if the residuals were correlated
+    # What the window leaves open is known better. The prior weighs as if the residuals were correlated
     # as on a real rig; these are not, so the conductance, which they show, gets some of the prior's error.
     assert (np.diag(right.covariance) <= np.array([0.6, 2.0, 0.6]) * np.diag(plain.covariance)).all()
 
