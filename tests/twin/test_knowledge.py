@@ -24,6 +24,7 @@ NO_MATCH = MatchResult("refused", "match refused: the twin cannot explain it", u
 WELL, POOR, MIXED = (0.5, 0.5), (-0.5, -0.5), (0.5, -0.5)
 WORSE = "60 s ahead its forecasts are worse than saying that nothing changes, with 1.50 times the error"
 EVERYWHERE = WORSE.replace("60", "10 and 60").replace("1.50", "1.50 and 1.50")
+BEFORE = "its forecasts have held so far, and were better than both baselines in earlier sessions"
 UNPROVEN = "no horizon is known at which its forecasts are better"
 USELESS = f"at every horizon forecasts without a twin are better: {EVERYWHERE}"
 
@@ -47,7 +48,7 @@ def known(**more: Any) -> Knowledge:
         **{"scores": UNSCORED, "leader": "leader", "confidence": 0.95, "forecasts": (score(),)},
         **{"standing": "it leads", "horizons": (10.0, 60.0), "bands": INSIDE, "miss_limit": 2.0},
         **{"miss_since": None, "held": (30.0, 50.0), "residuals": Residuals(0.5, 7.0), "health": None},
-        **{"reservation": "", "structure": "", "decimals": 2},
+        **{"reservation": "", "structure": "", "decimals": 2, "remembered": False},
     }
     return Knowledge(**said | more)
 
@@ -92,6 +93,26 @@ def faulty(fault: Fault, state: HealthState = HealthState.FAULT) -> Health:
         ({"health": faulty(Fault.LOSSES_CHANGED)}, TrustLevel.DOUBTFUL, "the plant shows losses-changed"),
         ({"health": faulty(Fault.DISTURBANCE)}, TrustLevel.DOUBTFUL, "the plant shows disturbance"),
         ({"health": faulty(Fault.DRIVE_LOST, HealthState.SUSPECT)}, TrustLevel.TRUSTED, "measurements lie"),
+        # What it did in earlier sessions counts until this one has shown enough, and never against it.
+        ({"remembered": True, "forecasts": (score(skill=(math.nan, math.nan)),)}, TrustLevel.TRUSTED, BEFORE),
+        (
+            {"remembered": True, "forecasts": (score(skill=(-0.02, math.nan), high=(0.1, 1.0)),)},
+            TrustLevel.TRUSTED,
+            BEFORE,
+        ),
+        (
+            {"remembered": True, "forecasts": (score(skill=(-0.5, math.nan)),)},
+            TrustLevel.DOUBTFUL,
+            "at every",
+        ),
+        (
+            {"remembered": True, "forecasts": (score(skill=POOR, high=(-0.1, 0.01)),)},
+            TrustLevel.UNKNOWN,
+            UNPROVEN,
+        ),
+        ({"remembered": True, "bands": OUTSIDE}, TrustLevel.DOUBTFUL, "measurements lie outside"),
+        ({"remembered": True, "bands": BandCheck()}, TrustLevel.UNKNOWN, "no forecast has been compared"),
+        ({"remembered": True}, TrustLevel.TRUSTED, "measurements lie within the forecast bands"),
         # The first reason that applies is given.
         (
             {"health": faulty(Fault.DRIVE_LOST), "bands": OUTSIDE, "match": NO_MATCH},

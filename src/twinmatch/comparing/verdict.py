@@ -170,6 +170,11 @@ class ForecastScore:
         return bool(highs) and highs[k] < 0.0
 
     @property
+    def compared(self) -> bool:
+        """Whether enough forecasts were compared with the baselines at every horizon."""
+        return bool(self.persistence_skill) and not any(map(math.isnan, self.persistence_skill))
+
+    @property
     def useless(self) -> bool:
         """Whether a baseline forecasts better, by more than chance, at every horizon compared."""
         compared = [k for k, skill in enumerate(self.persistence_skill) if not math.isnan(skill)]

@@ -31,7 +31,8 @@ _NORMAL: Final = 1.4826
 def start_from(lessons: Iterable[Lesson], plant: type[Plant]) -> list[Candidate]:
     """The remembered candidates for a session of this plant; empty without lessons that fit its equations.
 
-    First comes the centre of the structure that led in most of the newest sessions, then twins of single
+    First comes the centre of the structure that led, and beat both baselines, in most of the newest
+    sessions, then twins of single
     sessions in it, the newest and those farthest from what is there already; then the centres of the other
     structures. The covariance of all of them is the spread between sessions.
     """
@@ -41,7 +42,7 @@ def start_from(lessons: Iterable[Lesson], plant: type[Plant]) -> list[Candidate]
     for lesson in usable:
         if lesson.session in newest:
             of.setdefault(lesson.structure, []).append(lesson)
-    led = {structure: sum(lesson.led for lesson in each) for structure, each in of.items()}
+    led = {structure: sum(lesson.led and lesson.proven for lesson in each) for structure, each in of.items()}
     order = sorted(of, key=lambda structure: led[structure], reverse=True)
     if not order or not led[order[0]]:
         return []

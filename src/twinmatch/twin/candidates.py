@@ -156,6 +156,10 @@ class CandidatePool:
         self.forecaster.enter([*self.structures.candidates, *matches, *self._remembered], self._successors)
         self._successors = {}
 
+    def rests_on_memory(self, name: str | None) -> bool:
+        """Whether a candidate is a remembered twin."""
+        return any(candidate.name == name for candidate in self._remembered)
+
     def leave_memory(self) -> tuple[str, ...]:
         """If the plant is not the remembered one, remove the remembered twins and the matches that had their
         values as prior; return the names of these."""

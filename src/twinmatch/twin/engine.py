@@ -273,6 +273,7 @@ class Discriminator:
             confidence=forecaster.confidence,
             forecasts=forecaster.scores,
             standing="; ".join(text for text in (forecaster.sentence, self._pool.estranged) if text),
+            remembered=self._pool.rests_on_memory(forecaster.leader),
             horizons=forecaster.settings.horizons,
             bands=bands,
             miss_limit=self.settings.limits.doubtful,

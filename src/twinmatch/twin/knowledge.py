@@ -17,6 +17,7 @@ _ADAPTABLE: Final = SLOW | {Fault.DISTURBANCE}
 """Faults of a plant that still obeys its drive: its next matches adapt the twin."""
 _UNEXPLAINED: Final = "no match explains the newest window"
 _UNPROVEN: Final = "no horizon is known at which its forecasts are better than those that need no twin"
+_AS_BEFORE: Final = "its forecasts have held so far, and were better than both baselines in earlier sessions"
 
 
 class MatchResult(NamedTuple):
@@ -57,6 +58,8 @@ class Knowledge:
     """How well all candidates have forecast, also compared with forecasts that need no twin."""
     standing: str
     """A sentence on who leads."""
+    remembered: bool
+    """Whether the leader has forecast better than both baselines in earlier sessions."""
     horizons: tuple[float, ...]
     """Horizons of the forecasts, s."""
     bands: BandCheck
@@ -110,6 +113,8 @@ def trust_of(known: Knowledge) -> Trust:
         reason = _UNEXPLAINED
     elif miss < known.miss_limit and leading is not None and leading.useless:
         reason = f"at every horizon forecasts without a twin are better: {beaten}"
+    elif miss < known.miss_limit and known.remembered and leading is not None and not leading.compared:
+        level, reason = TrustLevel.TRUSTED, _AS_BEFORE
     elif miss < known.miss_limit and leading is not None and not leading.proven(known.horizons):
         level, reason = TrustLevel.UNKNOWN, _UNPROVEN
     elif miss < known.miss_limit:
