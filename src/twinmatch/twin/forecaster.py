@@ -297,14 +297,14 @@ class Forecaster:
 
         The forecast is that of the leader at its time, from the last saved state before these samples, under
         the actual set-points (or inputs) and disturbances. Samples that were lost or refused
-        are not compared. Where no forecast is old enough yet, one that covers half of these samples is
+        are not compared. At the beginning of a session a forecast that covers half of these samples is
         compared with them.
         """
         if not self._recent:
             return None
         newest = self._recent[-1].index
         made = [sample for sample in self._departures if sample <= newest - samples]
-        if not made:
+        if not made and len(self._recent) <= samples:
             made = [sample for sample in self._departures if sample <= newest - (samples - 1) // 2]
             samples = newest - max(made, default=newest)
         if not made:
