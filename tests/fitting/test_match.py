@@ -15,7 +15,7 @@ from scipy.optimize import least_squares
 
 from tests.support.plants import Lag, Motor
 from twinmatch.dynamics import Parameters, PlantError, Sensor, begin, simulate_closed_loop, simulate_driven
-from twinmatch.fitting import FittingError, GateLimits, Match, Spread, Status, match
+from twinmatch.fitting import Expectation, FittingError, GateLimits, Match, Status, match
 from twinmatch.fitting.estimation import (
     QUANTILE,
     Estimate,
@@ -464,7 +464,7 @@ def test_ends_beside_an_unknown_start_are_where_the_sum_has_risen(record: Record
 def test_with_a_prior_the_match_is_where_an_independent_search_finds_it(record: Recorder) -> None:
     window, known = (
         record(TRUTH, seed=4),
-        {"conductance": Spread(0.5, 0.02), "heat_capacity": Spread(33.0, 1.0)},
+        {"conductance": Expectation(0.5, 0.02), "heat_capacity": Expectation(33.0, 1.0)},
     )
     found = match(window, start=START, prior=known)
     problem = Problem(window, PLATE, START, Noise.of(Peltier), Peltier.loop)
@@ -483,7 +483,7 @@ def test_with_a_prior_the_match_is_where_an_independent_search_finds_it(record: 
     np.testing.assert_allclose([found.parameters[n] for n in PLATE], best.x, rtol=2e-4)
     plain = match(window, start=START)
     assert abs(found.parameters["conductance"] - 0.5) < abs(plain.parameters["conductance"] - 0.5)
-    right = match(window, start=START, prior={n: Spread(TRUTH[n], 0.1 * TRUTH[n]) for n in PLATE})
+    right = match(window, start=START, prior={n: Expectation(TRUTH[n], 0.1 * TRUTH[n]) for n in PLATE})
     # What the window leaves open is known better. The prior weighs as if the residuals were correlated
     # as on a real rig; these are not, so the conductance, which they show, gets some of the prior's error.
     assert (np.diag(right.covariance) <= np.array([0.6, 2.0, 0.6]) * np.diag(plain.covariance)).all()
@@ -492,17 +492,17 @@ def test_with_a_prior_the_match_is_where_an_independent_search_finds_it(record: 
 def test_a_vague_prior_changes_nothing_and_a_window_outweighs_a_wrong_one(record: Recorder) -> None:
     window = record(TRUTH, seed=4)
     plain = match(window, start=START)
-    vague = match(window, start=START, prior={name: Spread(2.0 * START[name], 1e5) for name in PLATE})
+    vague = match(window, start=START, prior={name: Expectation(2.0 * START[name], 1e5) for name in PLATE})
     for name in PLATE:
         assert vague.parameters[name] == pytest.approx(plain.parameters[name], rel=1e-4)
-    wrong = match(window, start=START, prior={"conductance": Spread(1.3 * TRUTH["conductance"], 0.06)})
+    wrong = match(window, start=START, prior={"conductance": Expectation(1.3 * TRUTH["conductance"], 0.06)})
     off = abs(wrong.parameters["conductance"] / TRUTH["conductance"] - 1.0)
     assert off < 0.1, "a window of 300 samples moves a prior that is off by three deviations"
 
 
 def test_a_prior_that_is_right_makes_windows_that_show_little_agree(record: Recorder) -> None:
     """Small steps: what one window leaves open was accepted anywhere in its valley."""
-    right = {name: Spread(TRUTH[name], 0.1 * TRUTH[name]) for name in PLATE}
+    right = {name: Expectation(TRUTH[name], 0.1 * TRUTH[name]) for name in PLATE}
     spread = {}
     for name, known in (("without", {}), ("with", right)):
         found = [

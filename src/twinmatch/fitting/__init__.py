@@ -21,13 +21,14 @@ from twinmatch.fitting.box_jenkins import BoxJenkins, estimate, estimate_ladder
 from twinmatch.fitting.data import ORDERS, FittingError, Order, parse_order
 from twinmatch.fitting.gate import GateLimits, Status
 from twinmatch.fitting.match import Fit, Match, match
-from twinmatch.fitting.problem import Bounds, Noise, Prior, Spread
+from twinmatch.fitting.problem import Bounds, Expectation, Noise, Prior
 from twinmatch.fitting.structures import StructureFit, fit_session, fit_structure, in_parts
 
 __all__ = [
     "ORDERS",
     "Bounds",
     "BoxJenkins",
+    "Expectation",
     "Fit",
     "FittingError",
     "GateLimits",
@@ -35,7 +36,6 @@ __all__ = [
     "Noise",
     "Order",
     "Prior",
-    "Spread",
     "Status",
     "StructureFit",
     "estimate",

@@ -33,14 +33,14 @@ LASTING: Final = 30.0
 """Correlation length of the residuals, samples: so many count as one independent residual."""
 
 
-class Spread(NamedTuple):
+class Expectation(NamedTuple):
     """What is known of a parameter before a window, in its unit."""
 
     mean: float
     deviation: float
 
 
-Prior = Mapping[str, Spread]
+Prior = Mapping[str, Expectation]
 """By name of the parameter."""
 
 

@@ -32,9 +32,9 @@ from twinmatch.dynamics.pace import time_constant
 from twinmatch.fitting.data import FittingError
 from twinmatch.fitting.problem import (
     LASTING,
+    Expectation,
     Noise,
     Prior,
-    Spread,
     checked_law,
     known_of,
     unknown_parameters,
@@ -189,13 +189,13 @@ def in_parts(plant: type[Plant], window: Window, stretch: float = STRETCH) -> li
     return [window.part(a, b - 1) for a, b in zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True)]
 
 
-def _typical(model: Model) -> dict[str, Spread]:
+def _typical(model: Model) -> dict[str, Expectation]:
     """The plant file's typical values as prior."""
     typical, known = model.typical(), {}
     for name in model.structure.free:
         declared = model.declared[name]
         spread = SPREAD * abs(typical[name]) if declared.relative else declared.scale
-        known[name] = Spread(typical[name], spread or declared.scale)
+        known[name] = Expectation(typical[name], spread or declared.scale)
     return known
 
 

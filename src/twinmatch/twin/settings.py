@@ -21,7 +21,7 @@ from twinmatch.dynamics import (
 )
 from twinmatch.dynamics.pace import plant_scale
 from twinmatch.errors import TwinmatchError
-from twinmatch.fitting import Noise, Prior, Spread
+from twinmatch.fitting import Expectation, Noise, Prior
 from twinmatch.forecasting import HORIZONS, ForecastError
 from twinmatch.health import HealthSettings
 from twinmatch.plants import Peltier
@@ -188,7 +188,7 @@ class TwinSettings:
                 raise TwinError(f"twin: candidate {each.name} has parameters of {title}; give {own}'s")
             deviations = np.sqrt(np.diag(each.covariance)).tolist()
             values = zip(each.free, deviations, strict=True)
-            known = {name: Spread(each.parameters[name], deviation) for name, deviation in values}
+            known = {name: Expectation(each.parameters[name], deviation) for name, deviation in values}
             prior.setdefault(each.parameters.model.structure_name, known)
         start, usual = remembered[0].parameters, self.plant.model()
         if self.start.model is not usual or self.free != usual.structure.free:
