@@ -20,7 +20,7 @@ MAX_SESSIONS: Final = 12
 MAX_TWINS: Final = 4
 """Twins of single sessions that forecast from the first sample on; each costs time at every forecast."""
 _EXPECTED: Final = 0.15
-"""Expectation that is expected of one plant's parameters before any was seen, relative to their size: it counts as
+"""Spread that is expected of one plant's parameters before any was seen, relative to their size: it counts as
 one session, so that few sessions do not look more alike than they are."""
 _FAR: Final = 3.0
 """Deviations from the median are clipped at so many usual ones: one odd session widens nothing."""
