@@ -83,6 +83,9 @@ RUNS = {
     f"{TW} replay SESSION --json out.json --figure verdict.png": Runs("Leader: ", SHORT),
     f"{TW} replay FOLDER --out RESULTS": Runs("1 sessions judged", {"FOLDER": "bags", "RESULTS": "results"}),
     f"{TW} forecast SESSION --at SAMPLE": Runs(r"leader.*confidence", SHORT),
+    f"{TW} try-controller SESSION --loop law.json": Runs(
+        "law.json: safe for all that the data allow", {"SESSION": "bags/four_setpoints"}, needs=("law",)
+    ),
     f"{TW} backtest SESSION": Runs("persistence", SHORT),
     f"{TW} verify SESSION": Runs(
         "are identical, bit for bit", {"SESSION": "attached --plant my_plant.py"}, needs=("attached",)
@@ -214,6 +217,15 @@ def log(folder: Path) -> None:
     text = (PROJECT / "docs" / "your_plant.md").read_text("utf-8")
     code = dict(re.findall(r"^```python (\w+\.py)\n(.*?)^```", text, re.DOTALL | re.MULTILINE))["make_log.py"]
     subprocess.run([sys.executable, "-c", code], cwd=folder, check=True)
+
+
+@pytest.fixture
+def law(folder: Path) -> None:
+    """The example of docs/controllers.md."""
+    text = (PROJECT / "docs" / "controllers.md").read_text("utf-8")
+    found = re.search(r"^```json\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
+    assert found
+    (folder / "law.json").write_text(found[1], encoding="utf-8")
 
 
 @pytest.fixture
