@@ -22,6 +22,7 @@ from twinmatch.controllers import (
     ControllerQuestion,
     CourseFigure,
     TriedTwin,
+    as_linear,
     law_from,
     try_controller,
 )
@@ -211,6 +212,26 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert "law.json: fails on " in capsys.readouterr().out
     assert main([*base, "--loop", str(tmp_path / "no.json")]) == 2
     assert "cannot be read" in capsys.readouterr().err
+
+
+def test_new_gains_are_tried_at_once_and_can_be_read(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "tuned.json"
+    assert main(["retune", str(SHIPPED), "--json", str(path)]) == 0
+    first, *rest = capsys.readouterr().out.splitlines()
+    assert first.startswith("the mean squared error after a load is ")
+    assert any(line.strip().startswith("safe for all that the data allow") for line in rest)
+    law = read_law(path, Peltier, 1.0)
+    assert isinstance(law, LinearLaw)
+    before = as_linear(law_of(Peltier, 1.0))
+    assert 1.0 < law.E[0, 0] / before.E[0, 0] < 2.0
+
+
+def test_only_a_pid_that_is_known_is_tuned(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    kit_session("prbs_open_loop", tmp_path)
+    assert main(["retune", str(tmp_path / "prbs_open_loop"), "--plant", "tclab-both"]) == 2
+    assert "prbs_open_loop: its controller is not a known PID" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -29,6 +29,7 @@ _COMMANDS: Final[dict[str, str]] = {
     "replay": "judge recorded sessions offline, as fast as possible",
     "forecast": "forecast from chosen samples of a session, with a prediction band",
     "try-controller": "may a controller be run? answered from recorded sessions, before it runs",
+    "retune": "better gains for the PID of a recorded session, with a margin on every twin",
     "verify": "judge a recorded session again and compare the verdicts, bit for bit",
     "backtest": "score the twin's forecasts of recorded sessions against the measurements and against other "
     "methods",

@@ -18,14 +18,16 @@ from twinmatch.controllers.answer import (
     try_controller,
 )
 from twinmatch.controllers.guarantee import Guarantee
-from twinmatch.controllers.law_document import law_from
+from twinmatch.controllers.law_document import law_from, pid_document
 from twinmatch.controllers.members import Holding, TriedTwin
 from twinmatch.controllers.pids import FilteredPid, as_linear, pid_law
 from twinmatch.controllers.responses import LOAD, CourseFigure, Run
+from twinmatch.controllers.retuning import AIMS, Retuned, retune
 from twinmatch.controllers.stability import MemberStability, OpenQuestion
 from twinmatch.controllers.whole_loop import UNSTABLE, ChannelMargins, WholeLoop
 
 __all__ = [
+    "AIMS",
     "CONFIDENCE",
     "LOAD",
     "UNSTABLE",
@@ -41,6 +43,7 @@ __all__ = [
     "Holding",
     "MemberStability",
     "OpenQuestion",
+    "Retuned",
     "Run",
     "Spread",
     "TriedTwin",
@@ -48,6 +51,8 @@ __all__ = [
     "as_linear",
     "law_from",
     "levels_words",
+    "pid_document",
     "pid_law",
+    "retune",
     "try_controller",
 ]

@@ -15,7 +15,7 @@ from scipy.linalg import solve_discrete_are
 
 from twinmatch.controllers.answer import ControllerError
 from twinmatch.controllers.pids import FilteredPid, pid_law
-from twinmatch.dynamics import Law, LinearLaw, Plant, TwoLevel
+from twinmatch.dynamics import Law, LinearLaw, PidGains, Plant, TwoLevel
 from twinmatch.signals import FloatArray
 
 _ABOUT: Final = {"kind", "outputs", "inputs", "units", "period"}
@@ -56,6 +56,13 @@ def law_from(document: Any, plant: type[Plant], period: float) -> Law:
             f"({', '.join(plant.drives)})"
         )
     return law
+
+
+def pid_document(gains: PidGains) -> dict[str, Any]:
+    """The document of a PID."""
+    pid = FilteredPid.of(gains)
+    known = {each.name: getattr(pid, each.name) for each in fields(pid)}
+    return {"kind": "pid", "period": gains.period} | known
 
 
 def _check_signals(document: Mapping[str, Any], plant: type[Plant]) -> None:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -115,24 +115,26 @@ class WholeLoop(NamedTuple):
         channels = range(self.plant.B.shape[1])
         if not self.stable:
             return tuple(UNSTABLE for _ in channels)
-        grid = _frequencies(self.matrix)
+        grid = _frequencies(np.linalg.eigvals(self.matrix))
         return tuple(_margins(self.opened(k), grid, self.plant.period) for k in channels)
 
     def sensitivity(self) -> float:
         """Maximum sensitivity of the loop, over all commands together: the largest singular value of
         (1 + C·P)⁻¹."""
-        if not self.stable:
+        matrix = self.matrix
+        eigenvalues = np.linalg.eigvals(matrix) if np.isfinite(matrix).all() else np.array([np.inf])
+        if not np.abs(eigenvalues).max() < 1.0:
             return math.inf
-        angles = _frequencies(self.matrix)
-        shifted = np.exp(1j * angles)[:, None, None] * np.eye(len(self.matrix)) - self.matrix
+        angles = _frequencies(eigenvalues)
+        shifted = np.exp(1j * angles)[:, None, None] * np.eye(len(matrix)) - matrix
         states = np.linalg.solve(shifted, np.broadcast_to(self._load, (angles.size, *self._load.shape)))
         whole = np.eye(self._load.shape[1]) + self._commands @ states
         return float(np.linalg.norm(whole, 2, axis=(1, 2)).max())
 
 
-def _frequencies(matrix: FloatArray) -> FloatArray:
-    """A grid over all frequencies, finer around the resonances of a matrix; radians per sample."""
-    grid, eigenvalues = [np.geomspace(_SLOWEST, np.pi, _GRID)], np.linalg.eigvals(matrix)
+def _frequencies(eigenvalues: NDArray[Any]) -> FloatArray:
+    """A grid over all frequencies, finer around the resonances of these eigenvalues; radians per sample."""
+    grid = [np.geomspace(_SLOWEST, np.pi, _GRID)]
     for value in eigenvalues[eigenvalues.imag > 0]:
         width = max(abs(1.0 - abs(value)), 1e-6)
         grid.append(np.angle(value) + width * _AROUND)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -12,10 +12,14 @@ from twinmatch.controllers import (
     CourseFigure,
     Guarantee,
     MemberStability,
+    Retuned,
     Spread,
     levels_words,
 )
 from twinmatch.dynamics import Plant
+
+MAX_LIMITED: Final = 20.0
+"""Share of the time at a limit, %, from which gains hardly matter."""
 
 
 def answer_words(answer: ControllerAnswer) -> list[str]:
@@ -32,6 +36,19 @@ def answer_words(answer: ControllerAnswer) -> list[str]:
     ran = {} if answer.running is None else answer.running.figures
     lines += [f"  {_figure_words(q, s, ran.get(q))}" for q, s in answer.courses.figures.items() if _known(s)]
     return lines + [f"Note: {note}" for note in answer.notes]
+
+
+def retuned_words(found: Retuned, answer: ControllerAnswer) -> list[str]:
+    """Old and new gains with their M_s, why, and what tuning cannot change, in lines."""
+    lines = [found.reason]
+    for name in ("proportional", "integral", "derivative"):
+        before, after = getattr(found.before, name), getattr(found.after, name)
+        lines.append(f"  {name}: {before:.4g} → {after:.4g}")
+    lines.append(f"  largest M_s: {found.sensitivities[0]:.2f} → {found.sensitivities[1]:.2f}")
+    limited = [s.median for q, s in answer.courses.figures.items() if q.name == "time at a limit"]
+    if max(limited, default=0.0) > MAX_LIMITED:
+        lines.append(f"  the drive is at a limit {max(limited):.0f} % of the time: tuning is not the trouble")
+    return lines
 
 
 def guarantee_words(found: Guarantee, plant: type[Plant]) -> str:
