@@ -83,7 +83,7 @@ def test_a_table_of_several_signals_is_imported(tmp_path: Path) -> None:
     assert read_session(session).samples == found.samples
     judged = run_twinmatch("replay", session, "--plant", plant)
     assert judged.returncode == 2
-    assert "heaters: it has 2 outputs (first, second); this is for plants with one input" in judged.stderr
+    assert "a verdict is on one loop, but plant heaters has 2 inputs and 2 outputs; use" in judged.stderr
 
 
 def test_means_switches_and_disturbances_are_taken_as_the_map_says(

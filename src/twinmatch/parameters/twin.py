@@ -167,6 +167,11 @@ def understood(place: str, given: Mapping[str, Any]) -> tuple[tuple[Setting, ...
         if given.get("allow_fmu"):
             adopt_fmus(Path(str(given["allow_fmu"])))
         plant = find_plant(str(given.get("plant", Peltier.name)))
+        if max(len(plant.outputs), len(plant.drives)) > 1:
+            raise ParameterError(
+                f"{place}: a verdict is on one loop, but plant {plant.name} has {len(plant.drives)} inputs "
+                f"and {len(plant.outputs)} outputs; use check-plant --data, backtest or try-controller"
+            )
         named = given.get("structure")
         model = plant.model(None if named is None else str(named))
         table = _table(model, given)

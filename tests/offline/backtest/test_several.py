@@ -95,7 +95,7 @@ def test_the_command_shows_every_output(tmp_path: Path) -> None:
     assert "has several loops, and its twin is fitted to the session itself" in refused.stderr
     verdicts = run_twinmatch("replay", path)
     assert verdicts.returncode == 2
-    assert "it has 2 outputs (temperature, second_temperature)" in verdicts.stderr
+    assert "a verdict is on one loop, but plant tclab-both has 2 inputs and 2 outputs; use" in verdicts.stderr
 
 
 def test_a_real_kit_is_forecast_better_than_by_arx() -> None:
