@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import math
+from typing import NamedTuple
+
 import numpy as np
 
-from twinmatch.memory import Lesson
+from twinmatch.memory import Lesson, report_on
+from twinmatch.plants import Peltier
 
 HOUR = 3_600_000_000_000
 
@@ -36,3 +40,88 @@ def lesson(number: int = 1, structure: str = "paper", *, rig: str = "", **change
         "arx_skill": (0.1, 0.2),
     }
     return Lesson(**(of | changed))  # type: ignore[arg-type]
+
+
+KINDS = ("steady", "step", "drift")
+_PLANT = Peltier.model("sink with mass, free ambient, switched drive")
+_TRUE = {"seebeck": 0.055, "conductance": 0.75, "heat_capacity": 30.0, "ambient": 293.0,
+         "sink_heat_capacity": 350.0, "sink_convection": 3.0}  # fmt: skip
+_KNOWN = np.array([0.025, 0.004, 0.026, 0.0003, 0.035, 0.017])
+"""Relative standard deviations after an hour of the simulated rig."""
+_ALIKE = (
+    ("seebeck", "heat_capacity", 0.99),
+    ("seebeck", "conductance", 0.6),
+    ("heat_capacity", "conductance", 0.6),
+    ("ambient", "sink_convection", 0.7),
+)
+"""Correlations of the estimates."""
+_CHANGING = ("seebeck", "conductance", "heat_capacity", "sink_convection")
+
+
+class LivedRig(NamedTuple):
+    """A rig over its sessions, one a day."""
+
+    kind: str
+    changed: str
+    """The parameter that has changed; meaningless if the rig is steady."""
+    since: int
+    """First session after its step, from 0."""
+    lessons: list[Lesson]
+
+
+def lived_rig(seed: int, kind: str, sessions: int = 12) -> LivedRig:
+    """A rig whose lessons have the covariances that they say, one in 25 of them five times the errors; the
+    room is another one every day."""
+    rng = np.random.default_rng([seed, KINDS.index(kind)])
+    free = _PLANT.structure.free
+    names = list(free)
+    alike = np.eye(6)
+    for one, other, r in _ALIKE:
+        i, j = names.index(one), names.index(other)
+        alike[i, j] = alike[j, i] = r
+    true = np.array([_TRUE[name] for name in free])
+    changed, since, sign = str(rng.choice(_CHANGING)), int(rng.integers(3, 9)), float(rng.choice([-1.0, 1.0]))
+    lessons = []
+    for number in range(sessions):
+        now = true.copy()
+        now[names.index("ambient")] += rng.normal(0.0, 1.5)
+        if kind == "step" and number >= since:
+            now[names.index(changed)] *= 1.0 + 0.1 * sign
+        if kind == "drift":
+            now[names.index(changed)] *= (1.0 + 0.01 * sign) ** number
+        spread = _KNOWN * true * rng.uniform(0.6, 1.6)
+        covariance = alike * np.outer(spread, spread)
+        errors = rng.multivariate_normal(np.zeros(6), covariance) * (5.0 if rng.random() < 0.04 else 1.0)
+        held = {**_PLANT.parameters(), **dict(zip(free, (now + errors).tolist(), strict=True))}
+        spreads = tuple(map(tuple, covariance.tolist()))
+        lessons.append(
+            lesson(number, _PLANT.structure_name, parameters=held, free=free, covariance=spreads)
+        )  # fmt: skip
+    return LivedRig(kind, changed, since, lessons)
+
+
+class Told(NamedTuple):
+    """What was reported on a rig, looking after every session."""
+
+    first: int | None
+    """Number of sessions after which its change was first named, alone or in a combination; None: never."""
+    kind: str
+    """What it was called at last; empty: nothing."""
+    size: float
+    """Size at last."""
+    false: int
+    """Sessions after which something was named that has not changed."""
+    looks: int
+
+
+def told_of(rig: LivedRig) -> Told:
+    """Look after every session, from the fourth on."""
+    first, kind, size, false = None, "", math.nan, 0
+    for count in range(4, len(rig.lessons) + 1):
+        changes = report_on(rig.lessons[:count], _PLANT).changes
+        right = [c for c in changes if rig.kind != "steady" and rig.changed in c.name.split(" ")]
+        false += len(right) < len(changes)
+        if right and (rig.kind == "drift" or count > rig.since):
+            first = first or count
+            kind, size = right[-1].kind, right[-1].size
+    return Told(first, kind, size, false, len(rig.lessons) - 3)

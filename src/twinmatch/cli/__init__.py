@@ -34,6 +34,9 @@ _COMMANDS: Final[dict[str, str]] = {
     "backtest": "score the twin's forecasts of recorded sessions against the measurements and against other "
     "methods",
     "repair": "repair a session whose recorder was killed",
+    "remember": "learn from recorded sessions: what they determine is kept for the next ones",
+    "memory": "show what is remembered of your rigs, and what has changed on them",
+    "forget": "take sessions out of a memory",
     "report": "write a report on a session: one HTML file with figures and tables",
     "dashboard": "show the running graph on a live page in the browser",
     "foxglove": "serve the graph to Foxglove and Lichtblick",

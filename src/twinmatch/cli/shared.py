@@ -54,6 +54,8 @@ OPTIONS: Final[dict[str, dict[str, Any]]] = {
         **_FILE,
         "help": "use the FMUs listed in this file (.yaml) as structures of the plant; their code is executed",
     },
+    "--memory": {**_FILE, "help": "the memory (default: one per plant and rig in the user's data folder)"},
+    "--rig": {"default": "", "metavar": "NAME", "help": "which of several plants of this kind it is"},
     "--json": {**_OUT, "help": "write every verdict to this file"},
     "--figure": {**_OUT, "help": "draw the verdict (.png, .svg or .pdf)"},
     "--map": {"nargs": "+", "default": [], "metavar": "SIGNAL=COLUMN"},

@@ -195,6 +195,21 @@ class Experiment:
         )
         return equations
 
+    def scores(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """What every sample adds to the gradient Jᵀr of `normal`, shape (N − 2, n), and the slope of their
+        sum, shape (n, n): robust residuals weigh 1/(1 + r²)^(3/2) in it, less than in JᵀJ."""
+        tangents, response = self.tangents(values), self.simulate(values)
+        weights = self._data.weights
+        simulated = np.concatenate([response.outputs, response.inputs], axis=1).T
+        residuals = (self.measured - simulated) * weights
+        squares = np.square(residuals) if self._data.robust else np.zeros_like(residuals)
+        rows = -tangents.by[:, :, : values.size] * weights[:, :, None]
+        if not self.closed:
+            rows[len(self._problem.first) :] = 0.0
+        scores = np.einsum("sk,skn->kn", residuals / np.sqrt(1.0 + squares), rows)
+        slope = np.einsum("sk,ski,skj->ij", (1.0 + squares) ** -1.5, rows, rows, optimize=True)
+        return np.asarray(scores), np.asarray(slope)
+
     def descend(  # noqa: PLR0917 (as the search itself)
         self,
         start: FloatArray,

@@ -22,7 +22,13 @@ from twinmatch.fitting.data import ORDERS, FittingError, Order, parse_order
 from twinmatch.fitting.gate import GateLimits, Status
 from twinmatch.fitting.match import Fit, Match, match
 from twinmatch.fitting.problem import Bounds, Expectation, Noise, Prior
-from twinmatch.fitting.structures import StructureFit, fit_session, fit_structure, in_parts
+from twinmatch.fitting.structures import (
+    StructureFit,
+    fit_session,
+    fit_structure,
+    in_parts,
+    observed_covariance,
+)
 
 __all__ = [
     "ORDERS",
@@ -44,5 +50,6 @@ __all__ = [
     "fit_structure",
     "in_parts",
     "match",
+    "observed_covariance",
     "parse_order",
 ]

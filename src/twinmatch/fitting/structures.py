@@ -51,6 +51,9 @@ _LOOK = 8
 _MAX_EVALUATIONS = 40
 STRETCH: Final = 10.0
 """Length of the stretches in which a session is fitted, time constants of the plant."""
+_BLOCKS: Final = (8, 5.0)
+"""Least number of blocks into which windows are divided for `observed_covariance`, and the length of one,
+in `LASTING`."""
 SPREAD: Final = 0.5
 """Prior standard deviation of a parameter around its typical value, in units of that value."""
 
@@ -189,6 +192,28 @@ def in_parts(plant: type[Plant], window: Window, stretch: float = STRETCH) -> li
     return [window.part(a, b - 1) for a, b in zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True)]
 
 
+def observed_covariance(
+    fitted: StructureFit,
+    windows: Sequence[Window],
+    noise: Noise | None = None,
+    law: LoopLaw = FROM_PLANT_FILE,
+) -> FloatArray:
+    """Covariance of the free parameters from what parts of the windows disagree about, shape (n, n).
+
+    The covariance of a fit takes neighbouring residuals as correlated over `LASTING` samples, whatever they
+    are. Here the windows are divided into blocks, and the gradients of the cost in each, which the fit has
+    balanced against each other, show how far they pull: H⁻¹·S·H⁻¹, S the sum of their outer products, H the
+    slope of the gradient (the sandwich of clustered residuals; Liang and Zeger 1986). A few dozen blocks give
+    its size better than its shape, so half of it is H⁻¹ at that size.
+
+    Args:
+        fitted: the fit to these windows, converged.
+        windows, noise, law: as in `fit_structure`.
+    """
+    problem = _Problem(_runs(windows, fitted.model, noise or Noise.of(fitted.model.plant), law, {}))
+    return problem.observed_covariance(fitted)
+
+
 def _typical(model: Model) -> dict[str, Expectation]:
     """The plant file's typical values as prior."""
     typical, known = model.typical(), {}
@@ -300,6 +325,29 @@ class _Problem:
             covariance=self._covariance(best.hessian)[: self._free, : self._free],
             charge=self._charge(best),
         )
+
+    def observed_covariance(self, fitted: StructureFit) -> FloatArray:
+        """As the function of that name."""
+        own = [list(starts.values()) for starts in fitted.starts]
+        values = self.values_of(fitted.parameters)
+        values[self._free :] = np.concatenate(own)
+        length = sum(run.measured.shape[1] - SETTLE for run in self._runs)
+        size = min(round(_BLOCKS[1] * LASTING), max(length // _BLOCKS[0], 1))
+        scores, slope = [], np.zeros((values.size, values.size))
+        for window, run in enumerate(self._runs):
+            places = self._places(window)
+            each, own_slope = run.scores(values[places])
+            slope[np.ix_(places, places)] += own_slope
+            each = each[SETTLE:]
+            parts = np.array_split(each, max(round(len(each) / size), 1))
+            scores += [np.bincount(places, part.sum(axis=0), minlength=values.size) for part in parts]
+        # In units of the scales; without the windows, a value was as uncertain as its scale.
+        model = np.linalg.inv(slope * np.outer(self._scales, self._scales) + np.eye(values.size))
+        pulls = np.array(scores) * self._scales @ model
+        observed = pulls.T @ pulls * len(scores) / max(len(scores) - values.size, 1)
+        size_of = float(np.trace(np.linalg.solve(model, observed))) / values.size
+        both = 0.5 * (observed + size_of * model) * np.outer(self._scales, self._scales)
+        return np.asarray(both[: self._free, : self._free])
 
     def _precision(self, hessian: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Precision of the values, in units of their scales, after and before the windows: (n, n) and (n,).

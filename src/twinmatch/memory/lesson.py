@@ -10,6 +10,7 @@ from typing import NoReturn
 
 import numpy as np
 
+from twinmatch.dynamics import Plant
 from twinmatch.errors import TwinmatchError
 from twinmatch.signals import FloatArray
 
@@ -97,6 +98,14 @@ class Lesson:
     def deviations(self) -> FloatArray:
         """Standard deviations of the free parameters, shape (n,)."""
         return np.sqrt(np.diag(np.array(self.covariance)))
+
+
+def current_lessons(lessons: Iterable[Lesson], plant: type[Plant]) -> list[Lesson]:
+    """Those on structures that the plant still has, with the same equations and free parameters."""
+    held = [one for one in lessons if one.plant == plant.name and one.structure in plant.structures]
+    models = {name: plant.model(name) for name in {one.structure for one in held}}
+    keys = {name: (model.equations, model.structure.free) for name, model in models.items()}
+    return [one for one in held if (one.equations, one.free) == keys[one.structure]]
 
 
 def in_order(lessons: Iterable[Lesson]) -> list[Lesson]:

@@ -21,6 +21,7 @@ VERSION: Final = 1
 """Version of the table, kept as the file's `user_version`."""
 WAIT: Final = 10.0
 """Longest time to wait for another writer, s."""
+_SUFFIX: Final = ".sqlite"
 _LISTS: Final = (
     "parameters", "free", "covariance", "outputs", "inputs", "horizons", "persistence_skill", "arx_skill",
 )  # fmt: skip
@@ -222,6 +223,14 @@ def default_file(plant: str, rig: str = "") -> Path:
     """
     if not re.fullmatch(r"[\w.-]*", rig) or rig.startswith("."):
         raise MemoryFaultError(f"rig {rig!r}: is not a name for a rig; use letters, digits, '-', '_' and '.'")
+    return _folder() / f"{plant}{'@' if rig else ''}{rig}{_SUFFIX}"
+
+
+def default_files() -> list[Path]:
+    """The memories that there are in that folder."""
+    return sorted(_folder().glob(f"*{_SUFFIX}"))
+
+
+def _folder() -> Path:
     base = os.environ.get("XDG_DATA_HOME")
-    folder = (Path(base) if base else Path.home() / ".local" / "share") / "twinmatch"
-    return folder / f"{plant}{'@' if rig else ''}{rig}.sqlite"
+    return (Path(base) if base else Path.home() / ".local" / "share") / "twinmatch"

@@ -1,0 +1,359 @@
+"""What has changed between sessions: steps and trends of parameters, told apart from what varies anyway.
+
+The lessons on one structure are estimates of its parameters with standard deviations s. They scatter by more,
+since no structure is exact and a room is another one every day: a spread τ of its own is integrated over for
+each parameter, small ones being likelier (random effects). Errors have the tails of Student's distribution
+with a few degrees of freedom, so that one odd session pulls nothing. Parameters that cannot be negative are
+compared by their logarithms. Two that trade against each other are also compared by their ratio or product,
+if that is known far better than either.
+
+Hypotheses are that a parameter is steady, that it steps before some session, and that it changes evenly. The
+evidence for a change is the logarithm of the likelihood of all changes, integrated over level, size and
+spread (Laplace) and weighted with what it costs to say which parameter, which kind and when, relative to
+steady: a mixture of alternatives, as in `health.changes`, so that looking after every session hardly adds up.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from twinmatch.dynamics import Model
+from twinmatch.memory.lesson import Lesson, in_order
+from twinmatch.signals import FloatArray
+
+MIN_SIDE: Final = 2
+"""Least number of sessions on either side of a step: a single one may be odd."""
+MIN_TREND: Final = 6
+"""Least number of sessions for a trend: in fewer, half a step looks like it."""
+MAX_SESSIONS: Final = 60
+"""Newest sessions that are compared."""
+CREDIBLE: Final = 0.7
+"""Evidence from which a change is reported, beyond what it costs to say it, nats."""
+_RARER: Final = 1.0
+"""Evidence by which a trend must lead a step, nats: few plants change evenly."""
+_CLOSE: Final = 2.0
+"""Evidence by which the best moment of a step leads one that is not worth considering."""
+_TAILS: Final = 5.0
+"""Degrees of freedom of Student's distribution."""
+_SPREADS: Final = np.array([0.0, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0])
+"""Spreads between sessions that are tried, in units of the median standard deviation of a session."""
+_SIZE: Final = 0.15
+"""Standard deviation of a change before it was seen, as a logarithm or in units of the parameter's scale."""
+_ROUNDS: Final = 8
+_MOST: Final = 500.0
+"""Evidence above which more makes no difference, nats: its exponential has to be finite."""
+_TIGHTER: Final = 3.0
+"""Factor by which a ratio or product must be known better than its parts, as in a match."""
+_DAY: Final = 86_400e9
+_NINETY: Final = 1.645
+
+
+class ParameterHistory(NamedTuple):
+    """A parameter, or a combination of two, over the sessions."""
+
+    name: str
+    """That of the plant file; of a combination with its sign: "seebeck / heat_capacity"."""
+    words: str
+    """What it is called in a sentence."""
+    unit: str
+    values: FloatArray
+    """In its unit, shape (n,)."""
+    scale: float
+    """What a change is relative to; 0: to the value itself, by logarithms."""
+    deviations: FloatArray
+    """Standard deviations of a session, in units of the scale or relative, shape (n,)."""
+    parts: tuple[str, ...]
+    """Names of the parameters in it."""
+    bounds: tuple[float, float]
+    """Within which the plant file allows it; infinite for a combination."""
+
+    @property
+    def levels(self) -> FloatArray:
+        """Values in which changes are compared: logarithms, or in units of the scale, shape (n,)."""
+        return self.values / self.scale if self.scale else np.log(self.values)
+
+    def value(self, level: float) -> float:
+        """The value of a level."""
+        return level * self.scale if self.scale else math.exp(level)
+
+    def part(self, first: int, end: int) -> ParameterHistory:
+        """Some of the sessions."""
+        return self._replace(values=self.values[first:end], deviations=self.deviations[first:end])
+
+
+@dataclass(frozen=True)
+class ParameterChange:
+    """A change of a parameter, or of a combination, between sessions."""
+
+    name: str
+    """As that of its history."""
+    words: str
+    """What it is called in a sentence."""
+    unit: str
+    kind: str
+    """`step` or `trend`."""
+    since: str
+    """Session from which on the value is another one; of a trend, the first session."""
+    after: str
+    """Last session before; of a trend, the newest."""
+    old: float
+    """Value before, or at the beginning."""
+    new: float
+    """Value since, or now."""
+    relative: bool
+    """Whether sizes are relative to the value; otherwise they are in its unit."""
+    size: float
+    """Relative change, or in the unit."""
+    error: float
+    """Standard deviation of the size."""
+    evidence: float
+    """Nats by which it is more credible than no change."""
+    days: float = math.nan
+    """Length of a trend, in days if `dated`, otherwise in sessions."""
+    dated: bool = True
+    bounds: tuple[float, float] = (-math.inf, math.inf)
+
+    @property
+    def sentence(self) -> str:
+        """It in words."""
+        if self.kind == "step":
+            word = "higher" if self.size > 0 else "lower"
+            unit = f" {self.unit}" if self.unit else ""
+            values = f"{self.old:.3g} → {self.new:.3g}{unit}"
+            text = f"since {self.since} the {self.words} is {self._amount(self.size)} {word} ({values})"
+            return f"{text}; before and after it was steady"
+        rate = math.expm1(math.log1p(self.size) / self.days) if self.relative else self.size / self.days
+        word, per = "rises" if self.size > 0 else "falls", "day" if self.dated else "session"
+        text = f"the {self.words} {word} by {self._amount(rate)} a {per}"
+        return text + self._leaving(per)
+
+    def _amount(self, size: float) -> str:
+        return f"{100 * abs(size):.2g} %" if self.relative else f"{abs(size):.2g} {self.unit}".rstrip()
+
+    @property
+    def leaves(self) -> tuple[float, float, float] | None:
+        """Days or sessions until a trend leaves the bounds, expected, and the ends of its 90 % interval; None
+        for a step, and where there are no bounds."""
+        bound = self.bounds[1] if self.size > 0 else self.bounds[0]
+        if self.kind == "step" or not math.isfinite(bound) or (self.relative and bound <= 0.0):
+            return None
+        way = abs(math.log(bound / self.new)) if self.relative else abs(bound - self.new)
+        size = math.log1p(self.size) if self.relative else self.size
+        rates = [max(abs(size) + k * _NINETY * self.error, 0.0) / self.days for k in (0, 1, -1)]
+        expected, low, high = (way / rate if rate > 0.0 else math.inf for rate in rates)
+        return expected, low, high
+
+    def _leaving(self, per: str) -> str:
+        if self.leaves is None:
+            return ""
+        expected, low, high = self.leaves
+        end = f"{low:.0f} to {high:.0f}" if math.isfinite(high) else f"{low:.0f} or more"
+        return f": at this rate it leaves the range of the plant file in {expected:.0f} {per}s, 90 %: {end}"
+
+
+class MemoryReport(NamedTuple):
+    """What has changed on a rig, in one structure."""
+
+    lessons: list[Lesson]
+    """Those that were compared, oldest first."""
+    histories: list[ParameterHistory]
+    changes: list[ParameterChange]
+    restless: list[str]
+    """What is another one in every session, in words: it varies by far more than a session knows it."""
+
+    @property
+    def sentence(self) -> str:
+        """It in words."""
+        count, least = len(self.lessons), 2 * MIN_SIDE
+        if count < least:
+            return f"what changes between sessions shows from {least} sessions on; there are {count} so far"
+        told = "; ".join(change.sentence for change in self.changes)
+        told = told or f"between these {count} sessions nothing has changed by more than they vary"
+        if not self.restless:
+            return told
+        return f"{told}; another one in every session: the {' and the '.join(self.restless)}"
+
+
+def report_on(lessons: Sequence[Lesson], model: Model) -> MemoryReport:
+    """What has changed between these sessions of one plant and rig, all on the structure of the model."""
+    newest = in_order(lessons)[-MAX_SESSIONS:]
+    if len(newest) < 2 * MIN_SIDE:
+        return MemoryReport(newest, histories_of(newest, model) if newest else [], [], [])
+    every = histories_of(newest, model)
+    when, dated = _times(newest)
+    names = [lesson.name for lesson in newest]
+    found: list[ParameterChange] = []
+    for history in every:  # parameters first, then combinations of those that are not named by themselves
+        if not any(set(history.parts) & {change.name} for change in found):
+            found += _changes(history, when, names, dated, len(every))
+    named = {change.name for change in found}
+    restless = [h.words for h in every if len(h.parts) == 1 and h.name not in named and _spread(h) > _TIGHTER]
+    return MemoryReport(newest, every, found, restless)
+
+
+def shared_structure(lessons: Sequence[Lesson]) -> str:
+    """The structure in which sessions are compared: the one that led in most of them, of equals the one with
+    lessons from most; empty without lessons."""
+    count, led = (
+        Counter(one.structure for one in lessons),
+        Counter(one.structure for one in lessons if one.led),
+    )
+    return max(count, key=lambda name: (led[name], count[name]), default="")
+
+
+def histories_of(lessons: Sequence[Lesson], model: Model) -> list[ParameterHistory]:
+    """Free parameters over these sessions, and ratios and products that are known better than their parts."""
+    values = np.array([one.values for one in lessons])
+    covariances = np.array([one.covariance for one in lessons])
+    declared = [model.declared[name] for name in lessons[0].free]
+    by_logs = [p.relative and bool((values[:, k] > 0).all()) for k, p in enumerate(declared)]
+    units = np.where(by_logs, values, [p.scale for p in declared])
+    covariances = covariances / units[:, :, None] / units[:, None, :]
+    single = [
+        ParameterHistory(
+            name,
+            p.text or name.replace("_", " "),
+            p.unit,
+            values[:, k],
+            0.0 if by_logs[k] else p.scale,
+            np.sqrt(covariances[:, k, k]),
+            (name,),
+            p.bounds,
+        )
+        for k, (name, p) in enumerate(zip(lessons[0].free, declared, strict=True))
+    ]
+    places = [k for k, by_log in enumerate(by_logs) if by_log]
+    pairs = (_pair(single[i], single[j], covariances[:, i, j]) for i, j in combinations(places, 2))
+    return [*single, *(pair for pair in pairs if pair is not None)]
+
+
+def _pair(one: ParameterHistory, other: ParameterHistory, covariance: FloatArray) -> ParameterHistory | None:
+    """Ratio or product of two parameters; None unless it is known far better than either."""
+    sign = -1.0 if np.median(covariance) > 0.0 else 1.0
+    variances = np.square(one.deviations) + np.square(other.deviations) + 2.0 * sign * covariance
+    deviations = np.sqrt(np.maximum(variances, 1e-12))
+    least = min(np.median(one.deviations), np.median(other.deviations))
+    if not _TIGHTER * np.median(deviations) < least:
+        return None
+    mark, values = ("/", one.values / other.values) if sign < 0 else ("·", one.values * other.values)
+    return ParameterHistory(
+        f"{one.name} {mark} {other.name}",
+        f"{'ratio' if sign < 0 else 'product'} of {one.words} and {other.words}",
+        "",
+        values,
+        0.0,
+        deviations,
+        (*one.parts, *other.parts),
+        (-math.inf, math.inf),
+    )
+
+
+def _times(lessons: Sequence[Lesson]) -> tuple[FloatArray, bool]:
+    """When each session began, in days, or their numbers if they are not dated; and whether they are."""
+    began = np.array([lesson.began for lesson in lessons], dtype=np.float64) / _DAY
+    dated = bool((np.diff(began) > 0.0).all())
+    return (began if dated else np.arange(len(lessons), dtype=np.float64)), dated
+
+
+class _Fitted(NamedTuple):
+    """A parameter under several hypotheses at once."""
+
+    evidence: FloatArray
+    """Logarithm of the integrated likelihood, shape (K,)."""
+    level: FloatArray
+    size: FloatArray
+    error: FloatArray
+    """Of the size."""
+
+
+def _fit(history: ParameterHistory, shapes: FloatArray) -> _Fitted:
+    """Fit level + size · shape for shapes (K, n), integrated over level, size and spread."""
+    y, s = history.levels, history.deviations
+    spreads = _SPREADS * np.median(s)
+    # Surroundings, whose zero is arbitrary, are expected to be others every session; properties are not.
+    prior = np.zeros(_SPREADS.size) if history.scale else -2.0 * np.log1p(_SPREADS)
+    prior -= np.log(np.exp(prior).sum())
+    each = [_fit_at(y, np.square(s) + spread**2, shapes) for spread in spreads]
+    logs = np.array([fitted.evidence for fitted in each]) + prior[:, None]
+    best, most = logs.argmax(axis=0), logs.max(axis=0)
+    evidence = most + np.log(np.exp(logs - most).sum(axis=0))
+    rest = (np.array(rows)[best, np.arange(len(shapes))] for rows in zip(*(f[1:] for f in each), strict=True))
+    return _Fitted(evidence, *rest)
+
+
+def _fit_at(y: FloatArray, variances: FloatArray, shapes: FloatArray) -> _Fitted:
+    """The same for one spread, by iteratively reweighted least squares."""
+    weights = np.tile(1.0 / variances, (len(shapes), 1))
+    for _ in range(_ROUNDS):
+        a, b, c = weights.sum(axis=1), (weights * shapes).sum(axis=1), (weights * shapes**2).sum(axis=1)
+        c += 1.0 / _SIZE**2
+        determinant = a * c - b**2
+        of_y, of_shape = weights @ y, (weights * shapes) @ y
+        level, size = (c * of_y - b * of_shape) / determinant, (a * of_shape - b * of_y) / determinant
+        squares = np.square(y - level[:, None] - size[:, None] * shapes) / variances
+        weights = (_TAILS + 1.0) / (_TAILS + squares) / variances
+    likelihood = -0.5 * ((_TAILS + 1.0) * np.log1p(squares / _TAILS) + np.log(variances)).sum(axis=1)
+    evidence = likelihood - 0.5 * np.log(determinant) - 0.5 * np.square(size / _SIZE) - math.log(_SIZE)
+    return _Fitted(evidence, level, size, np.sqrt(a / determinant))
+
+
+def _spread(history: ParameterHistory) -> float:
+    """How many times its deviations a parameter scatters between sessions, robustly."""
+    levels = history.levels
+    return float(1.4826 * np.median(np.abs(levels - np.median(levels))) / np.median(history.deviations))
+
+
+def _changes(
+    history: ParameterHistory, when: FloatArray, names: Sequence[str], dated: bool, among: int
+) -> list[ParameterChange]:
+    """The changes of one parameter, oldest first; `among` is the number of those that are looked at."""
+    n = history.values.size
+    if n < 2 * MIN_SIDE:
+        return []
+    steps = range(MIN_SIDE, n - MIN_SIDE + 1)
+    ramp = (when - when[0]) / (when[-1] - when[0])
+    trends = [ramp] if n >= MIN_TREND else []
+    shapes = np.array([np.zeros(n), *(np.arange(n) >= k for k in steps), *trends], dtype=np.float64)
+    fitted = _fit(history, shapes)
+    evidence = fitted.evidence[1:] - fitted.evidence[0]
+    kinds = np.array([*[0.5 / len(steps)] * len(steps), *[0.5] * len(trends)])
+    total = float(np.log(kinds @ np.exp(np.minimum(evidence, _MOST)))) - math.log(among)
+    if total < CREDIBLE:
+        return []
+    of_steps = evidence[: len(steps)]
+    is_step = not trends or of_steps.max() >= evidence[-1] - _RARER
+    # From the latest credible moment on the change is complete.
+    place = int(np.flatnonzero(of_steps >= of_steps.max() - _CLOSE)[-1]) if is_step else len(steps)
+    level, size, error = (float(of[place + 1]) for of in fitted[1:])
+    old, new = history.value(level), history.value(level + size)
+    k = steps[place] if is_step else 0
+    relative = not history.scale
+    change = ParameterChange(
+        name=history.name,
+        words=history.words,
+        unit=history.unit,
+        kind="step" if is_step else "trend",
+        since=names[k],
+        after=names[k - 1],
+        old=old,
+        new=new,
+        relative=relative,
+        size=new / old - 1.0 if relative else new - old,
+        error=error if relative else error * history.scale,
+        evidence=total,
+        days=float(when[-1] - when[0]),
+        dated=dated,
+        bounds=history.bounds,
+    )
+    if not is_step:
+        return [change]
+    before = _changes(history.part(0, k), when[:k], names[:k], dated, among)
+    later = _changes(history.part(k, n), when[k:], names[k:], dated, among)
+    return [*before, change, *later]

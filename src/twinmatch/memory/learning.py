@@ -1,0 +1,163 @@
+"""What a session teaches: one fit per structure to its healthy samples, with an honest covariance."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from twinmatch.comparing import ForecastScore, Verdict
+from twinmatch.dynamics import Law, Model, Plant
+from twinmatch.errors import TwinmatchError
+from twinmatch.fitting import Noise, StructureFit, fit_structure, observed_covariance
+from twinmatch.memory.lesson import Lesson, Span
+from twinmatch.signals import FloatArray, Sample, Window
+
+MIN_SAMPLES: Final = 300
+"""Shortest healthy stretch that is used, samples: the first minute of each is not compared, and less than
+that has too few independent residuals for a covariance."""
+_REFITS: Final = 3
+"""How often a fit is continued that has not converged."""
+_ON_BOUND: Final = 1e-4
+"""Distance from a bound, as a share of the interval, below which a parameter is not determined."""
+
+
+@dataclass(frozen=True, eq=False)
+class JudgedSession:
+    """A session that has been judged, as far as its lessons depend on it."""
+
+    session: str
+    """Digest of its samples, see `digest_of`."""
+    name: str
+    rig: str
+    plant: type[Plant]
+    began: int
+    """Stamp of the first sample, ns since the epoch of its clock."""
+    stretches: Sequence[Window]
+    """All its samples: those not seen are stand-ins for lost and refused ones."""
+    verdicts: Sequence[Verdict]
+    horizons: tuple[float, ...]
+    """Horizons of the forecasts, s."""
+    noise: Noise
+    law: Law | None
+    """That of the loop; None if it is not known."""
+
+    @property
+    def fault_at(self) -> int | None:
+        """First sample of the first fault that was reported."""
+        found = [v.fault_since for v in self.verdicts if v.fault and v.fault_since is not None]
+        return min(found, default=None)
+
+    @property
+    def healthy(self) -> list[Window]:
+        """The stretches before the first fault, without those that are too short."""
+        end = self.fault_at
+        whole = [w for w in self.stretches if end is None or w.first < end]
+        kept = [w if end is None or w.last < end else w.part(w.first, end - 1) for w in whole]
+        return [w for w in kept if int(w.marks.sum()) >= MIN_SAMPLES]
+
+    @property
+    def before_fault(self) -> list[Verdict]:
+        """The verdicts before the first fault."""
+        end = self.fault_at
+        return [v for v in self.verdicts if end is None or v.sample < end]
+
+
+def digest_of(samples: Iterable[Sample]) -> str:
+    """A digest of a session's samples, whatever its name and file."""
+    digest = hashlib.sha256()
+    for sample in samples:
+        row = (sample.index, *sample.references, *sample.outputs, *sample.inputs)
+        digest.update(np.array(row, dtype=np.float64).tobytes())
+    return digest.hexdigest()[:16]
+
+
+def lessons_of(judged: JudgedSession) -> list[Lesson]:
+    """The lessons of a session: of the plant's first structure, those that are watched, and those that have
+    led or were chosen; without structures of which a parameter is not determined at all.
+
+    None if the healthy part is too short.
+    """
+    windows = judged.healthy
+    if not windows:
+        return []
+    found = (_lesson(judged, windows, model) for model in _worth_keeping(judged))
+    return [lesson for lesson in found if lesson is not None]
+
+
+def _worth_keeping(judged: JudgedSession) -> list[Model]:
+    plant, verdicts = judged.plant, judged.before_fault
+    names = [next(iter(plant.structures)), *(n for n, s in plant.structures.items() if s.watched)]
+    names += [name for v in verdicts[-1:] if (name := v.structure)]
+    names += [score.parameters.model.structure_name for v in verdicts if (score := _leader(v)) is not None]
+    models = [plant.model(name) for name in dict.fromkeys(names) if name in plant.structures]
+    return [model for model in models if not model.is_external and model.structure.free]
+
+
+def _leader(verdict: Verdict) -> ForecastScore | None:
+    return next((score for score in verdict.forecasts if score.name == verdict.leader), None)
+
+
+def _lesson(judged: JudgedSession, windows: Sequence[Window], model: Model) -> Lesson | None:
+    """The lesson on one structure; None if a parameter is not determined."""
+    try:
+        fit = _converged_fit(judged, windows, model)
+        covariance = observed_covariance(fit, windows, judged.noise, judged.law)
+    except (TwinmatchError, np.linalg.LinAlgError):
+        return None
+    if _undetermined(fit) or not np.isfinite(covariance).all() or np.linalg.eigvalsh(covariance)[0] <= 0.0:
+        return None
+    last = judged.before_fault[-1] if judged.before_fault else None
+    leader = None if last is None else _leader(last)
+    scores = [] if last is None else [s for s in last.forecasts if s.parameters.model is model]
+    best = max(scores, key=lambda s: (s is leader, np.nan_to_num(s.gain, nan=-np.inf)), default=None)
+    return Lesson(
+        session=judged.session,
+        name=judged.name.encode(errors="replace").decode(),
+        plant=judged.plant.name,
+        equations=model.equations,
+        rig=judged.rig,
+        structure=model.structure_name,
+        began=judged.began,
+        duration=sum(len(w) * w.period for w in windows),
+        samples=sum(int(w.marks.sum()) for w in windows),
+        parameters=dict(fit.parameters),
+        free=model.structure.free,
+        covariance=tuple(map(tuple, covariance.tolist())),
+        outputs=_spans([w.outputs[w.marks] for w in windows]),
+        inputs=_spans([w.inputs[w.marks] for w in windows]),
+        led=leader is not None and leader.parameters.model is model,
+        chosen=last is not None and last.structure == model.structure_name,
+        level="" if last is None else last.level.value,
+        horizons=judged.horizons if best else (),
+        persistence_skill=best.persistence_skill if best else (),
+        arx_skill=best.arx_skill if best else (),
+        fault_at=judged.fault_at,
+    )
+
+
+def _converged_fit(judged: JudgedSession, windows: Sequence[Window], model: Model) -> StructureFit:
+    fit = fit_structure(windows, model, noise=judged.noise, law=judged.law)
+    for _ in range(_REFITS):
+        if fit.converged:
+            break
+        fit = fit_structure(windows, model, start=fit, noise=judged.noise, law=judged.law)
+    return fit
+
+
+def _undetermined(fit: StructureFit) -> bool:
+    """Whether a parameter ended on a bound."""
+    for name in fit.model.structure.free:
+        low, high = fit.model.declared[name].bounds
+        value = fit.parameters[name]
+        if min(value - low, high - value) <= _ON_BOUND * (high - low):
+            return True
+    return False
+
+
+def _spans(signals: Sequence[FloatArray]) -> tuple[Span, ...]:
+    whole = np.concatenate(signals)
+    return tuple(zip(whole.min(axis=0).tolist(), whole.max(axis=0).tolist(), strict=True))

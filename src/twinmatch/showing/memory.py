@@ -1,0 +1,106 @@
+"""A memory for people: a table of its sessions, what has changed in words, and both as a document."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from twinmatch.dynamics import Plant
+from twinmatch.memory import Lesson, MemoryReport, current_lessons, report_on, shared_structure
+from twinmatch.showing.quantities import parameter_format
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+
+class RememberedRig(NamedTuple):
+    """What a memory holds of one plant and rig."""
+
+    plant: type[Plant]
+    rig: str
+    structure: str
+    """In which the sessions are compared; empty if there are none with today's equations."""
+    lessons: list[Lesson]
+    """All of this plant and rig, oldest first."""
+    report: MemoryReport
+
+    @property
+    def outdated(self) -> int:
+        """Number of sessions of which there are only lessons on other equations."""
+        current = current_lessons(self.lessons, self.plant)
+        return len({one.session for one in self.lessons} - {one.session for one in current})
+
+    @property
+    def title(self) -> str:
+        """Plant and rig."""
+        return f"{self.plant.title}{f', {self.rig}' if self.rig else ''}"
+
+    @property
+    def sentences(self) -> list[str]:
+        """What there is to say about it."""
+        said = []
+        if self.structure:
+            text = self.report.sentence
+            said.append(f"{text[0].upper()}{text[1:]}.")
+        if self.outdated:
+            said.append(
+                f"{self.outdated} sessions were remembered with other equations of this plant and are not "
+                "compared: remember them again."
+            )
+        return said
+
+    def table(self) -> Table:
+        """One row for each session, with the parameters of the structure and their standard deviations."""
+        from rich.table import Table  # noqa: PLC0415 — needed only to print
+
+        shown = Table(title=f"{self.title}: {self.structure}", box=None, pad_edge=False)
+        free = self.report.lessons[0].free if self.report.lessons else ()
+        formats = [parameter_format(self.plant, name) for name in free]
+        for name in ("session", "began", "hours", "level", *(q.label for q in formats)):
+            side: Any = "left" if name in {"session", "began", "level"} else "right"
+            shown.add_column(name, justify=side, no_wrap=True)
+        for one in self.report.lessons:
+            cells = (
+                f"{q.text(one.parameters[q.name])} ± {q.error_text(float(deviation))}"
+                for q, deviation in zip(formats, one.deviations, strict=True)
+            )
+            faulty = "" if one.fault_at is None else f", faulty from {one.fault_at}"
+            shown.add_row(one.name, began_text(one), f"{one.duration / 3600:.2f}", one.level + faulty, *cells)
+        return shown
+
+    def document(self) -> dict[str, Any]:
+        """All of it as a dictionary for JSON."""
+        changes = [asdict(change) | {"sentence": change.sentence} for change in self.report.changes]
+        return {
+            "plant": self.plant.name,
+            "rig": self.rig,
+            "structure": self.structure,
+            "sentences": self.sentences,
+            "changes": _finite(changes),
+            "lessons": _finite([asdict(lesson) for lesson in self.lessons]),
+        }
+
+
+def remembered(lessons: Sequence[Lesson], plant: type[Plant], rig: str) -> RememberedRig:
+    """What these lessons on a plant and rig say, in the structure that its sessions share."""
+    current = current_lessons(lessons, plant)
+    structure = shared_structure(current)
+    compared = [one for one in current if one.structure == structure]
+    report = report_on(compared, plant.model(structure)) if structure else MemoryReport([], [], [], [])
+    return RememberedRig(plant, rig, structure, list(lessons), report)
+
+
+def began_text(lesson: Lesson) -> str:
+    """When a session began, in UTC."""
+    return datetime.fromtimestamp(lesson.began / 1e9, UTC).strftime("%Y-%m-%d %H:%M")
+
+
+def _finite(value: Any) -> Any:
+    """For strict JSON: numbers that are not finite become null."""
+    if isinstance(value, dict):
+        return {name: _finite(one) for name, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(one) for one in value]
+    return None if isinstance(value, float) and not abs(value) < float("inf") else value

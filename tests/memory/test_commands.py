@@ -1,0 +1,89 @@
+"""`twinmatch remember`, `memory` and `forget`."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.support.lessons import lived_rig
+from tests.support.rig import rig, run
+from twinmatch.cli import main
+from twinmatch.memory import Memory, default_file
+from twinmatch.plants import Peltier
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch):
+    """A data folder of its own."""
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "data"))
+    return tmp_path
+
+
+def write_table(path, seed):
+    """A recording of the simulated rig, as a table."""
+    levels = np.repeat([40.0, 60.0, 35.0, 55.0], 200)
+    window = run(rig("held sink", seebeck=0.06, conductance=0.6), levels, seed=seed)
+    rows = np.column_stack([np.arange(800.0), window.reference, window.output, window.input])
+    header = "time,reference,temperature,pwm"
+    np.savetxt(path, rows, delimiter=",", header=header, comments="", fmt="%.4f")
+
+
+def test_a_session_is_remembered_once_shown_and_forgotten(folder, capsys):
+    write_table(folder / "monday.csv", 1)
+    assert main(["remember", str(folder / "monday.csv"), "--rig", "left"]) == 0
+    said = capsys.readouterr().out
+    assert said.startswith("monday: ")
+    assert said.strip().endswith("peltier@left.sqlite")
+    held = Memory(default_file("peltier", "left")).lessons()
+    learned = next(lesson for lesson in held if lesson.structure == "held sink")
+    off = (learned.values[:2] - [0.06, 0.6]) / learned.deviations[:2]
+    assert np.all(np.abs(off) < 4.0)
+    assert main(["remember", str(folder / "monday.csv"), "--rig", "left"]) == 0
+    assert capsys.readouterr().out == "monday: remembered already\n"
+    assert main(["memory", "--json", str(folder / "out.json")]) == 0
+    assert "what changes between sessions shows from 4 sessions on".capitalize() in capsys.readouterr().out
+    (document,) = json.loads((folder / "out.json").read_text())
+    assert document["rig"] == "left"
+    assert [one["name"] for one in document["lessons"]] == ["monday"] * len(held)
+    assert main(["forget", str(folder / "monday.csv"), "sunday"]) == 3
+    told = capsys.readouterr()
+    assert told.out == "monday: forgotten\n"
+    assert told.err == "twinmatch: sunday: is not remembered\n"
+    assert main(["forget", "monday"]) == 2
+
+
+def test_what_has_changed_is_said_and_drawn(folder, capsys):
+    lived = lived_rig(1, "step")
+    file = folder / "rig.sqlite"
+    equations = Peltier.model(lived.lessons[0].structure).equations
+    Memory(file).add([replace(lesson, equations=equations) for lesson in lived.lessons])
+    Memory(file).add([replace(lived.lessons[0], session="old", name="old", equations="others")])
+    assert main(["memory", "--memory", str(file), "--figure", str(folder / "memory.svg")]) == 0
+    said = capsys.readouterr().out
+    assert f"Since run_{lived.since} the " in said
+    assert "before and after it was steady" in said
+    assert "1 sessions were remembered with other equations" in said
+    assert "run_11" in said
+    drawn = (folder / "memory.svg").read_text()
+    assert drawn.startswith("<?xml")
+
+
+def test_errors_are_one_sentence(folder, capsys):
+    assert main(["remember", str(folder / "none.csv")]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    (folder / "rig.sqlite").write_text("not a memory" * 100)
+    for command in (["memory"], ["forget", "monday"]):
+        assert main([*command, "--memory", str(folder / "rig.sqlite")]) == 2
+        said = capsys.readouterr().err
+        assert said.endswith("is not a memory of twinmatch; give another file, or move it away\n")
+        assert said.count("\n") == 1
+    write_table(folder / "monday.csv", 1)
+    assert main(["remember", str(folder / "monday.csv"), "--memory", str(folder / "rig.sqlite")]) == 2
+    assert "is not a memory of twinmatch" in capsys.readouterr().err
+    assert main(["memory"]) == 0
+    assert capsys.readouterr().out.startswith("Nothing is remembered yet")
+    assert main(["remember", str(folder / "monday.csv"), "--rig", "../x"]) == 2
+    assert "is not a name for a rig" in capsys.readouterr().err
