@@ -1,8 +1,8 @@
 """What earlier sessions have taught: parameters with covariances, kept in a file, and what has changed since.
 
 `Lesson` is what one session taught about one structure of its plant; `lessons_of` makes those of a judged
-session. `Memory` is the file of them. `start_from` gives the candidates that a session starts with. `report_on`
-compares the sessions and names steps and trends. All but `Memory` is pure.
+session. `Memory` is the file of them. `start_from` gives the candidates that a session starts with.
+`report_on` compares the sessions and names steps and trends. All but `Memory` is pure.
 """
 
 from twinmatch.memory.changes import (
