@@ -12,7 +12,7 @@ from tests.support.rig import GAINS, rig, run
 from twinmatch.comparing import TrustLevel, Verdict
 from twinmatch.fitting import Noise
 from twinmatch.importing import open_any
-from twinmatch.memory import JudgedSession, Lesson, current_lessons, digest_of, lessons_of, report_on
+from twinmatch.memory import Lesson, SessionEvidence, current_lessons, digest_of, lessons_of, report_on
 from twinmatch.plants import Peltier
 from twinmatch.sessions import samples_of
 from twinmatch.signals import Window
@@ -36,10 +36,10 @@ def hour(seed: int, structure: str = RICH, **changed: float) -> Window:
 
 def judged(
     window: Window, *verdicts: Verdict, name: str = "hour", stretches: tuple[Window, ...] = ()
-) -> JudgedSession:
+) -> SessionEvidence:
     """It as a session with these verdicts."""
     samples = samples_of(window)
-    return JudgedSession(
+    return SessionEvidence(
         digest_of(samples), name, "", Peltier, samples[0].stamp, stretches or (window,), verdicts, (10.0,),
         Noise.of(Peltier), GAINS,
     )  # fmt: skip

@@ -13,13 +13,12 @@ from twinmatch.memory.changes import (
     report_on,
     shared_structure,
 )
-from twinmatch.memory.learning import JudgedSession, digest_of, lessons_of
+from twinmatch.memory.learning import SessionEvidence, digest_of, lessons_of
 from twinmatch.memory.lesson import Lesson, MemoryFaultError, current_lessons, in_order
 from twinmatch.memory.start import start_from
 from twinmatch.memory.store import Memory, RememberedSession, default_file, default_files
 
 __all__ = [
-    "JudgedSession",
     "Lesson",
     "Memory",
     "MemoryFaultError",
@@ -27,6 +26,7 @@ __all__ = [
     "ParameterChange",
     "ParameterHistory",
     "RememberedSession",
+    "SessionEvidence",
     "current_lessons",
     "default_file",
     "default_files",

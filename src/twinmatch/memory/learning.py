@@ -26,7 +26,7 @@ _ON_BOUND: Final = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
-class JudgedSession:
+class SessionEvidence:
     """A session that has been judged, as far as its lessons depend on it."""
 
     session: str
@@ -75,7 +75,7 @@ def digest_of(samples: Iterable[Sample]) -> str:
     return digest.hexdigest()[:16]
 
 
-def lessons_of(judged: JudgedSession) -> list[Lesson]:
+def lessons_of(judged: SessionEvidence) -> list[Lesson]:
     """The lessons of a session: of the plant's first structure, those that are watched, and those that have
     led or were chosen; without structures of which a parameter is not determined at all.
 
@@ -88,7 +88,7 @@ def lessons_of(judged: JudgedSession) -> list[Lesson]:
     return [lesson for lesson in found if lesson is not None]
 
 
-def _worth_keeping(judged: JudgedSession) -> list[Model]:
+def _worth_keeping(judged: SessionEvidence) -> list[Model]:
     plant, verdicts = judged.plant, judged.before_fault
     names = [next(iter(plant.structures)), *(n for n, s in plant.structures.items() if s.watched)]
     names += [name for v in verdicts[-1:] if (name := v.structure)]
@@ -101,7 +101,7 @@ def _leader(verdict: Verdict) -> ForecastScore | None:
     return next((score for score in verdict.forecasts if score.name == verdict.leader), None)
 
 
-def _lesson(judged: JudgedSession, windows: Sequence[Window], model: Model) -> Lesson | None:
+def _lesson(judged: SessionEvidence, windows: Sequence[Window], model: Model) -> Lesson | None:
     """The lesson on one structure; None if a parameter is not determined."""
     try:
         fit = _converged_fit(judged, windows, model)
@@ -139,7 +139,7 @@ def _lesson(judged: JudgedSession, windows: Sequence[Window], model: Model) -> L
     )
 
 
-def _converged_fit(judged: JudgedSession, windows: Sequence[Window], model: Model) -> StructureFit:
+def _converged_fit(judged: SessionEvidence, windows: Sequence[Window], model: Model) -> StructureFit:
     fit = fit_structure(windows, model, noise=judged.noise, law=judged.law)
     for _ in range(_REFITS):
         if fit.converged:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from twinmatch.memory import JudgedSession, Lesson, digest_of, lessons_of
+from twinmatch.memory import Lesson, SessionEvidence, digest_of, lessons_of
 from twinmatch.offline.judging import Judgement, Terms, Watch, judge
 from twinmatch.sessions import Session
 
@@ -16,7 +16,7 @@ def learn_from(judgement: Judgement, rig: str = "") -> list[Lesson]:
     """The lessons of a session that was judged without a memory."""
     settings = judgement.settings
     return lessons_of(
-        JudgedSession(
+        SessionEvidence(
             session=digest_of(judgement.samples),
             name=judgement.name,
             rig=rig,
