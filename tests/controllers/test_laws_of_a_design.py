@@ -30,7 +30,7 @@ from twinmatch.sessions import read_session, write_session
 from twinmatch.signals import FloatArray, Sample
 
 DELAY = 3
-LAWS = 12
+LAWS = 10
 LEVEL = np.array([48.0, 42.0])
 
 

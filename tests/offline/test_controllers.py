@@ -5,24 +5,21 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 from tests.support.exchanging import Heaters
+from tests.support.laws import kit_session, law_file
 from tests.support.places import OTHERS, SHIPPED
 from tests.support.plants import Lag
-from tests.support.recorded_kits import kit_rows
 from tests.support.steps import drive_lost
-from twinmatch.cli import main
 from twinmatch.controllers import (
     ControllerDecision,
     ControllerError,
     ControllerQuestion,
     CourseFigure,
     TriedTwin,
-    as_linear,
     law_from,
     try_controller,
 )
@@ -43,13 +40,6 @@ from twinmatch.plants import Peltier
 from twinmatch.sessions import Session, read_session, write_session
 from twinmatch.signals import Sample
 
-RUNNING = {
-    "kind": "pid",
-    "proportional": 38.57,
-    "integral": 1.46877,
-    "derivative": 6.66875,
-    "back_calculation": 1.0,
-}
 LEVEL = np.array([45.0, 38.0])
 
 
@@ -66,12 +56,6 @@ def ground(session: Session) -> Ground:
 @pytest.fixture(scope="module")
 def members(ground: Ground) -> tuple[TriedTwin, ...]:
     return members_from(ground)
-
-
-def law_file(folder: Path, **changes: Any) -> Path:
-    path = folder / "law.json"
-    path.write_text(json.dumps(RUNNING | changes), encoding="utf-8")
-    return path
 
 
 def test_the_law_that_ran_is_safe_and_the_same_beside_itself(
@@ -190,80 +174,6 @@ def test_mistakes_in_files_of_laws_are_one_line(
         read_law(path, Lag, 1.0)
     assert words in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Three laws, three exit codes; the answer as JSON, and as a figure."""
-    out, figure = tmp_path / "answer.json", tmp_path / "answer.svg"
-    base = ["try-controller", str(SHIPPED), "--draws", "25", "--set", "temperature=75@60"]
-    safe = [*base, "--loop", str(law_file(tmp_path)), "--json", str(out), "--figure", str(figure)]
-    assert main(safe) == 0
-    assert capsys.readouterr().out.startswith("law.json: safe for all that the data allow: stable on ")
-    document = json.loads(out.read_text("utf-8"))
-    assert document["decision"] == "safe"
-    assert (
-        len(document["t"]) == len(document["outputs"][0]["median"]) == len(document["references"][0]) == 300
-    )
-    assert {"overshoot", "settling time"} <= {row["name"] for row in document["figures"]}
-    assert figure.read_text("utf-8").count("<svg") == 1
-    assert main([*base, "--loop", str(law_file(tmp_path, proportional=150, integral=10))]) == 3
-    assert "undecided: unstable in " in capsys.readouterr().out
-    assert main([*base, "--loop", str(law_file(tmp_path, proportional=600, integral=10))]) == 1
-    assert "law.json: fails on " in capsys.readouterr().out
-    assert main([*base, "--loop", str(tmp_path / "no.json")]) == 2
-    assert "cannot be read" in capsys.readouterr().err
-
-
-def test_new_gains_are_tried_at_once_and_can_be_read(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = tmp_path / "tuned.json"
-    assert main(["retune", str(SHIPPED), "--json", str(path)]) == 0
-    first, *rest = capsys.readouterr().out.splitlines()
-    assert first.startswith("the mean squared error after a load is ")
-    assert any(line.strip().startswith("safe for all that the data allow") for line in rest)
-    law = read_law(path, Peltier, 1.0)
-    assert isinstance(law, LinearLaw)
-    before = as_linear(law_of(Peltier, 1.0))
-    assert 1.0 < law.E[0, 0] / before.E[0, 0] < 2.0
-
-
-def test_only_a_pid_that_is_known_is_tuned(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    kit_session("prbs_open_loop", tmp_path)
-    assert main(["retune", str(tmp_path / "prbs_open_loop"), "--plant", "tclab-both"]) == 2
-    assert "prbs_open_loop: its controller is not a known PID" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [(["--draws", "0"], "--draws is 0; give a positive number"),
-     (["--set", "x=1@2"], "--set x=1@2: give NAME=LEVEL@S"),
-     (["--set", "temperature=500@0"], "temperature: profile: row 1")],
-)  # fmt: skip
-def test_mistakes_on_the_command_line(
-    options: list[str], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["try-controller", str(SHIPPED), "--loop", str(law_file(tmp_path)), *options]) == 2
-    assert words in capsys.readouterr().err
-
-
-def kit_session(name: str, folder: Path) -> Session:
-    """A recording of a real kit with both heaters."""
-    rows = kit_rows("tclab_2x2", name)
-    closed = "SP1" in rows[0]
-    samples = [
-        Sample(
-            k,
-            10**9 * k,
-            (row["SP1"], row["SP2"]) if closed else (0.0, 0.0),
-            (row["T1"], row["T2"]),
-            (row["Q1"], row["Q2"]),
-        )
-        for k, row in enumerate(rows)
-    ]
-    return replace(
-        read_session(write_session(folder / name, samples)), plant="tclab-both", has_reference=closed
-    )
 
 
 def test_a_real_kit_with_two_heaters_from_its_open_loop_alone(tmp_path: Path) -> None:

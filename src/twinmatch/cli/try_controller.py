@@ -23,6 +23,7 @@ from twinmatch.offline.controllers import (
     planned_profile,
     read_law,
     recorded_profile,
+    remembered,
     resting_point,
     stepped_profile,
     usual_profile,
@@ -54,6 +55,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--begin", choices=["end", "rest"], default="end", help=begin)
     draws = "draws of the parameters over all twins (default: 200)"
     parser.add_argument("--draws", type=int, default=200, metavar="N", help=draws)
+    memory = "try it on the twins of earlier sessions in this memory, too"
+    parser.add_argument("--memory", type=Path, metavar="FILE", help=memory)
     add_options(parser, "--json", help="write the answer with all figures and bands to this file")
     add_options(parser, "--figure", help="draw what happens, beside the law that ran (.png, .svg or .pdf)")
     add_options(parser, *TERMS)
@@ -74,7 +77,8 @@ def run(options: argparse.Namespace) -> int:
         law = read_law(options.loop, ground.plant, ground.session.period)
         level = ground.level if ground.session.has_reference else _around(options, ground)
         references = _profile(options, ground, level)
-        members = _members(opened)
+        earlier = () if options.memory is None else remembered(ground, options.memory)
+        members = [*_members(opened), *earlier]
         with Progress("trying") as progress:
             before = references[0] if options.begin == "rest" else level
             question = ControllerQuestion(law, references, before, ground.holding, options.draws)

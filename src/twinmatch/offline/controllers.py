@@ -18,6 +18,8 @@ from twinmatch.dynamics.pace import plant_scale, time_constant
 from twinmatch.errors import TwinmatchError
 from twinmatch.fitting import fit_session
 from twinmatch.forecasting import ForecastError, SetPoints
+from twinmatch.memory import Memory, start_from
+from twinmatch.memory.start import CENTRE
 from twinmatch.offline.judging import Terms, Watch, judge, terms_from_files
 from twinmatch.plants import Peltier, plant_named
 from twinmatch.plants.files import load_law
@@ -201,6 +203,28 @@ def _fitted(ground: Ground, watch: Watch | None) -> tuple[TriedTwin, ...]:
             found = TriedTwin(name, fit.parameters, free, fit.covariance, noise=ground.noise)
             members.append(found)
     return tuple(members)
+
+
+def remembered(ground: Ground, path: Path) -> tuple[TriedTwin, ...]:
+    """The twins of earlier sessions in a memory, and the centre of all, whose draws have their spread.
+
+    Raises:
+        MemoryFaultError: the file is not a memory, or cannot be read.
+        ControllerError: no session in it says anything of this plant.
+    """
+    found = start_from(Memory(path).lessons(ground.plant.name), ground.plant)
+    if not found:
+        raise ControllerError(f"{path}: remembers nothing of plant {ground.plant.name}; leave --memory out")
+    return tuple(
+        TriedTwin(
+            f"remembered: {each.name}".replace("remembered: remembered", "remembered"),
+            each.parameters,
+            each.free,
+            each.known_covariance if each.name.startswith(CENTRE) else None,
+            noise=ground.noise,
+        )
+        for each in found
+    )
 
 
 def _parts(window: Window, length: float) -> list[Window]:

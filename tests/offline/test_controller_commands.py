@@ -1,0 +1,127 @@
+"""The commands that try and retune controllers: what they print and write, and their exit codes."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.support.laws import kit_session, law_file
+from tests.support.lessons import lesson
+from tests.support.places import SHIPPED
+from twinmatch.cli import main
+from twinmatch.controllers import (
+    ControllerError,
+    as_linear,
+)
+from twinmatch.dynamics import LinearLaw, law_of
+from twinmatch.memory import Memory
+from twinmatch.offline.controllers import (
+    Ground,
+    ground_of,
+    read_law,
+    remembered,
+)
+from twinmatch.plants import Peltier
+from twinmatch.sessions import read_session
+
+
+@pytest.fixture(scope="module")
+def ground() -> Ground:
+    return ground_of(read_session(SHIPPED))
+
+
+def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Three laws, three exit codes; the answer as JSON, and as a figure."""
+    out, figure = tmp_path / "answer.json", tmp_path / "answer.svg"
+    base = ["try-controller", str(SHIPPED), "--draws", "25", "--set", "temperature=75@60"]
+    safe = [*base, "--loop", str(law_file(tmp_path)), "--json", str(out), "--figure", str(figure)]
+    assert main(safe) == 0
+    assert capsys.readouterr().out.startswith("law.json: safe for all that the data allow: stable on ")
+    document = json.loads(out.read_text("utf-8"))
+    assert document["decision"] == "safe"
+    assert (
+        len(document["t"]) == len(document["outputs"][0]["median"]) == len(document["references"][0]) == 300
+    )
+    assert {"overshoot", "settling time"} <= {row["name"] for row in document["figures"]}
+    assert figure.read_text("utf-8").count("<svg") == 1
+    assert main([*base, "--loop", str(law_file(tmp_path, proportional=150, integral=10))]) == 3
+    assert "undecided: unstable in " in capsys.readouterr().out
+    assert main([*base, "--loop", str(law_file(tmp_path, proportional=600, integral=10))]) == 1
+    assert "law.json: fails on " in capsys.readouterr().out
+    assert main([*base, "--loop", str(tmp_path / "no.json")]) == 2
+    assert "cannot be read" in capsys.readouterr().err
+
+
+def test_new_gains_are_tried_at_once_and_can_be_read(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "tuned.json"
+    assert main(["retune", str(SHIPPED), "--json", str(path)]) == 0
+    first, *rest = capsys.readouterr().out.splitlines()
+    assert first.startswith("the mean squared error after a load is ")
+    assert any(line.strip().startswith("safe for all that the data allow") for line in rest)
+    law = read_law(path, Peltier, 1.0)
+    assert isinstance(law, LinearLaw)
+    before = as_linear(law_of(Peltier, 1.0))
+    assert 1.0 < law.E[0, 0] / before.E[0, 0] < 2.0
+
+
+def test_only_a_pid_that_is_known_is_tuned(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    kit_session("prbs_open_loop", tmp_path)
+    assert main(["retune", str(tmp_path / "prbs_open_loop"), "--plant", "tclab-both"]) == 2
+    assert "prbs_open_loop: its controller is not a known PID" in capsys.readouterr().err
+
+
+def test_the_twins_of_earlier_sessions_are_tried_too(
+    ground: Ground, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One of them is a plate of half the heat capacity: a law that holds all of today's twins fails on it."""
+    path, model = tmp_path / "memory.db", Peltier.model("held sink")
+    with pytest.raises(ControllerError, match="remembers nothing of plant peltier; leave --memory out"):
+        remembered(ground, path)
+    usual = {**model.typical(), "seebeck": 0.08, "conductance": 0.4, "heat_capacity": 30.0}
+    Memory(path).add(
+        lesson(
+            k,
+            "held sink",
+            equations=model.equations,
+            parameters=usual | {"heat_capacity": capacity},
+            free=model.structure.free,
+            covariance=np.diag([1e-6, 1e-4, 0.1]).tolist(),
+        )
+        for k, capacity in enumerate((30.0, 32.0, 12.0))
+    )
+    found = remembered(ground, path)
+    assert [twin.name for twin in found][:1] == ["remembered"]
+    assert {twin.name for twin in found[1:]} >= {"remembered: run_2"}
+    assert found[0].covariance is not None
+    law = law_file(tmp_path, proportional=60)
+    command = [
+        "try-controller",
+        str(SHIPPED),
+        "--loop",
+        str(law),
+        "--draws",
+        "25",
+        "--set",
+        "temperature=75@60",
+    ]
+    assert main(command) == 0
+    assert main([*command, "--memory", str(path)]) == 1
+    assert "first on remembered: run_2" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [(["--draws", "0"], "--draws is 0; give a positive number"),
+     (["--set", "x=1@2"], "--set x=1@2: give NAME=LEVEL@S"),
+     (["--set", "temperature=500@0"], "temperature: profile: row 1")],
+)  # fmt: skip
+def test_mistakes_on_the_command_line(
+    options: list[str], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["try-controller", str(SHIPPED), "--loop", str(law_file(tmp_path)), *options]) == 2
+    assert words in capsys.readouterr().err
