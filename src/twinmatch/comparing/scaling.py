@@ -23,6 +23,7 @@ from twinmatch.comparing.matrix_gap import (
     gaps_of,
     matrix_margin,
     matrix_nu_gap,
+    sizes_of,
 )
 from twinmatch.comparing.state_space import StateSpace, half_plane
 from twinmatch.signals import FloatArray
@@ -123,7 +124,7 @@ def _claim_in(
         y, u = units[:p], units[p:]
         ratio = (u / y[:, None]).astype(np.complex128)
         rows, columns = np.concatenate([y, u]), np.concatenate([u, y])
-        size = np.linalg.norm(around * (columns / rows[:, None]), 2, axis=(1, 2)).max()
+        size = sizes_of(around * (columns / rows[:, None])).max()
         gap = float(gaps_of(origin * ratio, to * ratio).max())
         return _claim(min(1.0, 1 / float(size)), gap)
 
