@@ -182,6 +182,19 @@ def test_a_twin_that_cannot_be_held_is_left_out_with_the_reason() -> None:
         tried([], PI)
 
 
+def test_a_draw_that_cannot_be_held_says_nothing() -> None:
+    """It is not unstable: with less than half of the gain no command reaches the level."""
+    wide = TriedTwin("wide", LAG.replace(gain=0.7), ("gain",), np.array([[0.04]]))
+    answer = tried([wide], PI)
+    found = answer.stability[0]
+    assert 5 < len(found.drawn) < 50
+    assert (
+        min(one["gain"] for one in found.drawn) > 0.29
+    )  # 3 m need 0.3 m/V at 10 V, which the loop only approaches
+    assert found.unstable == 0.0
+    assert answer.decision is ControllerDecision.SAFE
+
+
 def test_draws_have_the_covariance_and_are_possible() -> None:
     spread = np.array([[0.04, 0.06], [0.06, 0.25]])
     drawn = TriedTwin("one", LAG, ("gain", "lag"), spread).drawn(2000, seed=3)

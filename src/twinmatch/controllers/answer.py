@@ -144,26 +144,15 @@ def try_controller(
     plant, points = members[0].parameters.model.plant, operating_points(question.references)
     number = max(question.draws // len(members), MIN_DRAWS)
     drawn = [member.drawn(number, question.seed + k) for k, member in enumerate(members)]
-    stability, notes, kept = [], [], []
-    linear = not isinstance(question.law, TwoLevel)
-    for k, member in enumerate(members):
-        try:
-            if linear:
-                law = as_linear(question.law)
-                stability.append(stability_of(member, law, points, question.holding, drawn[k]))
-            kept.append(k)
-        except PlantError as error:
-            notes.append(f"{member.name} is left out: {error}")
-    if not kept:
-        raise ControllerError(f"controller: none of the twins can be held there; {notes[0]}")
-    owners = [(members[k], drawn[k]) for k in kept]
     laws = [question.law] if question.holding.law is None else [question.law, question.holding.law]
-    progress = _Progress(watch, len(laws) * sum(len(each) for each in drawn))
+    progress = _Progress(watch, (1 + len(laws)) * sum(map(len, drawn)))
+    stability, kept, notes = _stabilities(list(zip(members, drawn, strict=True)), points, question, progress)
+    owners = [(members[k], drawn[k]) for k in kept]
     courses = [_courses(owners, law, question, progress) for law in laws]
     names = tuple(members[k].name for k in kept)
     decision, sentence, asked = _decide(plant, names, stability, courses[0], question)
     period, guarantee = question.holding.period, None
-    if linear and all(one.eigenvalue < 1.0 for one in stability):
+    if stability and all(one.eigenvalue < 1.0 for one in stability):
         guarantee = guarantee_of(plant, stability, as_linear(question.law))
     return ControllerAnswer(
         plant,
@@ -186,10 +175,36 @@ class _Progress:
     def __init__(self, watch: Callable[[int, int], None] | None, total: int) -> None:
         self._watch, self._total, self._done = watch, total, 0
 
-    def step(self) -> None:
-        self._done += 1
-        if self._watch is not None and self._done % 10 == 0:
+    def step(self, number: int = 1) -> None:
+        self._done += number
+        if self._watch is not None:
             self._watch(self._done, self._total)
+
+
+def _stabilities(
+    owners: Sequence[tuple[TriedTwin, Sequence[Parameters]]],
+    points: Sequence[Point],
+    question: ControllerQuestion,
+    progress: _Progress,
+) -> tuple[list[MemberStability], list[int], list[str]]:
+    """The loops with all twins that can be held, for a linear law; numbers of these twins; why not others.
+
+    Raises:
+        ControllerError: none can be held.
+    """
+    linear = None if isinstance(question.law, TwoLevel) else as_linear(question.law)
+    stability, kept, notes = [], [], []
+    for k, (member, drawn) in enumerate(owners):
+        progress.step(len(drawn))
+        try:
+            if linear is not None:
+                stability.append(stability_of(member, linear, points, question.holding, drawn))
+            kept.append(k)
+        except PlantError as error:
+            notes.append(f"{member.name} is left out: {error}")
+    if not kept:
+        raise ControllerError(f"controller: none of the twins can be held there; {notes[0]}")
+    return stability, kept, notes
 
 
 def _courses(

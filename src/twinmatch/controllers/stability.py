@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -35,6 +34,7 @@ class MemberStability:
     point: Point
     """Where that is."""
     drawn: tuple[Parameters, ...]
+    """The draws that can be held at one of these points at least."""
     eigenvalues: FloatArray
     """The largest of every draw, shape (draws,)."""
     margins: tuple[ChannelMargins, ...]
@@ -81,17 +81,18 @@ def stability_of(
     sizes = {point: loop.eigenvalue for point, loop in loops.items()}
     worst = max(sizes, key=sizes.__getitem__)
     margins = [loop.margins() for loop in loops.values()]
-    each = [_loops(one, law, list(loops), holding, row)[0] for one in drawn]
+    each = [(one, _loops(one, law, list(loops), holding, row)[0]) for one in drawn]
+    each = [(one, held) for one, held in each if held] or [(member.parameters, loops)]
     return MemberStability(
         member,
         sizes[worst],
         worst,
-        tuple(drawn),
-        np.array([max((loop.eigenvalue for loop in held.values()), default=math.inf) for held in each]),
+        tuple(one for one, _ in each),
+        np.array([max(loop.eigenvalue for loop in held.values()) for _, held in each]),
         tuple(_least(channel) for channel in zip(*margins, strict=True)),
         max(loop.sensitivity() for loop in loops.values()),
         {point: loop.plant for point, loop in loops.items()},
-        tuple(loop.plant for held in each[:COMPARED] for loop in held.values()),
+        tuple(loop.plant for _, held in each[:COMPARED] for loop in held.values()),
     )
 
 

@@ -217,7 +217,7 @@ def remembered(ground: Ground, path: Path) -> tuple[TriedTwin, ...]:
         raise ControllerError(f"{path}: remembers nothing of plant {ground.plant.name}; leave --memory out")
     return tuple(
         TriedTwin(
-            f"remembered: {each.name}".replace("remembered: remembered", "remembered"),
+            each.name if each.name.startswith(CENTRE) else f"{CENTRE}: {each.name}",
             each.parameters,
             each.free,
             each.known_covariance if each.name.startswith(CENTRE) else None,
