@@ -89,6 +89,13 @@ class Readings(NamedTuple):
     noise: FloatArray
     """Standard deviation of each reading, shape (N,); infinite where it was lost."""
 
+    def part(self, begin: int, end: int) -> Readings:
+        """Samples from `begin` to before `end`."""
+        return Readings(
+            self.output[begin : end + 2], self.input[begin:end], self.disturbances[begin:end],
+            self.noise[begin:end],
+        )  # fmt: skip
+
 
 class Traces(NamedTuple):
     """Traces that jumps at past samples would have left in the innovations since."""

@@ -91,6 +91,8 @@ class Hypothesis:
     """Time after its onset within which it may still change, s."""
     slowly: float = 0.0
     """Time in which an even change covers its spread, s; 0: a sudden change."""
+    at_once: bool = False
+    """Whether all of it comes with one reading."""
 
 
 @dataclass(frozen=True)
@@ -121,8 +123,12 @@ class DetectedChange:
         return self.value - self.before
 
 
-def hypotheses(tracker: Tracker, noise: float, period: float) -> Sequence[Hypothesis]:
-    """The hypotheses for one plant: for parameters with a role in its file, and those of every plant."""
+def hypotheses(tracker: Tracker, noise: float, period: float, *, steps: bool) -> Sequence[Hypothesis]:
+    """The hypotheses for one plant: for parameters with a role in its file, and those of every plant.
+
+    `steps`: whether only a sensor that has shifted makes a step of the reading. A camera that corrects itself
+    makes some when it is healthy.
+    """
     found: list[Hypothesis] = []
     for name in tracker.free:
         declared = tracker.parameters.model.declared[name]
@@ -144,6 +150,8 @@ def hypotheses(tracker: Tracker, noise: float, period: float) -> Sequence[Hypoth
         found += [sudden] if kind is Kind.OTHER else [sudden, replace(sudden, slowly=_SLOW_TIME, price=_RARE)]
     scale = slow_scale(tracker.parameters.model.plant, period)
     unit = noise / (scale if scale > 1.0 else time_scale(period))
+    if steps:
+        found += [replace(h, at_once=True) for h in found if h.kind is Kind.SENSOR and not h.slowly]
     passing = Hypothesis(Kind.PASSING, tracker.fading, 0.0, 0.0, _MIN_SIZE[Kind.PASSING] * unit)
     found += [replace(passing, spread=spread * unit, lasting=time) for spread, time in _PASSING]
     return [replace(h, lasting=h.lasting * scale, slowly=h.slowly * scale) for h in found]
@@ -155,6 +163,8 @@ _HOUR: Final = 360
 """Blocks of an hour of a plant as fast as the rig."""
 _MIN_AGE: Final = 3
 """Least age of a change that is reported, blocks."""
+_STEP_AGE: Final = 10
+"""Greatest age up to which a step of the reading alone is a reason to look for a change, blocks."""
 _CAME_BACK: Final = 0.5
 """Share of the smallest change worth reporting below which a number has come back."""
 _LEARN: Final = 30
@@ -188,14 +198,17 @@ class _Found(NamedTuple):
 class ChangeDetector:
     """Tracks one plant and detects what has changed."""
 
-    def __init__(self, parameters: Parameters, period: float) -> None:
-        """Begin with these parameters in the tracked structure; `period` is the sample time, s."""
+    def __init__(self, parameters: Parameters, period: float, *, steps: bool = False) -> None:
+        """Begin with these parameters in the tracked structure; `period` is the sample time, s; `steps` as in
+        `hypotheses`.
+        """
         self._period = period
         self._tracked = TrackedBlocks(parameters, period)
         self.tracker = self._tracked.tracker
         self.track_record = TrackRecord(self.tracker)
         noise = parameters.model.plant.output.noise
-        self.hypotheses = hypotheses(self.tracker, noise, period)
+        self.hypotheses = hypotheses(self.tracker, noise, period, steps=steps)
+        self._steps = steps
         self._jumps = list({h.index: h for h in self.hypotheses if h.kind is not Kind.PASSING}.values())
         self._offset = next(h for h in self.hypotheses if h.kind is Kind.SENSOR)
         self._best: tuple[DetectedChange, _Found] | None = None
@@ -223,6 +236,12 @@ class ChangeDetector:
         if belief is None:
             return 0.0
         return float(belief.values[self.tracker.fading] + belief.values[self.tracker.push])
+
+    @property
+    def offset(self) -> float:
+        """By how much the readings are believed to be shifted for good, in the output's unit."""
+        belief = self._tracked.belief
+        return 0.0 if belief is None else float(belief.values[self.tracker.offset])
 
     def restart(self, *, offset: bool = False) -> None:
         """Start over after a gap or a fault, keeping what was learned about the plant.
@@ -297,19 +316,32 @@ class ChangeDetector:
         age = count - self._started
         fits = (self._started >= 0) & (age >= _MIN_AGE) & (age <= longest)
         worth = np.where(fits, worth, 0.0)
-        if worth.max() < _WORTH * self.track_record.dispersion and self._best is None:
+        stepped = self._stepped
+        if worth.max() < _WORTH * self.track_record.dispersion and self._best is None and not stepped:
             self._asking = 0
             return None
         self._idle += 1
         if self._idle < min(1 + self._asking // _PATIENCE, _RAREST):
             return None
         self._idle, self._asking = 0, self._asking + 1
-        best = int(age[np.argmax(worth.max(axis=0))])
+        best = stepped or int(age[np.argmax(worth.max(axis=0))])
         ages = {best - _EVERY, best, best + _EVERY}
         if self._best is not None:
             ages.add(round((self._tracked.blocks[-1].first - self._best[0].first) / self._tracked.size) + 1)
         kept = sorted(a for a in ages if _MIN_AGE <= a <= longest)
         return self._compare(kept) if kept else None
+
+    @property
+    def _stepped(self) -> int:
+        """Age of the newest block with a step of the reading that may be a shift, blocks; 0 without one.
+
+        Such a step may be taken for an outlier, and leave no trace.
+        """
+        blocks = list(self._tracked.blocks) if self._steps else []
+        for age in range(_MIN_AGE, min(_STEP_AGE, len(blocks)) + 1):
+            if np.abs(np.diff(blocks[-age].stretch.output[1:])).max() >= self._offset.least:
+                return age
+        return 0
 
     def _compare(self, ages: Sequence[int]) -> DetectedChange | None:
         """Compare every hypothesis of a change, `ages` blocks ago, with no change."""
@@ -374,6 +406,9 @@ class ChangeDetector:
         blocks: list[Block] = list(self._tracked.blocks)[-age:][:most]
         stretch: Readings = joined(blocks)
         before = blocks[0].before[level]
+        if h.at_once:
+            came = stretch.output[: 2 + _EVERY * self._tracked.size]
+            return self._jumped(h, before, stretch, int(np.nanargmax(np.abs(np.diff(came[1:])))), level)
         if h.slowly:
             belief = before.opened(self.tracker.rate, 0.0, h.spread / h.slowly)
             belief, cost = self.tracker.run(belief, stretch, level, rising=h.index)
@@ -389,6 +424,18 @@ class ChangeDetector:
             lasting=round(h.lasting / self._period),
         )
         return cost, belief
+
+    def _jumped(
+        self, h: Hypothesis, before: Belief, stretch: Readings, place: int, level: int
+    ) -> tuple[float, Belief]:
+        """The same if a number jumps before the reading at this place."""
+        belief, cost = before, 0.0
+        if place > 0:
+            belief, begun = self.tracker.run(belief, stretch.part(0, place), level)
+            cost += begun
+        belief = belief.opened(h.index, h.shift, h.spread)
+        belief, rest = self.tracker.run(belief, stretch.part(place, len(stretch.input)), level)
+        return cost + rest + h.price, belief
 
 
 def code_length_of(number: int) -> float:

@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final, NamedTuple, cast
 
 import numpy as np
@@ -27,6 +27,7 @@ from twinmatch.dynamics.observer import Observer, RandomWalk
 from twinmatch.dynamics.pace import slow_scale
 from twinmatch.health.balance import Movement
 from twinmatch.health.earned import NOTHING, Record
+from twinmatch.health.rivals import Cause, costs_of_causes
 from twinmatch.health.traces import FOLLOWS, DriveEffect
 from twinmatch.signals import FloatArray, Sample
 
@@ -102,6 +103,7 @@ class TrackedSample(NamedTuple):
     states: FloatArray
     """Estimated states, before the input acts."""
     input: float
+    output: float
     disturbances: FloatArray
     errors: tuple[ErrorModel, ...]
     """The usual errors known then, so that a fault does not hide itself."""
@@ -187,6 +189,12 @@ _MIN_ERRORS: Final = 6.0
 _LONG: Final = 2
 """From this of the stretches on, the missing part of a smaller effect counts, too; over a shorter one it is
 only a step or two of the reading …"""
+_SHIFTED: Final = 3.0
+"""Change of what is known of a shift of the readings after which it starts over, in their noises."""
+_MINUTE: Final = -2
+"""The place of the length of time of which all readings are compared with what else could explain them."""
+_FAR_BETTER: Final = 10.0
+"""Nats by which something else has to explain them better."""
 _MISSING: Final = 0.6
 """… if it is this share of the least effect: where both begin, a share of 0.4 is left."""
 _MAX_MISSING: Final = 1.6
@@ -233,7 +241,7 @@ class LaggedEffect(DriveEffect):
         self._scale = slow_scale(parameters.model.plant, period)
         self._spans = [max(2, round(s * self._scale / period)) for s in _SPANS]
         self._errors = (ErrorModel.of(self._noise),) * len(_SPANS)
-        self._frozen = False
+        self._frozen, self._shift = False, 0.0
         self.restart()
 
     delays: tuple[int, ...] = ()
@@ -247,6 +255,8 @@ class LaggedEffect(DriveEffect):
         self._past: deque[TrackedSample] = deque(maxlen=2 * self._spans[-1] + 1)
         self._standing: FloatArray | None = None
         self._reading = math.nan
+        self.rival: Cause | None = None
+        """What explains the newest readings far better than a drive without effect, if that seems missing."""
 
     @property
     def earned(self) -> bool:
@@ -269,11 +279,17 @@ class LaggedEffect(DriveEffect):
             self._parameters, self._errors = self._past[0].parameters, self._past[0].errors
         self._observer = None
 
-    def push(self, sample: Sample) -> Movement:
-        """Take a sample; return the expected and the observed movement since the one before.
+    def push(self, sample: Sample, shift: float = 0.0) -> Movement:
+        """Take a sample whose reading is known to be shifted; return the expected and the observed movement
+        since the one before.
 
         While a reading is repeated, the plant is assumed to have moved on from its states before that.
         """
+        if abs(shift - self._shift) > _SHIFTED * self._noise:  # what was estimated since is wrong
+            self.restart()
+        self._shift = shift
+        if shift:
+            sample = replace(sample, outputs=(sample.output - shift,))
         try:
             movement = self._movement(sample)
         except PlantError:  # the equations have no solution at the observer's states
@@ -311,7 +327,9 @@ class LaggedEffect(DriveEffect):
         # While it is reported as lost, silence would count as its recovery.
         settled = self._frozen or self._followed * self._period >= _SETTLED * self._scale
         self._past.append(
-            TrackedSample(observer.parameters, states, sample.input, row, self._errors, settled)
+            TrackedSample(
+                observer.parameters, states, sample.input, sample.output, row, self._errors, settled
+            )
         )
         self._followed += 1
         observer.predict(sample.input)
@@ -319,7 +337,7 @@ class LaggedEffect(DriveEffect):
 
     def _estimate(self, output: float) -> None:
         """Estimate the drive's effect over every stretch that ends now."""
-        self.share = math.nan
+        self.share, self.rival = math.nan, None
         past, learned = list(self._past), list(self._errors)
         inputs, rows = (np.array(of) for of in zip(*((m.input, m.disturbances) for m in past), strict=True))
         for k, length in enumerate(self._spans):
@@ -377,7 +395,34 @@ class LaggedEffect(DriveEffect):
             self._explains(later(delay), output, effect) for delay in self.delays if delay > 0
         ):
             return
+        if share < FOLLOWS[0] and not self._frozen:
+            self.rival = self.rival or self._better_cause()
+            if self.rival is not None:
+                return
         self.share, self.length, self.expected = share, len(stretch), effect
+
+    def _better_cause(self) -> Cause | None:
+        """What explains the last minute far better than a drive that has lost its effect; None if nothing.
+
+        A slow error of the equations makes any cause likely; but it may also be what a lost drive does to a
+        plant nearly at rest, where a reading that stands is told from it only without such an error.
+        """
+        past = list(self._past)[-self._spans[_MINUTE] - 1 :]
+        first = past[0]
+        if not first.settled:
+            return None
+        inputs, rows, readings = (
+            np.array(of) for of in zip(*((m.input, m.disturbances, m.output) for m in past), strict=True)
+        )
+        for slow_error, causes in ((True, {*Cause}), (False, {Cause.FROZEN})):
+            costs = costs_of_causes(
+                first.parameters, first.states, inputs, readings,
+                rows=rows, period=self._period, slow_error=slow_error,
+            )  # fmt: skip
+            best = min(costs, key=costs.__getitem__)
+            if costs[Cause.DRIVE] >= _FAR_BETTER and best in causes:
+                return best
+        return None
 
     @staticmethod
     def _explains(stretch: SimulatedSpan, output: float, effect: float) -> bool:

@@ -22,6 +22,7 @@ from twinmatch.health.faults import (
 from twinmatch.health.lagged_effect import LaggedEffect, is_lagged
 from twinmatch.health.late_input import LateInput
 from twinmatch.health.refusals import stamps_apart
+from twinmatch.health.rivals import Cause
 from twinmatch.health.settings import HealthSettings
 from twinmatch.health.slow_changes import SlowChanges
 from twinmatch.health.traces import DriveEffect, Effect, Lag, Repeats
@@ -36,6 +37,8 @@ _RECOVERED: Final = 15.0
 _OF_THE_DRIVE: Final = (Fault.DRIVE_LOST, Fault.DRIVE_WEAK)
 _OVER: Final = 7.0
 """Nats, a thousand to one, by which the whole effect of a drive explains more than the share reported."""
+_STOOD: Final = 30.0
+"""Time for which a reading must stand that explains a missing effect better than a lost drive, s."""
 _PROVE: Final = 10.0
 """Time for which the plant must follow the drive before the drive counts as recovered, s."""
 _REFUSED: Final = Fault.SENSOR_IMPLAUSIBLE
@@ -94,7 +97,7 @@ class Monitor:
         """Whether what the drive does within a sample is its effect; otherwise it is a small part of it, and
         smaller than the errors of the states that the output does not show."""
         self._effect: DriveEffect = self._late or Effect(settings.pace, self._balance.noise)
-        self._slow = SlowChanges(settings, self._sentences)
+        self._slow = SlowChanges(settings, self._sentences, steps=late and twin.model.plant.loop is not None)
         self._timing = LateInput(settings.followed, period) if late else None
         self._delay = 0
 
@@ -206,7 +209,7 @@ class Monitor:
         after, acting = movement, self._acting(sample)
         if self._late is not None:
             self._late.freeze(self._open and self._alarms[-1].fault is Fault.DRIVE_LOST)
-            after = self._late.push(sample)
+            after = self._late.push(sample, self._slow.offset)
         self._repeats.push(sample.output - before.output, after, inward, earned=self._predictor.earned)
         if stood and not self._repeats.stands:  # it moves again, from wherever the plant went meanwhile
             self._restart_traces()
@@ -247,7 +250,13 @@ class Monitor:
         if self._effect.share < least and not self._repeats.unusual:
             return self._effect_missing(sample.index)
         self._contrary = self._feeble = 0
-        return self._slow.evidence
+        slow, stood = self._slow.evidence, self._repeats.count
+        stands = self._late is not None and self._late.rival is Cause.FROZEN
+        if stands and stood * self.settings.pace >= _STOOD:
+            return self._sentences.frozen(sample, self._repeats)
+        if slow is not None and 0 < sample.index - slow.first <= stood:
+            return slow._replace(sure=False)  # no reading has changed since: the sensor may be frozen
+        return slow
 
     def _track(self, sample: Sample) -> None:
         """Look for slow changes, unless a graver fault is on or the session has only begun."""

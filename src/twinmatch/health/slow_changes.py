@@ -37,7 +37,8 @@ _UNNAMED_FACTOR: Final = 2.0
 _NAME_WAIT: Final = 60.0
 """Time to wait for a name before an unnamed change is reported, s."""
 _ACCEPT: Final = 600.0
-"""Time after which a reported change counts as the plant's normal state, s."""
+"""Time after which a reported change counts as the plant's normal state, s; a step of the reading never
+does."""
 _MOVED: Final = 10.0
 """What has passed is reported if it moved the output by so many standard deviations of its noise."""
 _REMAINDER: Final = 0.4
@@ -50,18 +51,20 @@ class _Reported:
     hypothesis: Hypothesis
     before: float
     at: int
+    shift: float
 
 
 class SlowChanges:
     """Turns what `ChangeDetector` detects into evidence for the monitor."""
 
-    def __init__(self, settings: HealthSettings, sentences: FaultSentences) -> None:
-        """Begin without samples."""
-        self._settings, self._sentences = settings, sentences
-        self._detector = ChangeDetector(settings.followed, settings.period)
+    def __init__(self, settings: HealthSettings, sentences: FaultSentences, *, steps: bool = False) -> None:
+        """Begin without samples; `steps`: whether only a sensor that has shifted makes a step."""
+        self._settings, self._sentences, self._steps = settings, sentences, steps
+        self._detector = ChangeDetector(settings.followed, settings.period, steps=steps)
         self._change: DetectedChange | None = None
         self._reported: _Reported | None = None
         self._over = False
+        self._last = math.nan
         self.evidence: Evidence | None = None
         """The current evidence, if any."""
         self._running = 0
@@ -87,6 +90,11 @@ class SlowChanges:
         """Unexplained movement of the output, in its unit per second."""
         return self._detector.push_rate
 
+    @property
+    def offset(self) -> float:
+        """By how much the readings are known to be shifted, in the output's unit."""
+        return self._detector.offset
+
     def restart(self, *, offset: bool = False) -> None:
         """Start over after a gap or a fault; with `offset`, the reading may be off from now on."""
         self._detector.restart(offset=offset)
@@ -95,7 +103,7 @@ class SlowChanges:
 
     def forget(self) -> None:
         """Start over with an unknown plant."""
-        self._detector = ChangeDetector(self._settings.followed, self._settings.period)
+        self._detector = ChangeDetector(self._settings.followed, self._settings.period, steps=self._steps)
         self._reported = None
         self._clear_suspicion()
 
@@ -103,7 +111,7 @@ class SlowChanges:
         """Note that the evidence was reported; the changed plant is the baseline from now on."""
         change = self._change
         assert change is not None and self.evidence is not None  # noqa: S101, PT018 — only evidence are reported
-        self._reported = _Reported(self.evidence.fault, change.hypothesis, change.before, index)
+        self._reported = _Reported(self.evidence.fault, change.hypothesis, change.before, index, change.shift)
         self._over = False
         if self.evidence.fault in _NAMED:  # what has no name is an error of the twin
             self._detector.track_record.forget_newest()
@@ -116,16 +124,22 @@ class SlowChanges:
         if self._reported is None:
             return True
         known = (index - self._reported.at) * self._settings.pace >= _ACCEPT
+        known = known and not self._reported.hypothesis.at_once  # until it steps back
         if known or self._over:
             self._reported = None
         return known or self._over
 
     def push(self, sample: Sample) -> None:
         """Take a sample."""
+        if self._stepped_back(sample.output - self._last):
+            self._over = True
+            self._detector.restart(offset=True)
+            self._clear_suspicion()
+        self._last = sample.output
         change = self._detector.push(sample)
         if change is None:
             if not self._detector.suspected:
-                self._over = self._no_longer_there
+                self._over = self._over or self._no_longer_there
                 self._clear_suspicion()
             return
         kind = change.hypothesis.kind
@@ -133,6 +147,13 @@ class SlowChanges:
         self._change = change
         if not self._settled(change):
             self.evidence = self._evidence(change, sample.index)
+
+    def _stepped_back(self, step: float) -> bool:
+        """Whether a shift that came with one reading goes with this one."""
+        reported = self._reported
+        if reported is None or not reported.hypothesis.at_once or self._over:
+            return False
+        return abs(step + reported.shift) <= _REMAINDER * abs(reported.shift)
 
     def _clear_suspicion(self) -> None:
         self.evidence, self._change, self._running = None, None, 0

@@ -1,0 +1,99 @@
+"""What leaves an effect of the drive missing besides a lost drive: readings that shift or stand, and heat."""
+
+from __future__ import annotations
+
+from itertools import islice
+
+import numpy as np
+import pytest
+
+from benchmarks.abroad import Order
+from tests.support.abroad import KINDS, AbroadPlant
+from twinmatch.dynamics import begin, simulate_driven
+from twinmatch.health import Alarm, HealthSettings, Monitor
+from twinmatch.health.lagged_effect import LaggedEffect
+from twinmatch.health.rivals import Cause, costs_of_causes
+from twinmatch.plants import TCLab
+from twinmatch.signals import FloatArray, Sample
+
+KIT = TCLab.model("sensor lag").typical()
+SIZE, STEP, START = 64, 12, begin(KIT, 69.0)
+"""It rests at 69 °C under 60 %."""
+ROWS = np.tile(KIT.model.disturbances, (SIZE, 1))
+
+
+def readings(cause: Cause, onset: int, size: float, given: FloatArray, seed: int) -> FloatArray:
+    """Of a kit to which this happens at the onset, under a given input."""
+    after = np.arange(SIZE) >= onset
+    acts = np.where(after & (cause is Cause.DRIVE), 0.0, given)
+    acts = acts + np.where(after & (cause is Cause.PUSH), 30.0 * size, 0.0)
+    seen = simulate_driven(KIT, acts, states=START, disturbances=ROWS).output
+    seen = seen + np.random.default_rng(seed).normal(0.0, 0.1, SIZE)
+    if cause is Cause.SHIFTED:
+        seen = seen + np.where(after, 4.0 * size, 0.0)
+    return np.where(after & (cause is Cause.FROZEN), seen[onset - 1], seen)
+
+
+@pytest.mark.parametrize("cause", Cause)
+def test_what_has_happened_explains_the_readings_best(cause: Cause) -> None:
+    """Nothing acquits a lost drive; each of the others does, by 10 nats. Heat that something else draws is
+    the same as a lost drive at one power."""
+    for seed in range(30):
+        draw = np.random.default_rng(seed)
+        onset, size = int(draw.integers(8, 30)), float(draw.choice([-1.0, 1.0]))
+        given = np.where(np.arange(SIZE) < STEP, 60.0, float(draw.choice([85.0, 95.0])))
+        came = readings(cause, onset, size, given, seed)
+        costs = costs_of_causes(KIT, START, given, came, rows=ROWS, period=1.0, slow_error=seed % 2 == 0)
+        assert min(costs.values()) == 0.0
+        if cause is Cause.DRIVE:
+            assert costs[cause] < 10.0, (seed, costs)
+        else:
+            assert costs[cause] < 3.0, (seed, costs)
+            assert costs[Cause.DRIVE] > 10.0, (seed, costs)
+
+
+def test_a_slow_error_of_the_equations_hides_no_shift() -> None:
+    """Readings shift by 4 °C on a plant that becomes 2 °C warmer than its equations expect."""
+    given = np.full(SIZE, 60.0)
+    came = readings(Cause.SHIFTED, 40, -1.0, given, 1) + 2.0 * np.arange(SIZE) / SIZE
+    sure, unsure = (
+        costs_of_causes(KIT, START, given, came, rows=ROWS, period=1.0, slow_error=slow)
+        for slow in (True, False)
+    )
+    assert sure[Cause.SHIFTED] == unsure[Cause.SHIFTED] == 0.0
+    assert sure[Cause.DRIVE] > 5.0 * unsure[Cause.DRIVE]
+
+
+def alarms(mishap: str, seed: int) -> tuple[list[Alarm], list[Alarm]]:
+    """Of a kit in its loop to which something happens: those meanwhile, and those after it."""
+    when = Order("kit", seed, 0.0, (mishap,), alone=True).onset(mishap)
+    plant = AbroadPlant(KINDS["kit"], seed, (), (150.0, 400.0), closed=True, mishap=when)
+    monitor = Monitor(HealthSettings.of(TCLab))
+    for sample in islice(plant.run(when.stop + 100), when.stop + 100):
+        monitor.push(sample)
+    return [a for a in monitor.alarms if when.start <= a.flagged < when.stop], [
+        a for a in monitor.alarms if a.flagged >= when.stop
+    ]
+
+
+def test_a_shifted_sensor_is_named_in_a_loop_that_follows_it_and_until_it_is_back() -> None:
+    """3 °C in one reading; the controller cools the heater until the reading is back at the set-point."""
+    [shifted], after = alarms("reading+3", 0)
+    assert shifted.fault.value == "sensor-drift"
+    assert "shifted by +3" in shifted.reason
+    assert not after
+
+
+def test_a_sensor_that_stands_is_frozen_and_not_a_drive_without_effect() -> None:
+    """At rest nothing shows it; at the next step of the set-point the heater works and no reading moves."""
+    assert {a.fault.value for a in alarms("frozen", 0)[0]} == {"sensor-frozen"}
+
+
+def test_what_is_known_of_a_shift_is_taken_off_the_readings() -> None:
+    effects = [LaggedEffect(KIT, 1.0) for _ in range(2)]
+    for k in range(200):
+        moved = [
+            effect.push(Sample(k, k * 10**9, 40.0, 40.0 + shift, 25.0), shift)
+            for effect, shift in zip(effects, (0.0, 5.0), strict=True)
+        ]
+        assert moved[0] == pytest.approx(moved[1], abs=1e-9)
