@@ -9,7 +9,19 @@ import pytest
 
 from tests.support.recorded_kits import kit_rows
 from twinmatch.comparing import Verdict
-from twinmatch.dynamics import advance, begin, read
+from twinmatch.dynamics import (
+    Drive,
+    Equations,
+    Output,
+    Parameter,
+    Plant,
+    State,
+    Structure,
+    advance,
+    begin,
+    read,
+    simulate_driven,
+)
 from twinmatch.fitting import Match, Status
 from twinmatch.offline.judging import Judgement, judge_samples
 from twinmatch.plants import TCLab
@@ -106,3 +118,53 @@ def test_a_real_kit_whose_table_holds_the_input_early_is_matched(name: str) -> N
     leader = next(score for score in last.forecasts if score.name == last.leader)
     assert leader.arx_skill[1] > 0.1, "60 s ahead it is better than an ARX model"
     assert not any(verdict.fault for verdict in found.verdicts)
+
+
+class PromptKit(Plant, name="prompt_kit"):
+    """A heater behind a lag, in a file without a dead time."""
+
+    time_constant = 100.0
+    temperature = Output(unit="°C", noise=0.1, span=(0.0, 150.0), set_points=(25.0, 70.0))
+    power = Drive(unit="%", limits=(0.0, 100.0), noise=1.0)
+    heater = State(unit="°C", span=(0.0, 200.0))
+    gain = Parameter(unit="K/%", default=0.8, bounds=(0.1, 5.0), positive=True)
+    lag = Parameter(unit="s", default=150.0, bounds=(10.0, 1000.0), positive=True)
+    structures = {"one lag": Structure(free=("gain", "lag"))}  # noqa: RUF012
+
+    def equations(self, parts: frozenset[str]) -> Equations:  # noqa: ARG002
+        """One energy balance above a room of 20 °C."""
+        rates = {self.heater: (self.gain * self.power - (self.heater - 20.0)) / self.lag}
+        return Equations(rates=rates, output=self.heater, start={self.heater: self.temperature})
+
+
+PROMPT = TwinSettings.of(PromptKit, period=PERIOD, law=None)
+
+
+def prompt_window(late: int) -> Window:
+    """Of a heater that acts exactly `late` samples later than its file says."""
+    random = np.random.default_rng(4)
+    power = np.repeat(random.uniform(0.0, 100.0, 20), 12)
+    power[:10] = 0.0
+    acts = np.concatenate([np.zeros(late), power])[: power.size]
+    heater = PromptKit.model().parameters(gain=0.7, lag=120.0)
+    moved = simulate_driven(heater, acts, states=begin(heater, 20.0), period=PERIOD).output
+    return Window(moved, moved + random.normal(0.0, 0.1, moved.size), power, period=PERIOD)
+
+
+@pytest.mark.parametrize("late", [2, 3])
+def test_a_match_names_the_dead_time_that_no_structure_has(late: int) -> None:
+    asked = request(prompt_window(late))._replace(start=PROMPT.start)
+    found = carry_out(asked, PROMPT).match
+    assert found.status is Status.NOT_EXPLAINED
+    assert found.reason.endswith(f"add a dead time of about {late * PERIOD:g} s to the plant file")
+
+
+def test_no_dead_time_is_named_that_explains_nothing() -> None:
+    """Something pushes the reading up and down, which no delay of the heater does."""
+    window = prompt_window(0)
+    wave = 10.0 * np.sin(np.arange(len(window)) / 7.0)[:, None]
+    pushed = replace(window, outputs=window.outputs + wave)
+    for asked, status in ((pushed, Status.NOT_EXPLAINED), (window, Status.ACCEPTED)):
+        found = carry_out(request(asked)._replace(start=PROMPT.start), PROMPT).match
+        assert found.status is status
+        assert "dead time" not in found.reason

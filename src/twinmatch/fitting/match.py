@@ -13,7 +13,7 @@ import numpy as np
 
 from twinmatch.dynamics import FROM_PLANT_FILE, Drive, Law, LoopLaw, Output, Parameters
 from twinmatch.errors import TwinmatchError
-from twinmatch.fitting.estimation import Uncertainty, on_bounds, solve, starts_for
+from twinmatch.fitting.estimation import Estimate, Uncertainty, on_bounds, solve, starts_for
 from twinmatch.fitting.gate import FitEvidence, GateLimits, Status, first_excited, judge, undetermined
 from twinmatch.fitting.identifiability import Identified, identify, unidentified
 from twinmatch.fitting.problem import LASTING, Bounds, Noise, Prior, Problem, checked_free, checked_law
@@ -201,15 +201,21 @@ def explaining(
     """
     charged: list[tuple[float, Parameters]] = []
     for start in starts:
-        problem = Problem(window, checked_free(start.model, None), start, noise, law)
-        try:
-            best = solve(problem, starts_for(problem, start))
-        except TwinmatchError:  # another structure may be too fast for these samples
-            continue
-        if best.converged and best.chi2 <= GateLimits().chi2 and not on_bounds(problem, best.values):
+        best = usable_fit(window, start, noise, law)
+        if best is not None and best.chi2 <= GateLimits().chi2:
             independent = best.residuals.size / LASTING
             charged.append((independent * best.chi2 + best.values.size * math.log(independent), start))
     return [start for _, start in sorted(charged, key=itemgetter(0))]
+
+
+def usable_fit(window: Window, start: Parameters, noise: Noise, law: Law | None) -> Estimate | None:
+    """The best fit in the structure of a start; None if none converges within the bounds."""
+    problem = Problem(window, checked_free(start.model, None), start, noise, law)
+    try:
+        best = solve(problem, starts_for(problem, start))
+    except TwinmatchError:  # another structure may be too fast for these samples
+        return None
+    return best if best.converged and not on_bounds(problem, best.values) else None
 
 
 def _split(problem: Problem, min_step: float | None, limits: GateLimits) -> tuple[int, str]:

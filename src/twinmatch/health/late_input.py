@@ -18,7 +18,7 @@ from twinmatch.dynamics.pace import slow_scale
 from twinmatch.dynamics.tracker import Belief, Tracker
 from twinmatch.signals import FloatArray, Sample
 
-_DELAYS: Final = (0.0, 2.0, 4.0, 7.0, 10.0, 15.0, 20.0)
+DELAYS_S: Final = (0.0, 2.0, 4.0, 7.0, 10.0, 15.0, 20.0)
 """Delays that are tried, s: up to where a late input and a lost drive look the same for a whole stretch."""
 _BLOCK: Final = 10.0
 """Time that is tracked at once, s."""
@@ -41,7 +41,7 @@ class LateInput:
         """Begin with a usual plant and the sample time, s."""
         scale = slow_scale(parameters.model.plant, period)
         self._tracker = Tracker(parameters, period, (_LEVEL,))
-        self._delays = sorted({round(delay * scale / period) for delay in _DELAYS})
+        self._delays = sorted({round(delay * scale / period) for delay in DELAYS_S})
         self._size = max(4, round(_BLOCK * scale / period))
         self._costs = np.zeros(len(self._delays))
         self._taken = 0  # place of the delay with which inputs are taken
