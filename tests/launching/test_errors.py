@@ -12,10 +12,11 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
 from tests.support.nonsense import Nonsense
 from twinmatch.errors import TwinmatchError
-from twinmatch.launching.live import MAX_LINES, MAX_NODES, MAX_REPEATS, MAX_TEXT, Errors
+from twinmatch.launching.live import MAX_LINES, MAX_REPEATS, MAX_TEXT, Errors
 from twinmatch.nodes.entrance import Entrance
 from twinmatch.nodes.expected import MESSAGES, check
 from twinmatch.nodes.health import NodeHealth
+from twinmatch.showing.page.health import MAX_NODES
 
 
 class Told:

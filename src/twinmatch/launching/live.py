@@ -30,6 +30,7 @@ from twinmatch.sessions.files import EXIT_DISK
 from twinmatch.sessions.spool import SampleSpool
 from twinmatch.showing.console import Console
 from twinmatch.showing.lines import Lines
+from twinmatch.showing.page.health import MAX_NODES, kind_of
 from twinmatch.showing.summary import closing_lines
 from twinmatch.showing.terminal import Screen, view_on
 from twinmatch.signals import Sample, Window
@@ -126,15 +127,12 @@ def _run_live(live: Live) -> int:
     return code
 
 
-MAX_NODES = 64
-"""Most parts of nodes whose errors are followed at a time; one graph does not have more."""
 MAX_LINES = 10
 """Most lines about a part of a node within `SPAN`; the page and /diagnostics show the others."""
 MAX_REPEATS = 2
 """Most of these that say the same: one that comes and goes must not hide another."""
 MAX_TEXT = 400
 """Longest error shown, characters."""
-_DIGITS = re.compile(r"[\d.,]+")
 
 
 class Errors:
@@ -160,7 +158,7 @@ class Errors:
                 continue
             if status.name not in self._standing and len(self._standing) >= MAX_NODES:
                 continue
-            texts = {_DIGITS.sub("", text): text for text in re.split("; (?=refused: )", status.message)}
+            texts = {kind_of(text): text for text in re.split("; (?=refused: )", status.message)}
             known = frozenset[str]().union(*self._standing.values())
             self._standing[status.name] = frozenset(texts)
             new = [text for kind, text in texts.items() if kind not in known]
@@ -174,7 +172,7 @@ class Errors:
         if name not in self._shown and len(self._shown) >= 2 * MAX_NODES:
             return
         shown = self._shown.setdefault(name, deque(maxlen=MAX_LINES))
-        kind = _DIGITS.sub("", text)[:MAX_TEXT]
+        kind = kind_of(text)[:MAX_TEXT]
         repeats = sum(before == kind and now - at < SPAN for at, before in shown)
         if repeats >= MAX_REPEATS or (len(shown) == MAX_LINES and now - shown[0][0] < SPAN):
             return

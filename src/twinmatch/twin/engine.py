@@ -205,7 +205,7 @@ class Discriminator:
     def _watch(self, sample: Sample) -> Alarm | None:
         """Judge the plant's health; return the alarm that has just begun or ended."""
         if self._recent and not sample.follows(self._recent[-1]):
-            if sample.index <= self._recent[-1].index:  # another session: the old alarms have other indices
+            if not sample.continues(self._recent[-1]):  # another session: the old alarms have other indices
                 self.monitor = Monitor(self.monitor.settings)
             self._recent.clear()
         if sample.usable:

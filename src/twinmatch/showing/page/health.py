@@ -44,6 +44,11 @@ class PlayerState:
     """For example `12.0 s of 300.0 s`."""
 
 
+def kind_of(error: str) -> str:
+    """An error without its numbers: one that comes again with others is the same."""
+    return _DIGITS.sub("", error)
+
+
 @dataclass
 class NodeReports:
     """The nodes that report on /diagnostics."""
@@ -71,7 +76,7 @@ class NodeReports:
                 self._take_player(PlayerState(name, *played), now, over=values.get("ended") == "True")
         if level < ERROR:
             return None if self._errors.pop(name, None) is None else "recovered"
-        kind = _DIGITS.sub("", message)
+        kind = kind_of(message)
         if self._errors.get(name) == kind:
             return None
         self._errors[name] = kind
