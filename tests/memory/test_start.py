@@ -31,6 +31,7 @@ def taught(
         free=free,
         covariance=tuple(map(tuple, np.diag([1e-6] * len(free)).tolist())),
         led=led,
+        rig=rig,
     )
 
 

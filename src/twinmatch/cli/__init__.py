@@ -14,6 +14,7 @@ from importlib import import_module
 from typing import Any, Final
 
 from twinmatch import __version__
+from twinmatch.cli.starting import started
 from twinmatch.errors import EXIT_INTERRUPTED, EXIT_USER_ERROR, TwinmatchError
 from twinmatch.offline.processes import GARBAGE
 from twinmatch.printing import printable_output
@@ -81,7 +82,8 @@ def _run(arguments: Sequence[str] | None) -> int:
             from twinmatch.fmu import adopt_fmus  # noqa: PLC0415 — few commands need it
 
             adopt_fmus(options.allow_fmu)
-        return command(options)
+        with started(options):
+            return command(options)
     except TwinmatchError as error:
         print(f"twinmatch: {error}", file=sys.stderr)
         return EXIT_USER_ERROR

@@ -7,6 +7,7 @@ import tempfile
 from pathlib import Path
 
 from twinmatch.cli.shared import add_options, column_map, session_to_record
+from twinmatch.cli.starting import remember_recorded
 from twinmatch.launching.processes import add_page_options, page_of
 
 
@@ -21,7 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_options(parser, "--map-file")
     add_options(parser, "--period", help="sampling period of the rig's loop")
-    add_options(parser, "--twin-config", "--candidates", "--session", "--no-record")
+    add_options(parser, "--twin-config", "--candidates", "--memory", "--rig", "--session", "--no-record")
     add_page_options(parser)
 
 
@@ -38,5 +39,9 @@ def run(options: argparse.Namespace) -> int:
     with tempfile.TemporaryDirectory(prefix="twinmatch-attach-") as folder:
         asked = {name: getattr(options, name) for name in ("config", "twin_config", "candidates")}
         plan = attach_plan(Path(folder), column_map(options).joined(said), session=session, **asked)
+        live = Live(plan)
         with page_of(options, options.parser, plan.twin_config):
-            return run_live(Live(plan))
+            code = run_live(live)
+        if code == 0:
+            remember_recorded(options, live.sessions)
+        return code

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 
 from twinmatch.cli.shared import add_options, session_to_record
+from twinmatch.cli.starting import remember_recorded
 from twinmatch.launching.forking import fork_server
 from twinmatch.launching.processes import add_page_options, page_of
 from twinmatch.shipped import shipped
@@ -19,7 +20,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--port", default="", help="serial port of the plant (default: that of --config)")
     add_options(parser, "--config", help="parameters of the rig's nodes (default: the plant's in config/)")
-    add_options(parser, "--twin-config", "--candidates", "--session", "--no-record")
+    add_options(parser, "--twin-config", "--candidates", "--memory", "--rig", "--session", "--no-record")
     parser.add_argument(
         "--keep-driving",
         action="store_true",
@@ -51,5 +52,9 @@ def run(options: argparse.Namespace) -> int:
     asked = {name: getattr(options, name) for name in passed}
     config = options.config or shipped(f"config/{rig}")
     plan = LivePlan(config=config, session=session, virtual=virtual if options.virtual else None, **asked)
+    live = Live(plan)
     with page_of(options, usage, options.twin_config):
-        return run_live(Live(plan))
+        code = run_live(live)
+    if code == 0:
+        remember_recorded(options, live.sessions)
+    return code

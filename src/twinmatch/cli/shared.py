@@ -83,7 +83,7 @@ OPTIONS: Final[dict[str, dict[str, Any]]] = {
     "--no-record": {**_FLAG, "help": "record nothing"},
 }
 """Arguments that several commands have, with their usual help texts."""
-TERMS: Final = ("--candidates", "--plant", "--allow-fmu", "--config")
+TERMS: Final = ("--candidates", "--memory", "--rig", "--plant", "--allow-fmu", "--config")
 """Options for the terms of a judgement."""
 
 

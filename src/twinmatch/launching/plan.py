@@ -162,7 +162,8 @@ class LivePlan:
     def twin_arguments(self) -> list[str]:
         """ROS arguments of the twin's nodes."""
         files = () if self.twin_config is None else (self.twin_config,)
-        given = {} if self.candidates is None else {"discriminator:candidates": self.candidates}
+        nodes = () if self.candidates is None else ("discriminator", "matcher")
+        given = {f"{node}:candidates": self.candidates for node in nodes}
         return ros_arguments({**given, **self._time()}, *files)
 
     def recorder_arguments(self, session: Path, continues: str = "") -> list[str]:

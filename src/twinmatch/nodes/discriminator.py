@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from pathlib import Path
 
 import numpy as np
 
@@ -29,7 +28,7 @@ from twinmatch.nodes.messages import (
 )
 from twinmatch.nodes.samples import SampleNode, TwinNode
 from twinmatch.nodes.topics import EVERYTHING, LATCHED, RELIABLE
-from twinmatch.parameters.candidates import read_candidates
+from twinmatch.parameters.candidates import candidates_in
 from twinmatch.signals import Sample
 from twinmatch.twin import Discriminator, MatchReport, Snapshot, Step
 from twinmatch_msgs.msg import Candidate, Forecast, ForecastScore, Match, MatchRequest, ModelScore
@@ -123,9 +122,7 @@ class DiscriminatorNode(SampleNode):
 
     def open(self) -> None:
         """Start to judge samples and matches."""
-        path = self.values["candidates"]
-        given = read_candidates(Path(path)) if path else []
-        self._discriminator = Discriminator(self.settings, given, snapshots=True)
+        self._discriminator = Discriminator(self.settings, candidates_in(self.values), snapshots=True)
         self._forecasts = ForecastPublisher(self, self._discriminator.forecaster.horizons)
         self._nominal: tuple[object, ...] = ()  # name, window and parameters
         self._answers: deque[MatchReport] = deque()  # matches made before this node started, oldest first

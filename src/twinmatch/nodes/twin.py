@@ -8,6 +8,7 @@ from twinmatch import comparing, twin
 from twinmatch.nodes.messages import description_message, message_of, state_message
 from twinmatch.nodes.samples import SampleNode, TwinNode
 from twinmatch.nodes.topics import EVERYTHING, LATCHED, RELIABLE
+from twinmatch.parameters.candidates import candidates_in
 from twinmatch.plants.records import description_of
 from twinmatch.signals import Sample
 from twinmatch.twin import Mirror, carry_out
@@ -79,6 +80,7 @@ class MatcherNode(TwinNode):
 
     def open(self) -> None:
         """Wait for requests."""
+        self._informed = self.settings.informed_by(candidates_in(self.values))
         self._publisher = self.create_publisher(Match, "twin/match", RELIABLE)
         self._in_progress: set[tuple[int, int]] = set()
         self._lock = threading.Lock()
@@ -90,7 +92,7 @@ class MatcherNode(TwinNode):
         """Compute the match and publish it, with the stamp (ns) of its request."""
         request, stamp = item
         try:
-            report = carry_out(request, self.settings)
+            report = carry_out(request, self._informed)
         finally:
             with self._lock:
                 self._in_progress.discard((request.sample, request.window.first))

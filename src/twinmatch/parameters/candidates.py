@@ -23,7 +23,7 @@ candidates:
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -55,6 +55,11 @@ def read_candidates(path: Path) -> list[Candidate]:
         CandidateFileError: an entry is incomplete or wrong.
     """
     return parse_candidates(read_text(path), str(path), find_plant)
+
+
+def candidates_in(values: Mapping[str, Any]) -> list[Candidate]:
+    """The candidates of the file that a node's parameters name, if they name one."""
+    return read_candidates(Path(values["candidates"])) if values["candidates"] else []
 
 
 def parse_candidates(

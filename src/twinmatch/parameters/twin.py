@@ -147,7 +147,7 @@ def twin_table(
         Setting(
             "recent", 60, "Samples over which the live twin's residuals are averaged.", "samples", 1, 100000
         ),
-        Setting("candidates", "", "File of initial candidates, for the discriminator; empty: none."),
+        Setting("candidates", "", "File of initial candidates, for discriminator and matcher; empty: none."),
         Setting(
             "allow_fmu",
             "",
