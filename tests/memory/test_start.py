@@ -17,7 +17,7 @@ FREE = RICH.structure.free
 
 
 def taught(
-    number: int, structure: str = RICH.structure_name, *, led: bool = True, **factors: float
+    number: int, structure: str = RICH.structure_name, *, led: bool = True, rig: str = "", **factors: float
 ) -> Lesson:
     """The lesson of a session in which these parameters were so many times those of the rig."""
     model = Peltier.model(structure)

@@ -69,7 +69,7 @@ def test_a_memory_that_cannot_be_read_is_one_line_and_the_run_goes_on(
 
 
 def test_a_rig_has_a_memory_of_its_own_in_the_users_data(
-    tmp_path: Path, memory: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
     assert first_verdict(tmp_path, "--rig", "left")["leader"] is None

@@ -10,7 +10,7 @@ import numpy as np
 
 from twinmatch.comparing import Candidate
 from twinmatch.dynamics import Model, Plant, PlantError
-from twinmatch.memory.lesson import Lesson, in_order
+from twinmatch.memory.lesson import Lesson, current_lessons, in_order
 from twinmatch.signals import FloatArray
 
 CENTRE: Final = "remembered"
@@ -36,7 +36,7 @@ def start_from(lessons: Iterable[Lesson], plant: type[Plant]) -> list[Candidate]
     sessions in it, the newest and those farthest from what is there already; then the centres of the other
     structures. The covariance of all of them is the spread between sessions.
     """
-    usable = [lesson for lesson in in_order(lessons) if _usable(lesson, plant)]
+    usable = [each for each in in_order(current_lessons(lessons, plant)) if _possible(each, plant)]
     newest = list(dict.fromkeys(lesson.session for lesson in reversed(usable)))[:MAX_SESSIONS]
     of: dict[str, list[Lesson]] = {}
     for lesson in usable:
@@ -82,15 +82,10 @@ def spread_of(values: FloatArray, centre: FloatArray, model: Model) -> FloatArra
     return np.asarray(np.sqrt((squares + np.square(usual)) / len(values)))
 
 
-def _usable(lesson: Lesson, plant: type[Plant]) -> bool:
-    """Whether the plant still has the equations, the free parameters and the ranges of a lesson."""
-    if lesson.plant != plant.name or lesson.structure not in plant.structures:
-        return False
-    model = plant.model(lesson.structure)
-    if (lesson.equations, lesson.free) != (model.equations, model.structure.free):
-        return False
+def _possible(lesson: Lesson, plant: type[Plant]) -> bool:
+    """Whether the plant still allows the values of a lesson."""
     try:
-        model.parameters(**lesson.parameters)
+        plant.model(lesson.structure).parameters(**lesson.parameters)
     except PlantError:
         return False
     return True
