@@ -41,8 +41,8 @@ def test_first_comes_the_centre_of_the_structure_that_led_then_twins_then_other_
     start = start_from(lessons, Peltier)
     assert [c.name for c in start] == [
         CENTRE,
-        "run_7",
-        "run_1",
+        "session run_7",
+        "session run_1",
         *[c.name for c in start[3:5]],
         "remembered, held sink",
     ]
@@ -86,7 +86,7 @@ def test_only_the_newest_sessions_count_and_equal_names_are_told_apart() -> None
     assert start_from(old + new, Peltier)[0].parameters["conductance"] == RIG["conductance"]
     parts = [{name: getattr(each, name) for name in Lesson.__dataclass_fields__} for each in new[:2]]
     twins = start_from([Lesson(**(each | {"name": "today"})) for each in parts], Peltier)
-    assert [c.name for c in twins] == [CENTRE, "today", "today (2)"]
+    assert [c.name for c in twins] == [CENTRE, "session today", "session today (2)"]
 
 
 @given(st.integers(1, 12), st.floats(0.0, 0.3), st.integers(0, 2**31))

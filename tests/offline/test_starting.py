@@ -33,7 +33,7 @@ def test_a_replay_starts_from_the_memory_and_says_so(
     tmp_path: Path, memory: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     verdict = first_verdict(tmp_path, "--memory", str(memory))
-    assert verdict["leader"] in {"remembered", "run_1", "run_2", "run_3"}
+    assert verdict["leader"] in {"remembered", "session run_1", "session run_2", "session run_3"}
     assert "3 sessions are remembered" in capsys.readouterr().err
     assert first_verdict(tmp_path)["leader"] is None
 
@@ -43,7 +43,7 @@ def test_it_joins_the_users_candidates_and_leaves_out_the_session_itself(
 ) -> None:
     own = PROJECT / "config" / "paper_candidates.yaml"
     verdict = first_verdict(tmp_path, "--memory", str(memory), "--candidates", str(own))
-    assert verdict["leader"] in {"remembered", "run_1", "run_2", "run_3"}
+    assert verdict["leader"] in {"remembered", "session run_1", "session run_2", "session run_3"}
     alone = tmp_path / "alone.sqlite"
     lesson = taught(1)
     Memory(alone).add(
@@ -76,7 +76,11 @@ def test_a_rig_has_a_memory_of_its_own_in_the_users_data(
     assert "rigs of this name: none" in capsys.readouterr().err
     (tmp_path / "twinmatch").mkdir(exist_ok=True)
     Memory(tmp_path / "twinmatch" / "peltier@left.sqlite").add([taught(k, rig="left") for k in (1, 2)])
-    assert first_verdict(tmp_path, "--rig", "left")["leader"] in {"remembered", "run_1", "run_2"}
+    assert first_verdict(tmp_path, "--rig", "left")["leader"] in {
+        "remembered",
+        "session run_1",
+        "session run_2",
+    }
 
 
 def test_what_a_session_started_from_is_recorded_as_a_file_of_candidates(memory: Path) -> None:

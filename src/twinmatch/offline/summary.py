@@ -26,8 +26,14 @@ class ShownTwin(NamedTuple):
 
     @property
     def is_structure(self) -> bool:
-        """Whether it is a structure under its own name, and not a match named after an operating point."""
+        """Whether it is a structure under its own name."""
         return self.name == self.parameters.model.structure_name
+
+    @property
+    def is_match(self) -> bool:
+        """Whether it is named after an operating point; others were given, and have names of their own."""
+        point, _, unit = self.name.partition(" ")
+        return unit == self.parameters.model.plant.output.unit and point.lstrip("-")[:1].isdecimal()
 
 
 def nominal_score(verdict: Verdict | None) -> CandidateScore | None:

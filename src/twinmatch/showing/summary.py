@@ -27,8 +27,7 @@ def _judgement(summary: SessionSummary) -> str:
     if summary.leader is None and summary.nominal is None:
         return f"No twin to trust yet: {_missing(summary)}"
     shown = summary.leader or str(summary.nominal)
-    given = summary.parameters and ShownTwin(shown, summary.parameters).is_structure
-    parts = [f"{'Leader' if summary.leader else 'Nominal'}: {shown if given else _match(summary, shown)}"]
+    parts = [f"{'Leader' if summary.leader else 'Nominal'}: {_named(summary, shown)}"]
     parts.append(_trust(summary))
     if math.isfinite(summary.fit_y) and summary.level is not TrustLevel.FAULT:
         output = signal_names(summary.parameters.model.plant).output.name if summary.parameters else "output"
@@ -53,8 +52,10 @@ def _missing(summary: SessionSummary) -> str:
     return f"{verdicts} The input has to move far above its noise, for some minutes in total."
 
 
-def _match(summary: SessionSummary, name: str) -> str:
-    """A match in words: by its set-point, or, if the loop is not known, by the output it was near."""
+def _named(summary: SessionSummary, name: str) -> str:
+    """A twin in words; a match by its set-point, or, if the loop is not known, by the output it was near."""
+    if summary.parameters is not None and not ShownTwin(name, summary.parameters).is_match:
+        return name
     return f"match {'at' if summary.closed else 'near'} {name}"
 
 
@@ -92,7 +93,7 @@ def closing_lines(summary: SessionSummary, verdict: Verdict | None) -> list[str]
     lines.append(sentence(summary))
     if summary.nominal is not None:
         order = f" (orders {summary.order})" if summary.order else ""
-        name = _match(summary, summary.nominal) if summary.order else summary.nominal
+        name = _named(summary, summary.nominal) if summary.order else summary.nominal
         lines.append(f"Nominal, the centre of the family: {name}{order}.")
     if verdict is not None and verdict.certainty:
         lines.append(f"Certainty: {verdict.certainty}.")

@@ -127,7 +127,8 @@ def _nothing(judgement: Judgement) -> str:
 
 def _leader(last: Verdict, shown: ShownTwin) -> str:
     count = len(last.forecasts)
-    what = f"structure “{shown.name}”" if shown.is_structure else f"match at {shown.name}"
+    what = f"structure “{shown.name}”" if shown.is_structure else f"twin “{shown.name}”"
+    what = f"match at {shown.name}" if shown.is_match else what
     why = ", the only one with forecasts"
     if count > 1:
         why = f": among {count} twins its forecasts have saved the most characters compared with assuming "
