@@ -58,7 +58,7 @@ def test_it_joins_the_users_candidates_and_leaves_out_the_session_itself(
 
 
 @pytest.mark.parametrize("content", [b"no memory at all", b"SQLite format 3\x00" + b"\x07" * 4000])
-def test_a_memory_that_cannot_be_read_is_one_line_and_the_run_goes_on(
+def test_a_memory_that_cannot_be_read_is_one_line_and_the_run_continues(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], content: bytes
 ) -> None:
     path = tmp_path / "memory.sqlite"

@@ -16,7 +16,7 @@ from twinmatch.errors import TwinmatchError
 def started(options: argparse.Namespace) -> Iterator[None]:
     """Within it, `options.candidates` also holds what the memory gives, if `--memory` or `--rig` is given.
 
-    A memory that cannot be used is reported, and the command goes on without it.
+    A memory that cannot be used is reported, and the command runs without it.
     """
     if not (getattr(options, "memory", None) or getattr(options, "rig", "")) or "candidates" not in options:
         yield
