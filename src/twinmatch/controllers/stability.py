@@ -16,7 +16,7 @@ from twinmatch.signals import FloatArray
 
 MAX_UNSTABLE: Final = 0.01
 """Share of unstable draws up to which a law is sound on a twin; from one minus that on it fails."""
-COMPARED: Final = 5
+COMPARED: Final = 2
 """Draws of each twin whose plants are kept, to be compared with others."""
 STEP: Final = 0.1
 """Step of a drive that is suggested, as a share of its range."""
