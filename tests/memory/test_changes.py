@@ -122,7 +122,7 @@ def test_what_only_a_ratio_shows_is_named_as_the_ratio():
 def test_few_sessions_are_not_judged():
     report = report_on(lessons([0.75, 0.76, 0.95]), HELD)
     assert report.changes == []
-    assert report.sentence == "what changes between sessions shows from 4 sessions on; there are 3 so far"
+    assert report.sentence == "what changes shows from 4 sessions on, and only 3 can be compared"
 
 
 def test_the_room_is_another_one_every_session_and_is_not_named():

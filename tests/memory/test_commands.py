@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from html import escape
 
 import numpy as np
 import pytest
@@ -13,6 +14,8 @@ from tests.support.rig import rig, run
 from twinmatch.cli import main
 from twinmatch.memory import Memory, default_file
 from twinmatch.plants import Peltier
+from twinmatch.sessions.recording import EPOCH
+from twinmatch.showing.memory import began_text, memory_words
 
 
 @pytest.fixture(autouse=True)
@@ -44,7 +47,7 @@ def test_a_session_is_remembered_once_shown_and_forgotten(folder, capsys):
     assert main(["remember", str(folder / "monday.csv"), "--rig", "left"]) == 0
     assert capsys.readouterr().out == "monday: remembered already\n"
     assert main(["memory", "--json", str(folder / "out.json")]) == 0
-    assert "what changes between sessions shows from 4 sessions on".capitalize() in capsys.readouterr().out
+    assert "What changes shows from 4 sessions on" in capsys.readouterr().out
     (document,) = json.loads((folder / "out.json").read_text())
     assert document["rig"] == "left"
     assert [one["name"] for one in document["lessons"]] == ["monday"] * len(held)
@@ -65,7 +68,7 @@ def test_what_has_changed_is_said_and_drawn(folder, capsys):
     said = capsys.readouterr().out
     assert f"Since run_{lived.since} the " in said
     assert "before and after it was steady" in said
-    assert "1 sessions were remembered with other equations" in said
+    assert "Not compared: 1 session remembered with other equations" in said
     assert "run_11" in said
     drawn = (folder / "memory.svg").read_text()
     assert drawn.startswith("<?xml")
@@ -87,3 +90,28 @@ def test_errors_are_one_sentence(folder, capsys):
     assert capsys.readouterr().out.startswith("Nothing is remembered yet")
     assert main(["remember", str(folder / "monday.csv"), "--rig", "../x"]) == 2
     assert "is not a name for a rig" in capsys.readouterr().err
+
+
+def test_a_report_says_what_earlier_sessions_say(folder, capsys):
+    lived = lived_rig(1, "step")
+    file = default_file("peltier", "left")
+    equations = Peltier.model(lived.lessons[0].structure).equations
+    Memory(file).add([replace(lesson, equations=equations, rig="left") for lesson in lived.lessons])
+    said = memory_words(Peltier, None, "left")
+    assert said[0].startswith(f"Since run_{lived.since} the ")
+    assert memory_words(Peltier, None, "") == []
+    assert memory_words(Peltier, None, "right") == []
+    (folder / "broken").write_text("not a memory" * 100)
+    (broken,) = memory_words(Peltier, folder / "broken", "")
+    assert broken.startswith("Nothing is known of earlier sessions: memory ")
+    write_table(folder / "monday.csv", 1)
+    out = folder / "report.html"
+    assert main(["report", str(folder / "monday.csv"), "--rig", "left", "--peers", "-o", str(out)]) == 0
+    assert said[0] in capsys.readouterr().out
+    assert escape(said[0]) in out.read_text()
+
+
+def test_a_recording_without_a_date_has_none():
+    first = lived_rig(1, "steady").lessons[0]
+    assert began_text(first) == "1970-01-01 00:00"
+    assert began_text(replace(first, began=EPOCH)) == "–"

@@ -98,7 +98,7 @@ def test_nothing_is_learned_from_a_fault_on():
     )
     assert learned.fault_at == 2000
     assert replace(learned, session="", fault_at=None) == replace(healthy, session="")
-    assert lessons_of(judged(window, verdict(300, "sensor-frozen", 200))) == []
+    assert lessons_of(judged(window, verdict(200, "sensor-frozen", 150))) == []
 
 
 def test_lost_samples_count_nowhere():
@@ -137,6 +137,29 @@ def test_a_session_is_known_by_its_samples():
     assert digest_of(later) == digest_of(samples)
     assert digest_of(samples[:-1]) != digest_of(samples)
     assert digest_of([*samples[:-1], replace(samples[-1], inputs=(1.0,))]) != digest_of(samples)
+
+
+@pytest.mark.parametrize(
+    ("name", "factor", "named"),
+    [
+        ("conductance", 1.1, "conductance"),
+        (
+            "heat_capacity",
+            1 / 1.1,
+            "seebeck / heat_capacity",
+        ),  # an hour knows each to 4 %, their ratio to 0.5 %
+        ("sink_convection", 0.8, "sink_convection"),
+    ],
+)
+def test_a_step_of_a_simulated_rig_is_named(name, factor, named):
+    lessons = []
+    for day in range(7):
+        now = {"ambient": 292.0 + day % 3} | ({name: factor * TRUE[name]} if day >= 4 else {})
+        learned = lessons_of(judged(hour(20 + day, **now), name=f"day {day}"))
+        lessons.append(of_structure(learned))
+    (change,) = report_on(lessons, Peltier.model(RICH)).changes
+    assert (change.name, change.kind, change.since) == (named, "step", "day 4")
+    assert abs(change.size) == pytest.approx(0.2 if factor == 0.8 else 0.1, abs=0.04)
 
 
 @pytest.mark.skipif(not RECORDINGS.is_dir(), reason="needs the recordings of TWINMATCH_RECORDINGS")

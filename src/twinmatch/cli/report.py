@@ -28,6 +28,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     of_peers = "methods to compare the forecasts with; without a value: none (default: persistence arx)"
     add_options(parser, "--peers", help=of_peers)
     add_options(parser, *TERMS)
+    add_options(
+        parser, "--memory", help="memory of earlier sessions: what has changed since (default: that of --rig)"
+    )
+    add_options(parser, "--rig")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -38,9 +42,10 @@ def run(options: argparse.Namespace) -> int:
     command = shlex.join(["twinmatch", *sys.argv[1:]])
     with held_interrupts(), Progress() as progress:
         asked = judging(options, progress)
+        asked |= {"memory": options.memory, "rig": options.rig}
         report = make_report(options.session, peers=options.peers, second=True, command=command, **asked)
     report.write(output)
-    print(report.sentence)
+    print(report.sentence, *report.memory, sep="\n")
     print(f"report: {output} ({output.stat().st_size / 1e6:.1f} MB, opens in any browser, offline)")
     if options.figures is not None:
         written = write_pictures(report.pictures, options.figures, options.format)

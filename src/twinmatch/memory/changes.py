@@ -173,7 +173,7 @@ class MemoryReport(NamedTuple):
         """It in words."""
         count, least = len(self.lessons), 2 * MIN_SIDE
         if count < least:
-            return f"what changes between sessions shows from {least} sessions on; there are {count} so far"
+            return f"what changes shows from {least} sessions on, and only {count} can be compared"
         told = "; ".join(change.sentence for change in self.changes)
         told = told or f"between these {count} sessions nothing has changed by more than they vary"
         if not self.restless:

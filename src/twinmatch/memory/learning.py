@@ -16,7 +16,7 @@ from twinmatch.fitting import Noise, StructureFit, fit_structure, observed_covar
 from twinmatch.memory.lesson import Lesson, Span
 from twinmatch.signals import FloatArray, Sample, Window
 
-MIN_SAMPLES: Final = 300
+MIN_SAMPLES: Final = 180
 """Shortest healthy stretch that is used, samples: the first minute of each is not compared, and less than
 that has too few independent residuals for a covariance."""
 _REFITS: Final = 3

@@ -4,11 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict
-from datetime import UTC, datetime
+from datetime import datetime, timezone
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from twinmatch.dynamics import Plant
-from twinmatch.memory import Lesson, MemoryReport, current_lessons, report_on, shared_structure
+from twinmatch.memory import (
+    Lesson,
+    Memory,
+    MemoryFaultError,
+    MemoryReport,
+    current_lessons,
+    default_file,
+    report_on,
+    shared_structure,
+)
+from twinmatch.sessions.recording import EPOCH
 from twinmatch.showing.quantities import parameter_format
 
 if TYPE_CHECKING:
@@ -45,10 +56,8 @@ class RememberedRig(NamedTuple):
             text = self.report.sentence
             said.append(f"{text[0].upper()}{text[1:]}.")
         if self.outdated:
-            said.append(
-                f"{self.outdated} sessions were remembered with other equations of this plant and are not "
-                "compared: remember them again."
-            )
+            some = f"{self.outdated} session{'s' if self.outdated > 1 else ''} remembered"
+            said.append(f"Not compared: {some} with other equations of this plant; remember them again.")
         return said
 
     def table(self) -> Table:
@@ -92,9 +101,22 @@ def remembered(lessons: Sequence[Lesson], plant: type[Plant], rig: str) -> Remem
     return RememberedRig(plant, rig, structure, list(lessons), report)
 
 
+def memory_words(plant: type[Plant], file: Path | None, rig: str) -> list[str]:
+    """What a memory says about a plant and rig, in sentences, or why it cannot be used; empty without one."""
+    if file is None and not rig:
+        return []
+    try:
+        lessons = Memory(file or default_file(plant.name, rig)).lessons(plant.name, rig)
+    except MemoryFaultError as error:
+        return [f"Nothing is known of earlier sessions: {error}."]
+    return remembered(lessons, plant, rig).sentences
+
+
 def began_text(lesson: Lesson) -> str:
-    """When a session began, in UTC."""
-    return datetime.fromtimestamp(lesson.began / 1e9, UTC).strftime("%Y-%m-%d %H:%M")
+    """When a session began, in UTC; a dash for a recording without a date."""
+    if lesson.began == EPOCH:
+        return "–"
+    return datetime.fromtimestamp(lesson.began / 1e9, timezone.utc).strftime("%Y-%m-%d %H:%M")
 
 
 def _finite(value: Any) -> Any:

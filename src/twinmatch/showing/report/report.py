@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import platform
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import cached_property
 from importlib import import_module
@@ -27,6 +27,7 @@ from twinmatch.sessions import Session
 from twinmatch.sessions.files import ProgressCallback, part_of
 from twinmatch.showing.family import CRITERIA, FIGURES, Member, family
 from twinmatch.showing.forecasts import backtest_words
+from twinmatch.showing.memory import memory_words
 from twinmatch.showing.quantities import signal_names
 from twinmatch.showing.report import tables
 from twinmatch.showing.report.pictures import Picture, fans_of, pictures
@@ -212,6 +213,8 @@ class SessionReport:
     members: tuple[Member, ...]
     pictures: dict[str, Picture]
     provenance: Provenance
+    memory: tuple[str, ...] = ()
+    """What earlier sessions say about the rig, in sentences."""
 
     @property
     def name(self) -> str:
@@ -262,7 +265,7 @@ class SessionReport:
             "level": level.value,
             "level_colour": LEVELS[level],
             "level_words": level_words(judgement.verdicts[-1] if judgement.verdicts else None),
-            "words": [*plain_words(judgement), *backtest_words(tested)[-1:]],
+            "words": [*plain_words(judgement), *backtest_words(tested)[-1:], *self.memory],
             "forecasts": tables.forecast_tables(tested),
             "forecast_sentences": backtest_words(tested),
             "peers": _peer_words(judged.listener.common.peers, closed=closed),
@@ -337,6 +340,8 @@ def make_report(
     progress: ProgressCallback | None = None,
     command: str = "from Python",
     second: bool = False,
+    memory: Path | None = None,
+    rig: str = "",
 ) -> SessionReport:
     """Judge a session, an `.mcap` file or a recording and build a report on it.
 
@@ -350,6 +355,8 @@ def make_report(
         progress: called with the amount of the file read and the total.
         command: command line shown in the report.
         second: whether a second process may help; it is a fork of this one.
+        memory, rig: file of earlier sessions and name of the rig, for what has changed between them; without
+            a file that of the rig, if one is named.
 
     Raises:
         TwinmatchError: one of the files cannot be used.
@@ -360,4 +367,5 @@ def make_report(
         terms, unlike = _terms(session, config, candidates)
         work = second_process if portable(terms.settings.plant) else Beside()
         judged = _judge(session, terms, unlike, peers=peers, watch=watch, work=work)
-        return build_report(judged, path, command=command, work=work)
+        report = build_report(judged, path, command=command, work=work)
+    return replace(report, memory=tuple(memory_words(terms.settings.plant, memory, rig)))
