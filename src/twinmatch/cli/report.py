@@ -28,10 +28,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     of_peers = "methods to compare the forecasts with; without a value: none (default: persistence arx)"
     add_options(parser, "--peers", help=of_peers)
     add_options(parser, *TERMS)
-    add_options(
-        parser, "--memory", help="memory of earlier sessions: what has changed since (default: that of --rig)"
-    )
-    add_options(parser, "--rig")
 
 
 def run(options: argparse.Namespace) -> int:
