@@ -8,9 +8,12 @@ import time
 from pathlib import Path
 
 from twinmatch.cli.shared import Progress, add_options
+from twinmatch.cli.starting import remember_recorded
 from twinmatch.launching.processes import add_page_options, page_of
 from twinmatch.shipped import shipped
 
+MEMORY = Path("out") / "demo_memory.sqlite"
+"""A second demonstration starts from what the first has taught."""
 LONGEST = 60.0
 """Longest time that playing a recorded session takes, s."""
 
@@ -20,23 +23,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     fastest = "highest speed of the virtual rig, times real time (default: as fast as the machine allows)"
     add_options(parser, "--speed", default=math.inf, help=fastest)
     add_options(parser, "--config", help="parameters of the virtual rig's nodes (default: config/demo.yaml)")
+    add_options(parser, "--memory", default=MEMORY, help=f"what earlier ones have taught (default: {MEMORY})")
+    parser.set_defaults(candidates=None, rig="", plant="", twin_config=None)
     add_page_options(parser)
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the demonstration; returns the exit code."""
     with page_of(options, options.parser) as page:
-        code = (
-            _live(options.speed, options.config)
-            if options.session is None
-            else _play_session(options.session)
-        )
+        code = _live(options) if options.session is None else _play_session(options.session)
         if code == 0:
             page.stay()
         return code
 
 
-def _live(speed: float, config: Path | None) -> int:
+def _live(options: argparse.Namespace) -> int:
     """Run the virtual rig through its set-points; returns the exit code."""
     from twinmatch.launching.live import Live, run_live  # noqa: PLC0415 — needs ROS
     from twinmatch.launching.plan import LivePlan, VirtualPlan  # noqa: PLC0415
@@ -47,9 +48,17 @@ def _live(speed: float, config: Path | None) -> int:
     with Progress("compiling, the first time only") as progress:
         rehearse(Peltier, TwinSettings(), progress.advance)
     session = Path("out") / time.strftime("demo_%Y-%m-%d_%H-%M-%S")
-    virtual = VirtualPlan(speed=speed, board="python")
-    plan = LivePlan(config=config or shipped("config/demo.yaml"), session=session, virtual=virtual)
-    return run_live(Live(plan)) or _look_back(session)
+    virtual, config = VirtualPlan(speed=options.speed, board="python"), options.config
+    plan = LivePlan(
+        config=config or shipped("config/demo.yaml"),
+        session=session,
+        virtual=virtual,
+        candidates=options.candidates,
+    )
+    code = run_live(Live(plan)) or _look_back(session)
+    if code == 0:
+        remember_recorded(options, [session])
+    return code
 
 
 def _look_back(session: Path) -> int:
