@@ -61,7 +61,8 @@ def remembered_start(path: Path, rig: str, plant: str, excluded: Collection[str]
         return RememberedStart((), f"{path}: {_why_nothing(lessons, kind.name)}")
     sessions = len({lesson.session for lesson in lessons if lesson.plant == kind.name})
     structure = candidates[0].parameters.model.structure_name
-    taken = f"{sessions} sessions are remembered, the twin is expected in the structure {structure!r}"
+    count = "1 session is" if sessions == 1 else f"{sessions} sessions are"
+    taken = f"{count} remembered, the twin is expected in the structure {structure!r}"
     return RememberedStart(tuple(candidates), f"{path}: {taken}")
 
 
