@@ -255,12 +255,24 @@ def test_it_runs_as_it_stands_there(
 
 
 @pytest.mark.slow
-def test_the_demo_ends_with_a_report(folder: Path, processes: Processes) -> None:
-    """Once up and down instead of through all its set-points: beyond the first match."""
+def test_the_demo_ends_with_a_report_and_a_second_one_starts_from_it(
+    folder: Path, processes: Processes
+) -> None:
+    """Not through all its set-points, but long enough for forecasts to be compared."""
     given = (PROJECT / "config" / "demo.yaml").read_text("utf-8")
-    for name, values in (("levels", "[30.0, 50.0, 40.0]"), ("holds", "[40.0, 100.0, 40.0]")):
+    for name, values in (("levels", "[30.0, 50.0, 40.0, 60.0]"), ("holds", "[60.0, 200.0, 200.0, 200.0]")):
         given, replaced = re.subn(rf"(profile\.{name}: ).*", rf"\g<1>{values}", given)
         assert replaced == 1
     (folder / "demo.yaml").write_text(given, "utf-8")
-    text = run("python launch_scripts/demo.py --config demo.yaml", Runs("^report: "), folder, processes)
-    assert re.search(r"and [1-9]\d* match.* the same, bit for bit", text), text
+    command = "python launch_scripts/demo.py --config demo.yaml --memory demo.sqlite"
+    first, second = (run(command, Runs("^report: "), folder, processes) for _ in range(2))
+    for text in (first, second):
+        assert re.search(r"and [1-9]\d* match.* the same, bit for bit", text), text
+        assert re.search(r"^remembered demo_.*: [1-9] structures$", text, re.MULTILINE), text
+    assert "nothing is remembered yet" in first
+    assert "1 session is remembered" in second
+    told = {
+        text: re.findall(r"^\d+ +(trusted|unknown|doubtful)", text, re.MULTILINE) for text in (first, second)
+    }
+    assert told[first][0] == "unknown", first
+    assert told[second][0] == "trusted", second
