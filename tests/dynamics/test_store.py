@@ -18,6 +18,7 @@ from tests.support.processes import Process, Processes
 from twinmatch.dynamics import store
 from twinmatch.dynamics.equations import derive
 from twinmatch.dynamics.prepare import prepare
+from twinmatch.plants import PLANTS
 
 SOURCE = Path(__file__).resolve().parents[2] / "src" / "twinmatch"
 Start = Callable[..., Process]
@@ -142,6 +143,12 @@ def test_kernels_are_compiled_once_for_all_plants() -> None:
         compiled.append({name: getattr(models[0].kernels, name).func.signatures for name in asked})
     assert all(len(signatures) >= 1 for signatures in compiled[0].values())
     assert compiled[0] == compiled[1] == compiled[2]
+
+
+def test_every_plant_that_comes_along_is_prepared() -> None:
+    for plant in PLANTS.values():
+        own = [name for name, structure in plant.structures.items() if structure.external is None]
+        assert [model.structure_name for model in prepare(plant)] == own
 
 
 def test_a_folder_that_cannot_be_written_is_one_clear_line(tmp_path: Path) -> None:

@@ -26,16 +26,18 @@ _SAMPLES = 8
 def prepare(plant: type[Plant]) -> Iterator[Model]:
     """Compile all structures of a plant, one at a time; each is yielded when it is ready.
 
-    Those already on disk are only loaded.
+    Those already on disk are only loaded. The kernels that are the same for all are those of plants with one
+    loop, too.
 
     Raises:
         PlantError: the equations cannot be used, or the cache folder cannot be written.
     """
+    single = len(plant.outputs) == len(plant.drives) == 1
     own = [name for name, structure in plant.structures.items() if structure.external is None]
     for name in own:
         model = plant.model(name)
         model.kernels  # noqa: B018 (compiled at the first use)
-        if name == own[0]:
+        if single and name == own[0]:
             _use(model.parameters())
         yield model
 
