@@ -96,7 +96,7 @@ def test_the_twins_of_earlier_sessions_are_tried_too(
     )
     found = remembered(ground, path)
     assert [twin.name for twin in found][:1] == ["remembered"]
-    assert {twin.name for twin in found[1:]} >= {"remembered: run_2"}
+    assert {twin.name for twin in found[1:]} >= {"remembered: session run_2"}
     assert found[0].covariance is not None
     law = law_file(tmp_path, proportional=60)
     command = [
@@ -111,7 +111,7 @@ def test_the_twins_of_earlier_sessions_are_tried_too(
     ]
     assert main(command) == 0
     assert main([*command, "--memory", str(path)]) == 1
-    assert "first on remembered: run_2" in capsys.readouterr().out
+    assert "first on remembered: session run_2" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

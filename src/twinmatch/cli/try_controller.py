@@ -55,8 +55,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--begin", choices=["end", "rest"], default="end", help=begin)
     draws = "draws of the parameters over all twins (default: 200)"
     parser.add_argument("--draws", type=int, default=200, metavar="N", help=draws)
-    memory = "try it on the twins of earlier sessions in this memory, too"
-    parser.add_argument("--memory", type=Path, metavar="FILE", help=memory)
     add_options(parser, "--json", help="write the answer with all figures and bands to this file")
     add_options(parser, "--figure", help="draw what happens, beside the law that ran (.png, .svg or .pdf)")
     add_options(parser, *TERMS)
