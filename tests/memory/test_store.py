@@ -18,7 +18,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.support.lessons import HOUR, lesson
+from tests.support.lessons import HOUR, comparison, lesson
 from twinmatch.memory import Memory, MemoryFaultError, default_file
 from twinmatch.memory.store import VERSION
 
@@ -95,6 +95,36 @@ def test_sessions_without_dates_are_ordered_by_their_numbers(tmp_path):
     names = ["BMData14_022722", "BMData2_022722", "BMData1_022722", "BMData9_022722"]
     memory.add([lesson(n, name=name, began=HOUR) for n, name in enumerate(names)])
     assert [s.name for s in memory.sessions()] == [f"BMData{n}_022722" for n in (1, 2, 9, 14)]
+
+
+def test_comparisons_come_back_as_they_were_one_a_session_and_are_forgotten(tmp_path):
+    memory = Memory(tmp_path / "rig.sqlite")
+    assert memory.comparisons("peltier") == []
+    diverged = comparison(2, high=math.inf, median=math.nan, rig="left")
+    assert [memory.add_comparison(one) for one in (comparison(1), diverged)] == [True, True]
+    assert not memory.add_comparison(comparison(1, measured=9.0))
+    assert memory.comparisons("peltier", "") == [comparison(1)]
+    one, other = memory.comparisons("peltier")
+    assert one == comparison(1)
+    assert other.high == math.inf
+    assert math.isnan(other.median)
+    memory.add([lesson(1)])
+    assert memory.forget(["run_1"]) == ["run_1"]
+    assert memory.lessons() == memory.comparisons("peltier", "") == []
+    assert memory.forget(["digest-2"]) == ["run_2"]
+
+
+def test_a_file_of_the_first_version_is_read_and_gets_its_second_table_when_written(tmp_path):
+    memory = Memory(tmp_path / "rig.sqlite")
+    memory.add([lesson(1)])
+    change(memory.path, "DROP TABLE comparison")
+    change(memory.path, "PRAGMA user_version = 1")
+    before = memory.path.read_bytes()
+    assert (memory.lessons(), memory.comparisons("peltier")) == ([lesson(1)], [])
+    assert memory.path.read_bytes() == before
+    assert memory.add_comparison(comparison(1))
+    assert memory.lessons() == [lesson(1)]
+    assert memory.comparisons("peltier") == [comparison(1)]
 
 
 @settings(max_examples=30, deadline=None)

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from tests.support.laws import kit_session, law_file
-from tests.support.lessons import lesson
-from tests.support.places import SHIPPED
+from tests.support.lessons import comparison, lesson
+from tests.support.places import OTHERS, SHIPPED
 from twinmatch.cli import main
 from twinmatch.controllers import (
     ControllerError,
@@ -112,6 +112,49 @@ def test_the_twins_of_earlier_sessions_are_tried_too(
     assert main(command) == 0
     assert main([*command, "--memory", str(path)]) == 1
     assert "first on remembered: session run_2" in capsys.readouterr().out
+
+
+def test_a_real_kit_was_predicted_and_the_comparison_is_kept(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The regulator that ran on it, from its open loop alone: its cost of 5.16 K² is inside."""
+    for name in ("prbs_open_loop", "closed_loop_lqg"):
+        kit_session(name, tmp_path)
+    law = OTHERS / "tclab_2x2" / "closed_loop_lqg_controller.json"
+    out, file = tmp_path / "out.json", tmp_path / "kit.sqlite"
+    came, base = tmp_path / "closed_loop_lqg", ["try-controller", str(tmp_path / "prbs_open_loop")]
+    base += ["--plant", "tclab-both", "--draws", "125"]
+    command = [*base, "--came", str(came), "--loop"]
+    assert main([*command, str(law), "--memory", str(file), "--json", str(out)]) == 0
+    printed = capsys.readouterr().out
+    assert "  closed_loop_lqg: predicted cost 5.0" in printed
+    assert " °C²: inside; 6" in printed
+    assert "; stable, as predicted; largest error 5.19, predicted 5.19 °C\n" in printed
+    found = json.loads(out.read_text("utf-8"))["comparison"]
+    assert found["measured"] == pytest.approx(5.16, abs=0.02)
+    (kept,) = Memory(file).comparisons("tclab-both")
+    assert (kept.measured, kept.inside, kept.name) == (found["measured"], True, "closed_loop_lqg")
+    document = json.loads(law.read_text("utf-8"))
+    document["Rs"] = (100.0 * np.array(document["Rs"])).tolist()
+    other = tmp_path / "other.json"
+    other.write_text(json.dumps(document), "utf-8")
+    assert main([*command, str(other)]) == 2
+    assert "another law ran there; give that one" in capsys.readouterr().err
+    assert main([*base, "--came", str(tmp_path / "prbs_open_loop"), "--loop", str(law)]) == 2
+    assert "is a session that it is predicted from" in capsys.readouterr().err
+
+
+def test_later_answers_are_as_wide_as_the_record_asks_for(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, memory = tmp_path / "out.json", Memory(tmp_path / "rig.sqlite")
+    for k, measured in enumerate((5.2, 4.1, 8.0)):
+        memory.add_comparison(comparison(k, measured=measured))
+    command = ["try-controller", str(SHIPPED), "--loop", str(law_file(tmp_path)), "--draws", "25"]
+    command += ["--set", "temperature=75@60", "--json", str(out)]
+    assert main([*command, "--memory", str(memory.path)]) == 0
+    assert json.loads(out.read_text("utf-8"))["widening"] == pytest.approx(3.0)
+    assert "3 times as wide as the recordings alone would have them: of 3 sessions" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

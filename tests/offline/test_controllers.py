@@ -36,6 +36,7 @@ from twinmatch.offline.controllers import (
     stepped_profile,
     usual_profile,
 )
+from twinmatch.offline.track_record import LawThatRan
 from twinmatch.plants import Peltier
 from twinmatch.sessions import Session, read_session, write_session
 from twinmatch.signals import Sample
@@ -96,6 +97,7 @@ def test_a_session_that_ends_in_a_fault_is_refused(tmp_path: Path) -> None:
     lost = read_session(write_session(tmp_path / "lost", drive_lost()))
     with pytest.raises(ControllerError, match=r"its twin ends fault \(the plant shows drive-lost\)"):
         members_from(ground_of(lost))
+    assert LawThatRan(ground_of(lost), law_of(Peltier, 1.0), "law").faulty
 
 
 def test_a_session_whose_twin_is_not_trusted_yet_is_refused(session: Session) -> None:

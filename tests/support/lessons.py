@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from twinmatch.controllers import LawComparison
 from twinmatch.memory import Lesson, report_on
 from twinmatch.plants import Peltier
 
@@ -40,6 +41,30 @@ def lesson(number: int = 1, structure: str = "paper", *, rig: str = "", **change
         "arx_skill": (0.1, 0.2),
     }
     return Lesson(**(of | changed))  # type: ignore[arg-type]
+
+
+def comparison(number: int = 1, **changed: object) -> LawComparison:
+    """A predicted cost of 5 (3 to 6), measured as it was predicted."""
+    of: dict[str, object] = {
+        "session": f"digest-{number}",
+        "name": f"run_{number}",
+        "plant": "peltier",
+        "rig": "",
+        "law": "law.json",
+        "learned": "run_0",
+        "signal": "temperature",
+        "unit": "°C²",
+        "low": 3.0,
+        "median": 5.0,
+        "high": 6.0,
+        "measured": 5.0,
+        "share": 0.91,
+        "decision": "safe",
+        "stable": True,
+        "error": 6.2,
+        "predicted_error": 6.0,
+    }
+    return LawComparison(**(of | changed))  # type: ignore[arg-type]
 
 
 KINDS = ("steady", "step", "drift")

@@ -26,7 +26,8 @@ def started(options: argparse.Namespace) -> Iterator[None]:
     from twinmatch.parameters.candidates import candidates_text, read_candidates  # noqa: PLC0415
 
     plant = options.plant or ""
-    paths = [getattr(options, "session", None), *getattr(options, "sessions", [])]
+    single = [getattr(options, name, None) for name in ("session", "came")]
+    paths = [*single, *getattr(options, "sessions", [])]
     judged = {name for path in paths if path is not None for name in (path.name, path.stem)}
     try:
         options.memory = memory_file(options.memory, options.rig, plant)

@@ -13,9 +13,13 @@ from twinmatch.controllers import (
     ControllerDecision,
     ControllerError,
     ControllerQuestion,
+    LawComparison,
     TriedTwin,
     try_controller,
+    widened,
 )
+from twinmatch.dynamics import Law
+from twinmatch.memory import Memory, digest_of
 from twinmatch.offline.controllers import (
     Ground,
     ground_of,
@@ -30,7 +34,8 @@ from twinmatch.offline.controllers import (
 )
 from twinmatch.offline.outlooks import RECORDED, planned_rows
 from twinmatch.offline.processes import held_interrupts
-from twinmatch.showing.controllers import answer_document, answer_words
+from twinmatch.offline.track_record import LawThatRan
+from twinmatch.showing.controllers import answer_document, answer_words, comparison_document, comparison_words
 from twinmatch.signals import FloatArray
 
 EXITS: Final = {ControllerDecision.SAFE: 0, ControllerDecision.FAILS: 1, ControllerDecision.UNDECIDED: 3}
@@ -51,6 +56,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     steps: dict[str, Any] = {"action": "extend", "nargs": "+", "metavar": "NAME=LEVEL@S"}
     profile.add_argument("--set", **steps, help="steps of set-points: output, level, and time in seconds")
     profile.add_argument("--reference", choices=[RECORDED], help="the set-points of the last session")
+    came = "predict this session, in which the law ran, and compare; with a memory, keep the comparison there"
+    profile.add_argument("--came", type=Path, metavar="SESSION2", help=came)
     begin = "begin in the state of the session's end (default), or at rest"
     parser.add_argument("--begin", choices=["end", "rest"], default="end", help=begin)
     draws = "draws of the parameters over all twins (default: 200)"
@@ -73,20 +80,28 @@ def run(options: argparse.Namespace) -> int:
         opened = [_opened(path, options) for path in options.sessions]
         ground = _last(opened)
         law = read_law(options.loop, ground.plant, ground.session.period)
-        level = ground.level if ground.session.has_reference else _around(options, ground)
-        references = _profile(options, ground, level)
-        earlier = () if options.memory is None else remembered(ground, options.memory)
+        ran = None if options.came is None else _ran(opened, law, options)
+        if ran is None:
+            question, apart = _asked(options, ground, law), None
+        else:
+            question, apart = ran.question(ground.holding, options.draws), ran.ground.session
+        earlier: tuple[TriedTwin, ...] = ()
+        if options.memory is not None:
+            earlier = remembered(ground, options.memory, options.rig or None, apart=apart)
         members = [*_members(opened), *earlier]
+        begun = _begun(members, options) if ran is None else ran.begun(members)
         with Progress("trying") as progress:
-            before = references[0] if options.begin == "rest" else level
-            question = ControllerQuestion(law, references, before, ground.holding, options.draws)
-            answer = try_controller(_begun(members, options), question, progress.advance)
-    answer = replace(answer, notes=answer.notes + ground.unvisited(references))
+            answer = try_controller(begun, question, progress.advance)
+    answer = replace(answer, notes=answer.notes + ground.unvisited(question.references))
+    found = None if ran is None else ran.comparison(answer, opened, options.rig)
+    if found is None and options.memory is not None:
+        answer = widened(answer, Memory(options.memory).comparisons(ground.plant.name, options.rig or None))
     first, *rest = answer_words(answer)
     print(f"{options.loop.name}: {first}")
-    for line in rest:
+    for line in ([] if found is None else [comparison_words(found), *_kept(ran, found, options)]) + rest:
         print(f"  {line}")
-    write_json(options.json, lambda: answer_document(answer))
+    record = {} if found is None else {"comparison": comparison_document(found)}
+    write_json(options.json, lambda: answer_document(answer) | record)
     if options.figure is not None:
         from twinmatch.showing.figures.controllers import draw_answer  # noqa: PLC0415 — matplotlib is slow
         from twinmatch.showing.figures.drawing import save  # noqa: PLC0415
@@ -97,6 +112,35 @@ def run(options: argparse.Namespace) -> int:
 
 def _opened(path: Path, options: argparse.Namespace) -> Ground:
     return ground_of(open_shown(path, options.plant), options.config, options.candidates)
+
+
+def _asked(options: argparse.Namespace, ground: Ground, law: Law) -> ControllerQuestion:
+    """The law over the profile that was given."""
+    level = ground.level if ground.session.has_reference else _around(options, ground)
+    references = _profile(options, ground, level)
+    before = references[0] if options.begin == "rest" else level
+    return ControllerQuestion(law, references, before, ground.holding, options.draws)
+
+
+def _ran(opened: Sequence[Ground], law: Law, options: argparse.Namespace) -> LawThatRan:
+    """The session in which the law ran; not one of those that it is predicted from."""
+    came, digests = _opened(options.came, options), [digest_of(each.session.samples) for each in opened]
+    _last([*opened, came])
+    if digest_of(came.session.samples) in digests:
+        raise ControllerError(f"--came {options.came}: is a session that it is predicted from; give another")
+    if options.begin == "rest":
+        raise ControllerError("--begin rest: with --came the course begins as that session did; leave it out")
+    return LawThatRan(came, law, options.loop.name)
+
+
+def _kept(ran: LawThatRan | None, found: LawComparison, options: argparse.Namespace) -> list[str]:
+    """Keep a comparison in the memory that was named, and say so; not that of a session with a fault."""
+    if options.memory is None:
+        return []
+    if ran is not None and ran.faulty:
+        return [f"not kept: {found.name} has a fault, for which the law is not to blame"]
+    new = Memory(options.memory).add_comparison(found)
+    return [f"kept in {options.memory}" if new else f"kept in {options.memory} already: the first one stays"]
 
 
 def _around(options: argparse.Namespace, ground: Ground) -> FloatArray:

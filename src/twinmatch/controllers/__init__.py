@@ -24,6 +24,7 @@ from twinmatch.controllers.pids import FilteredPid, as_linear, pid_law
 from twinmatch.controllers.responses import LOAD, CourseFigure, Run
 from twinmatch.controllers.retuning import AIMS, Retuned, retune
 from twinmatch.controllers.stability import MemberStability, OpenQuestion
+from twinmatch.controllers.track_record import LawComparison, compared, widened
 from twinmatch.controllers.whole_loop import UNSTABLE, ChannelMargins, WholeLoop
 
 __all__ = [
@@ -41,6 +42,7 @@ __all__ = [
     "FilteredPid",
     "Guarantee",
     "Holding",
+    "LawComparison",
     "MemberStability",
     "OpenQuestion",
     "Retuned",
@@ -49,10 +51,12 @@ __all__ = [
     "TriedTwin",
     "WholeLoop",
     "as_linear",
+    "compared",
     "law_from",
     "levels_words",
     "pid_document",
     "pid_law",
     "retune",
     "try_controller",
+    "widened",
 ]

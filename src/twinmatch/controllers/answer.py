@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Final, NamedTuple
 
@@ -60,6 +60,8 @@ class ControllerQuestion:
     draws: int = 200
     """Draws over all twins."""
     seed: int = 31
+    state: FloatArray | None = None
+    """The law's state before the first sample, shape (q,); None: it takes over without a bump."""
 
 
 class Spread(NamedTuple):
@@ -78,6 +80,11 @@ class Spread(NamedTuple):
             return cls(math.nan, math.nan, math.nan)
         ends = np.nanquantile(row, (below, 0.5, 1.0 - below), method="nearest")
         return cls(*(float(end) for end in ends))
+
+    def widened(self, factor: float) -> Spread:
+        """With both sides of the band so many times as wide, for a figure that is not negative."""
+        low, high = (self.median + factor * (end - self.median) for end in (self.low, self.high))
+        return Spread(max(low, 0.0), self.median, high)
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,6 +125,8 @@ class ControllerAnswer:
     notes: tuple[str, ...] = ()
     guarantee: Guarantee | None = None
     """Of a linear law that holds all twins."""
+    widening: float = 1.0
+    """Factor on the bands of its costs, from what measured ones have shown."""
 
 
 def operating_points(references: FloatArray) -> tuple[Point, ...]:
@@ -214,6 +223,8 @@ def _courses(
     progress: _Progress,
 ) -> Courses:
     """What a law does on all draws of all twins."""
+    if law is not question.law:
+        question = replace(question, state=None)
     acting = law if isinstance(law, TwoLevel) else as_linear(law)
     rng, runs, owner = np.random.default_rng(question.seed), [], []
     for k, (member, drawn) in enumerate(owners):
@@ -251,7 +262,9 @@ def _course(
         start = at_rest._replace(rest=Rest(member.states, member.inputs))
     deviations = model.noise if member.noise is None else member.noise
     noise = deviations * rng.standard_normal((len(references), deviations.size))
-    run = run_law(parameters, law, references, start, before=before, noise=noise, disturbances=row)
+    run = run_law(
+        parameters, law, references, start, before=before, state=question.state, noise=noise, disturbances=row
+    )
     level, loads = np.tile(question.before, (holding.samples, 1)), []
     for i, drive in enumerate(model.plant.drives.values()):
         load = np.zeros(len(model.plant.drives))

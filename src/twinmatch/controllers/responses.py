@@ -78,6 +78,7 @@ def run_law(
     *,
     before: FloatArray,
     states: FloatArray | None = None,
+    state: FloatArray | None = None,
     load: FloatArray | None = None,
     disturbances: FloatArray | None = None,
     noise: FloatArray | None = None,
@@ -85,7 +86,8 @@ def run_law(
     """Run a law over set-points, shape (N, r), from where the plant is held, or from other states on.
 
     The law takes over without a bump at the set-points `before`, shape (r,), the readings and the commands of
-    that moment. `load` acts from the first sample on, shape (m,); `noise` is that of readings, shape (N, o).
+    that moment, or begins in its own `state`, shape (q,). `load` acts from the first sample on, shape (m,);
+    `noise` is that of readings, shape (N, o).
     """
     begun, inputs = start.rest.states if states is None else states, start.rest.inputs
     model, size = parameters.model, len(references)
@@ -97,7 +99,7 @@ def run_law(
         references,
         states=begun,
         law=law if load is None else loaded(law, load),
-        controller=state_holding(law, before, at, inputs),
+        controller=state_holding(law, before, at, inputs) if state is None else state,
         disturbances=np.tile(row, (size, 1)),
         sensor=SensorRealisation(given, np.zeros(size, dtype=np.bool_), 0.0),
     )

@@ -13,12 +13,13 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
+from twinmatch.controllers import LawComparison
 from twinmatch.memory.lesson import Lesson, MemoryFaultError, in_order
 
 _APPLICATION: Final = 0x74776D6D
 """The file's `application_id`, "twmm": other programs' databases have another."""
-VERSION: Final = 1
-"""Version of the table, kept as the file's `user_version`."""
+VERSION: Final = 2
+"""Version of the tables, kept as the file's `user_version`."""
 WAIT: Final = 10.0
 """Longest time to wait for another writer, s."""
 _SUFFIX: Final = ".sqlite"
@@ -40,8 +41,13 @@ CREATE TABLE lesson (
     PRIMARY KEY (session, plant, rig, structure, equations)
 );
 PRAGMA application_id = {_APPLICATION};
+"""
+_COMPARED: Final = tuple(field.name for field in fields(LawComparison))
+_RECORD: Final = f"""
+CREATE TABLE comparison ({", ".join(_COMPARED)}, PRIMARY KEY (session, plant, rig));
 PRAGMA user_version = {VERSION};
 """
+"""The second step: a row for each session in which a law ran that had been tried; NULL is not a number."""
 
 
 class RememberedSession(NamedTuple):
@@ -105,6 +111,25 @@ class Memory:
         rows = [row for row in rows if equations is None or row[_EQUATIONS] in equations]
         return in_order(map(self._lesson_of, rows))
 
+    def add_comparison(self, found: LawComparison) -> bool:
+        """Keep what a session has shown of a prediction; the first one of a session stays. Returns whether it
+        is new."""
+        names, places = ", ".join(_COMPARED), ", ".join("?" * len(_COMPARED))
+        row = [_plain(getattr(found, name)) for name in _COMPARED]
+        with self._opened(write=True, create=True) as database:
+            query = f"INSERT OR IGNORE INTO comparison ({names}) VALUES ({places})"  # noqa: S608
+            return bool(database.execute(query, row).rowcount)
+
+    def comparisons(self, plant: str, rig: str | None = None) -> list[LawComparison]:
+        """What sessions have shown of predictions on this plant and rig; None: on all its rigs."""
+        query = f"SELECT {', '.join(_COMPARED)} FROM comparison WHERE plant = ? AND rig = ifnull(?, rig)"  # noqa: S608
+        with self._opened() as database:
+            if database is None or not _keeps_record(database):
+                return []
+            rows = database.execute(query, [plant, rig]).fetchall()
+        held: list[list[Any]] = [[math.nan if value is None else value for value in row] for row in rows]
+        return [LawComparison(*row) for row in held]
+
     def forget(self, sessions: Collection[str]) -> list[str]:
         """Remove sessions, given by name or digest; return the names of those that were there."""
         marks = ", ".join("?" * len(sessions))
@@ -112,10 +137,12 @@ class Memory:
         with self._opened(write=True) as database:
             if database is None:
                 return []
-            found = database.execute(f"SELECT DISTINCT name FROM lesson {where}", [*sessions, *sessions])  # noqa: S608
-            names = sorted(name for (name,) in found)
-            database.execute(f"DELETE FROM lesson {where}", [*sessions, *sessions])  # noqa: S608
-            return names
+            names: set[str] = set()
+            for table in ("lesson", "comparison"):
+                found = database.execute(f"SELECT name FROM {table} {where}", [*sessions, *sessions])  # noqa: S608
+                names.update(name for (name,) in found)
+                database.execute(f"DELETE FROM {table} {where}", [*sessions, *sessions])  # noqa: S608
+            return sorted(names)
 
     def sessions(self) -> list[RememberedSession]:
         """All remembered sessions, oldest first."""
@@ -143,7 +170,7 @@ class Memory:
             if create or self.path.exists():
                 database = sqlite3.connect(self.path, timeout=WAIT, isolation_level=None)
                 database.execute("BEGIN IMMEDIATE" if write else "BEGIN")
-                self._check(database)
+                self._check(database, write)
             yield database
             if database is not None:
                 database.execute("COMMIT")
@@ -153,8 +180,9 @@ class Memory:
             if database is not None:
                 database.close()  # an open transaction is rolled back
 
-    def _check(self, database: sqlite3.Connection) -> None:
-        """Refuse a file that is not a memory; an empty one becomes one."""
+    def _check(self, database: sqlite3.Connection, write: bool) -> None:
+        """Refuse a file that is not a memory; an empty one becomes one, and a file of the first version gets
+        its second table when it is written."""
         (application,), (version,) = (
             database.execute(f"PRAGMA {name}").fetchone() for name in ("application_id", "user_version")
         )
@@ -166,9 +194,9 @@ class Memory:
                 f"memory {self.path}: was written by a newer version of twinmatch (its format is {version}, "
                 f"this one reads {VERSION}); update twinmatch, or give another file"
             )
-        if empty:
-            for statement in _TABLE.strip().split(";\n"):
-                database.execute(statement)
+        steps = (_TABLE if empty else "") + (_RECORD if empty or (write and version < VERSION) else "")
+        for statement in filter(None, steps.strip().split(";\n")):
+            database.execute(statement)
 
     def _lesson_of(self, row: tuple[Any, ...]) -> Lesson:
         try:
@@ -198,6 +226,11 @@ def _plain(value: Any) -> Any:
     if isinstance(value, tuple):
         return [_plain(one) for one in value]
     return None if isinstance(value, float) and math.isnan(value) else value
+
+
+def _keeps_record(database: sqlite3.Connection) -> bool:
+    """Whether it has the second table; a file of the first version has not."""
+    return bool(database.execute("PRAGMA user_version").fetchone()[0] >= VERSION)
 
 
 def _why(error: sqlite3.Error | OSError) -> str:

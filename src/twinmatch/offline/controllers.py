@@ -18,7 +18,7 @@ from twinmatch.dynamics.pace import plant_scale, time_constant
 from twinmatch.errors import TwinmatchError
 from twinmatch.fitting import fit_session
 from twinmatch.forecasting import ForecastError, SetPoints
-from twinmatch.memory import Memory, start_from
+from twinmatch.memory import Memory, digest_of, start_from
 from twinmatch.memory.start import CENTRE
 from twinmatch.offline.judging import Terms, Watch, judge, terms_from_files
 from twinmatch.plants import Peltier, plant_named
@@ -205,15 +205,20 @@ def _fitted(ground: Ground, watch: Watch | None) -> tuple[TriedTwin, ...]:
     return tuple(members)
 
 
-def remembered(ground: Ground, path: Path) -> tuple[TriedTwin, ...]:
-    """The twins of earlier sessions in a memory, and the centre of all, whose draws have their spread.
+def remembered(
+    ground: Ground, path: Path, rig: str | None = None, *, apart: Session | None = None
+) -> tuple[TriedTwin, ...]:
+    """The twins of earlier sessions in a memory, and the centre of all, whose draws have their spread;
+    without what the session `apart` has taught, in which the answer is to be checked.
 
     Raises:
         MemoryFaultError: the file is not a memory, or cannot be read.
         ControllerError: no session in it says anything of this plant.
     """
-    found = start_from(Memory(path).lessons(ground.plant.name), ground.plant)
-    if not found:
+    memory, name = Memory(path), ground.plant.name
+    own = "" if apart is None else digest_of(apart.samples)
+    found = start_from([each for each in memory.lessons(name, rig) if each.session != own], ground.plant)
+    if not found and apart is None and not memory.comparisons(name, rig):
         raise ControllerError(f"{path}: remembers nothing of plant {ground.plant.name}; leave --memory out")
     return tuple(
         TriedTwin(

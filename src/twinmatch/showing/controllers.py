@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import asdict
 from typing import Any, Final
 
 import numpy as np
@@ -11,6 +12,7 @@ from twinmatch.controllers import (
     ControllerAnswer,
     CourseFigure,
     Guarantee,
+    LawComparison,
     MemberStability,
     Retuned,
     Spread,
@@ -36,6 +38,25 @@ def answer_words(answer: ControllerAnswer) -> list[str]:
     ran = {} if answer.running is None else answer.running.figures
     lines += [f"  {_figure_words(q, s, ran.get(q))}" for q, s in answer.courses.figures.items() if _known(s)]
     return lines + [f"Note: {note}" for note in answer.notes]
+
+
+def comparison_words(found: LawComparison) -> str:
+    """Predicted and measured cost, and the rest of what a session has shown of an answer, in one sentence."""
+    band = f"{found.median:.3g} {found.unit} ({found.low:.3g} to {found.high:.3g})"
+    held = "stable" if found.stable else "unstable or beyond the safe range"
+    said = {None: "undecided before", True: "as predicted", False: "not as predicted"}[found.as_said]
+    return (
+        f"{found.name}: predicted cost {band}, measured {found.measured:.3g} {found.unit}: "
+        f"{'inside' if found.inside else 'outside'}; {100 * found.share:.0f} % of the readings lay in their "
+        f"bands; {held}, {said}; largest error {found.error:.3g}, predicted {found.predicted_error:.3g} "
+        f"{found.unit.removesuffix('²')}"
+    )
+
+
+def comparison_document(found: LawComparison) -> dict[str, Any]:
+    """All of it for JSON."""
+    values = {key: _finite(v) if isinstance(v, float) else v for key, v in asdict(found).items()}
+    return values | {"inside": found.inside, "as_said": found.as_said, "half_widths": _finite(found.off)}
 
 
 def retuned_words(found: Retuned, answer: ControllerAnswer) -> list[str]:
@@ -135,6 +156,7 @@ def answer_document(answer: ControllerAnswer) -> dict[str, Any]:
             "output_units": found.scaling.outputs.tolist(),
             "input_units": found.scaling.inputs.tolist(),
         },
+        "widening": answer.widening,
         "figures": _figures_document(answer.courses.figures),
         "figures_of_law_that_ran": None
         if answer.running is None

@@ -1,0 +1,59 @@
+"""The commands that a law gives for recorded readings: whether it is the one that ran."""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from twinmatch.controllers.responses import state_holding
+from twinmatch.dynamics import LinearLaw, TwoLevel, commands_of
+from twinmatch.signals import FloatArray
+
+_NEAR: Final = 0.01
+"""Distance up to which a command is reproduced, as a share of its range: recordings are rounded."""
+_BEGINNING: Final = 20
+"""Samples for each of the law's states from which these are estimated, at most."""
+_DETERMINED: Final = 1e-9
+"""Singular values below this share of the largest determine nothing of the state."""
+
+
+class Reproduction(NamedTuple):
+    """A law that has run over a recording."""
+
+    state: FloatArray
+    """Its state before the first sample, shape (q,)."""
+    share: float
+    """Share of the recorded commands that it gives, to within 1 % of their range."""
+
+
+def reproduced(
+    law: LinearLaw | TwoLevel, references: FloatArray, readings: FloatArray, inputs: FloatArray
+) -> Reproduction:
+    """Run a law over recorded set-points, shape (N, r), and readings, shape (N, o), beside the recorded
+    commands, shape (N, m).
+
+    Its state at the beginning follows from the first commands within their limits. Where the recording begins
+    at a limit, it is zero: a law that has just been switched on.
+    """
+    if isinstance(law, TwoLevel):
+        state, room = state_holding(law, references[0], readings[0], inputs[0]), np.array(law.on - law.off)
+    else:
+        state, room = _first_state(law, references, readings, inputs), law.high - law.low
+    given = commands_of(law.code, state, references, readings)[0]
+    return Reproduction(state, float(np.mean(np.abs(given - inputs) <= _NEAR * np.abs(room))))
+
+
+def _first_state(
+    law: LinearLaw, references: FloatArray, readings: FloatArray, inputs: FloatArray
+) -> FloatArray:
+    some = inputs[: _BEGINNING * law.n_states]
+    limited = np.flatnonzero(((some <= law.low) | (some >= law.high)).any(axis=1))
+    size = int(limited[0]) if limited.size else len(some)
+    zero = np.zeros(law.n_states)
+    rows = [law.C]
+    for _ in range(size - 1):
+        rows.append(rows[-1] @ (law.A + law.G @ law.C))
+    forced = commands_of(law.code, zero, references[:size], readings[:size])[0]
+    off = (inputs[:size] - forced).ravel()
+    return np.array(np.linalg.lstsq(np.vstack(rows), off, rcond=_DETERMINED)[0]) if size else zero

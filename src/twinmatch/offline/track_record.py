@@ -1,0 +1,108 @@
+"""A law that has run: what the twins of earlier sessions predict for that session, beside its readings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from twinmatch.controllers import (
+    ControllerAnswer,
+    ControllerError,
+    ControllerQuestion,
+    Holding,
+    LawComparison,
+    TriedTwin,
+    as_linear,
+    compared,
+)
+from twinmatch.controllers.reproduction import Reproduction, reproduced
+from twinmatch.dynamics import Law, LinearLaw, TwoLevel, begin
+from twinmatch.memory import digest_of
+from twinmatch.offline.controllers import VISITED, Ground, recorded_profile
+from twinmatch.offline.judging import judge
+from twinmatch.signals import FloatArray
+
+MIN_REPRODUCED = 0.95
+"""Least share of the recorded commands that a law has to give if it is to be the one that ran."""
+
+
+@dataclass(frozen=True, eq=False)
+class LawThatRan:
+    """A session in which a law ran, beside the answers from earlier ones.
+
+    Raises:
+        ControllerError: the session has no set-points, or another law ran there.
+    """
+
+    ground: Ground
+    law: Law
+    law_name: str
+
+    def __post_init__(self) -> None:
+        recorded_profile(self.ground.session)
+        share = self._ran.share
+        if share < MIN_REPRODUCED:
+            raise ControllerError(
+                f"session {self.ground.session.name}: {self.law_name} gives only {100 * share:.0f} % of its "
+                "commands to within 1 % of their range, so another law ran there; give that one"
+            )
+
+    @cached_property
+    def _rows(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Set-points, readings and commands of every period, the last one where a sample is lost; and which
+        were recorded."""
+        samples = [sample for sample in self.ground.session.samples if sample.usable]
+        index = np.array([sample.index for sample in samples])
+        grid = np.arange(index[0], index[-1] + 1)
+        at = np.searchsorted(index, grid, side="right") - 1
+        of = ([getattr(s, name) for s in samples] for name in ("references", "outputs", "inputs"))
+        r, y, u = (np.array(rows, dtype=np.float64)[at] for rows in of)
+        return r, y, u, (index[at] == grid).astype(np.float64)
+
+    @property
+    def _acting(self) -> LinearLaw | TwoLevel:
+        return self.law if isinstance(self.law, TwoLevel) else as_linear(self.law)
+
+    @cached_property
+    def _ran(self) -> Reproduction:
+        return reproduced(self._acting, *self._rows[:3])
+
+    @property
+    def faulty(self) -> bool:
+        """Whether the session, judged by itself, shows a fault; without verdicts it does not."""
+        session, terms = self.ground.session, self.ground.terms
+        return terms is not None and any(verdict.fault for verdict in judge(session, terms).verdicts)
+
+    def question(self, holding: Holding, draws: int) -> ControllerQuestion:
+        """The law over the set-points of the session, from its beginning."""
+        references, state = self._rows[0], None if self._rests else self._ran.state
+        return ControllerQuestion(self._acting, references, references[0], holding, draws, state=state)
+
+    @property
+    def _rests(self) -> bool:
+        """Whether it begins with its outputs at their set-points."""
+        references, readings = self._rows[:2]
+        return bool((np.abs(readings[0] - references[0]) <= VISITED * self.ground.noise).all())
+
+    def begun(self, twins: Sequence[TriedTwin]) -> list[TriedTwin]:
+        """The twins where the session begins: at rest at its set-points, or at its first readings."""
+        if self._rests:
+            return [replace(twin, states=None) for twin in twins]
+        y, u = self._rows[1][0], self._rows[2][0]
+        return [replace(twin, states=begin(twin.parameters, y), inputs=u) for twin in twins]
+
+    def comparison(self, answer: ControllerAnswer, learned: Sequence[Ground], rig: str) -> LawComparison:
+        """Its readings beside the answer to its question, from what these sessions have taught."""
+        session = self.ground.session
+        return LawComparison(
+            session=digest_of(session.samples),
+            name=session.name,
+            plant=self.ground.plant.name,
+            rig=rig,
+            law=self.law_name,
+            learned=", ".join(each.session.name for each in learned),
+            **compared(answer, self._rows[1], self._rows[3], self.ground.noise),
+        )
