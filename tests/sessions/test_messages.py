@@ -199,7 +199,7 @@ def test_verdicts_are_compared_in_what_both_forms_have() -> None:
 
 def test_a_replay_reads_it(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["replay", str(SESSION)]) == 0
-    assert "Nominal: 40 °C set" in capsys.readouterr().out
+    assert "Nominal, the centre of the family: match at 40 °C" in capsys.readouterr().out
 
 
 def test_a_repaired_copy_stays_in_its_form(tmp_path: Path) -> None:
