@@ -25,6 +25,7 @@ from twinmatch.errors import TwinmatchError
 
 __all__ = [
     "KELVIN",
+    "MEDIAN_TO_SIGMA",
     "NANOSECONDS",
     "SIGNALS",
     "BoolArray",
@@ -53,6 +54,8 @@ KELVIN = 273.15
 """Zero Celsius in kelvin."""
 NANOSECONDS = 1_000_000_000
 """In a second; stamps count them."""
+MEDIAN_TO_SIGMA: Final = 1.4826
+"""Standard deviation of normal noise in units of its median absolute value."""
 
 _NONE: FloatArray = np.empty((0, 0))
 """Default for a window without disturbances."""

@@ -8,12 +8,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from twinmatch.cli.shared import (
-    EXIT_PARTLY,
     TERMS,
     Progress,
     add_options,
     check_writable,
     console_for,
+    exit_code,
     judging,
     positive,
     write_json,
@@ -78,7 +78,7 @@ def run(options: argparse.Namespace) -> int:
                 else options.figure.with_stem(f"{options.figure.stem}_{total.plant.output.name}")
             )
             save(draw_backtest(total), place)
-    return 0 if tested == len(sessions) else EXIT_PARTLY
+    return exit_code(tested, len(sessions) - tested)
 
 
 def _totals(tests: Sequence[Backtest]) -> list[Backtest]:

@@ -8,7 +8,7 @@ import time
 from pathlib import Path
 
 from twinmatch.cli.shared import Progress, add_options
-from twinmatch.cli.starting import remember_recorded
+from twinmatch.cli.starting import remember_recorded, started
 from twinmatch.launching.processes import add_page_options, page_of
 from twinmatch.shipped import shipped
 
@@ -24,14 +24,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_options(parser, "--speed", default=math.inf, help=fastest)
     add_options(parser, "--config", help="parameters of the virtual rig's nodes (default: config/demo.yaml)")
     add_options(parser, "--memory", default=MEMORY, help=f"what earlier ones have taught (default: {MEMORY})")
-    parser.set_defaults(candidates=None, rig="", plant="", twin_config=None)
     add_page_options(parser)
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the demonstration; returns the exit code."""
     with page_of(options, options.parser) as page:
-        code = _live(options) if options.session is None else _play_session(options.session)
+        if options.session is not None:
+            code = _play_session(options.session)
+        else:
+            vars(options).update(candidates=None, rig="", plant="", twin_config=None)
+            with started(options):
+                code = _live(options)
         if code == 0:
             page.stay()
         return code

@@ -6,8 +6,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from twinmatch.cli.shared import EXIT_PARTLY, add_options
-from twinmatch.errors import EXIT_USER_ERROR
+from twinmatch.cli.shared import add_options, exit_code
 from twinmatch.memory import Memory, default_files
 
 
@@ -28,6 +27,4 @@ def run(options: argparse.Namespace) -> int:
             print(f"{name}: forgotten")
         if not gone:
             print(f"twinmatch: {session}: is not remembered", file=sys.stderr)
-    if not missing:
-        return 0
-    return EXIT_PARTLY if missing < len(options.sessions) else EXIT_USER_ERROR
+    return exit_code(len(options.sessions) - missing, missing)

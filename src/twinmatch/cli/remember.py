@@ -6,8 +6,8 @@ import argparse
 import sys
 from pathlib import Path
 
-from twinmatch.cli.shared import EXIT_PARTLY, Progress, add_options
-from twinmatch.errors import EXIT_USER_ERROR, TwinmatchError
+from twinmatch.cli.shared import Progress, add_options, exit_code
+from twinmatch.errors import TwinmatchError
 from twinmatch.importing import open_any
 from twinmatch.memory import Memory, MemoryFaultError, current_lessons, default_file, digest_of
 from twinmatch.offline.archive import find_sessions
@@ -33,9 +33,7 @@ def run(options: argparse.Namespace) -> int:
             except TwinmatchError as error:
                 skipped += 1
                 print(f"twinmatch: skipped {path}: {error}", file=sys.stderr)
-    if not skipped:
-        return 0
-    return EXIT_PARTLY if skipped < len(paths) else EXIT_USER_ERROR
+    return exit_code(len(paths) - skipped, skipped)
 
 
 def _remember(path: Path, options: argparse.Namespace) -> str:

@@ -11,17 +11,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from twinmatch.cli.shared import (
-    EXIT_PARTLY,
     TERMS,
     Progress,
     add_options,
     check_writable,
     console_for,
+    exit_code,
     open_shown,
     positive,
     write_json,
 )
-from twinmatch.errors import EXIT_USER_ERROR, TwinmatchError
+from twinmatch.errors import TwinmatchError
 from twinmatch.offline.archive import Archive, ArchiveError, is_single, judge_archive
 from twinmatch.offline.judging import judge, terms_from_files
 from twinmatch.offline.processes import held_interrupts
@@ -138,9 +138,7 @@ def _replay_many(options: argparse.Namespace) -> int:
         )
     _print(archive)
     write_json(options.json, archive.document)
-    if not archive.failed:
-        return 0
-    return EXIT_PARTLY if archive.sessions else EXIT_USER_ERROR
+    return exit_code(len(archive.sessions), len(archive.failed))
 
 
 def _print(archive: Archive) -> None:

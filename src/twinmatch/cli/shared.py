@@ -15,7 +15,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
-from twinmatch.errors import TwinmatchError
+from twinmatch.errors import EXIT_USER_ERROR, TwinmatchError
 
 if TYPE_CHECKING:
     from rich import progress
@@ -26,6 +26,13 @@ if TYPE_CHECKING:
 
 EXIT_PARTLY: Final = 3
 """Exit code: some of several sessions were used and some skipped."""
+
+
+def exit_code(done: int, skipped: int) -> int:
+    """The exit code of a command for several sessions."""
+    if not skipped:
+        return 0
+    return EXIT_PARTLY if done else EXIT_USER_ERROR
 
 
 def speed(text: str) -> float:

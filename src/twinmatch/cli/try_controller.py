@@ -88,7 +88,8 @@ def run(options: argparse.Namespace) -> int:
         earlier: tuple[TriedTwin, ...] = ()
         if options.memory is not None:
             earlier = remembered(ground, options.memory, options.rig or None, apart=apart)
-        members = [*_members(opened), *earlier]
+        tried = [each.parameters for each in earlier]  # a judgement that started from them has them, too
+        members = [*(each for each in _members(opened) if each.parameters not in tried), *earlier]
         begun = _begun(members, options) if ran is None else ran.begun(members)
         with Progress("trying") as progress:
             answer = try_controller(begun, question, progress.advance)

@@ -14,13 +14,10 @@ import numpy as np
 
 from twinmatch.compiled import compiled
 from twinmatch.dynamics import Parameters, box_step
-from twinmatch.fitting.problem import LASTING, Evaluation, Problem
+from twinmatch.fitting.problem import LASTING, Evaluation, Problem, ended_on_bounds
 from twinmatch.signals import FloatArray
 
 _MAX_EVALUATIONS = 100
-_ON_BOUND = 1e-4
-"""Distance from a bound below which a parameter counts as on it, in units of the interval or, within wide
-bounds, of its typical size."""
 _ROUNDING = 1e-13
 """Share of the largest eigenvalue below which another is rounding: each entry of the information is a sum
 over hundreds of samples, accurate to a relative 1e-14. The condition number is then 3e6."""
@@ -79,9 +76,7 @@ def solve(problem: Problem, starts: Sequence[FloatArray]) -> Estimate:
 
 def on_bounds(problem: Problem, values: FloatArray) -> tuple[str, ...]:
     """Names of the parameters that ended on a bound."""
-    unit = np.minimum(problem.upper - problem.lower, problem.scales)
-    near = np.minimum(values - problem.lower, problem.upper - values) <= _ON_BOUND * unit
-    return tuple(name for name, hit in zip(problem.names, near, strict=True) if hit)
+    return ended_on_bounds(problem.unknowns, values)
 
 
 @dataclass(frozen=True, eq=False)

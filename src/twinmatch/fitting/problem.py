@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Final, NamedTuple
@@ -31,6 +31,11 @@ from twinmatch.signals import FloatArray, Window, only
 Bounds = Mapping[str, tuple[float, float]]
 LASTING: Final = 30.0
 """Correlation length of the residuals, samples: so many count as one independent residual."""
+
+
+_ON_BOUND: Final = 1e-4
+"""Distance from a bound below which a parameter counts as on it, in units of the interval or, within wide
+bounds, of its typical size."""
 
 
 class Expectation(NamedTuple):
@@ -121,6 +126,14 @@ def unknown_starts(model: Model, bounds: Bounds | None = None) -> tuple[Unknown,
         limits = (bounds or {}).get(name) or state.start_bounds or state.span
         unknowns.append(Unknown(name, state.unit, limits, state.scale, relative=False, initial=True))
     return tuple(unknowns)
+
+
+def ended_on_bounds(unknowns: Sequence[Unknown], values: FloatArray) -> tuple[str, ...]:
+    """Names of the unknowns whose values, shape (n,), lie on a bound."""
+    lower, upper = np.array([unknown.bounds for unknown in unknowns]).T
+    unit = np.minimum(upper - lower, [unknown.scale for unknown in unknowns])
+    near = np.minimum(values - lower, upper - values) <= _ON_BOUND * unit
+    return tuple(unknown.name for unknown, hit in zip(unknowns, near, strict=True) if hit)
 
 
 @dataclass(frozen=True, slots=True)

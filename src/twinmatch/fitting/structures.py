@@ -36,6 +36,7 @@ from twinmatch.fitting.problem import (
     Noise,
     Prior,
     checked_law,
+    ended_on_bounds,
     known_of,
     unknown_parameters,
     unknown_starts,
@@ -88,6 +89,13 @@ class StructureFit:
     def model(self) -> Model:
         """The plant in this structure."""
         return self.parameters.model
+
+    @property
+    def bounds_hit(self) -> tuple[str, ...]:
+        """Names of the parameters that ended on a bound."""
+        free = self.model.structure.free
+        values = np.array([self.parameters[name] for name in free])
+        return ended_on_bounds(unknown_parameters(self.model, free), values)
 
     @property
     def n_parameters(self) -> int:
@@ -184,9 +192,12 @@ def fit_session(
     return fit_structure(parts, model, noise=noise, law=law, informed=informed)
 
 
-def in_parts(plant: type[Plant], window: Window, stretch: float = STRETCH) -> list[Window]:
-    """A window in equal parts of about `stretch` time constants of the plant; whole if it has none."""
-    samples = stretch * time_constant(plant) / window.period
+def in_parts(
+    plant: type[Plant], window: Window, stretch: float = STRETCH, *, otherwise: float = 0.0
+) -> list[Window]:
+    """A window in equal parts of about `stretch` time constants of the plant; if it has none, of about
+    `otherwise` samples, 0: whole."""
+    samples = stretch * time_constant(plant) / window.period or otherwise
     number = max(1, round(len(window) / max(samples, 2.0 * SETTLE))) if samples else 1
     ends = window.first + np.linspace(0, len(window), number + 1).astype(int)
     return [window.part(a, b - 1) for a, b in zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True)]

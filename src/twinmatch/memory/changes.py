@@ -26,7 +26,7 @@ import numpy as np
 
 from twinmatch.dynamics import Model
 from twinmatch.memory.lesson import Lesson, in_order
-from twinmatch.signals import FloatArray
+from twinmatch.signals import MEDIAN_TO_SIGMA, FloatArray
 
 MIN_SIDE: Final = 2
 """Least number of sessions on either side of a step: a single one may be odd."""
@@ -307,7 +307,9 @@ def _fit_at(y: FloatArray, variances: FloatArray, shapes: FloatArray) -> _Fitted
 def _spread(history: ParameterHistory) -> float:
     """How many times its deviations a parameter scatters between sessions, robustly."""
     levels = history.levels
-    return float(1.4826 * np.median(np.abs(levels - np.median(levels))) / np.median(history.deviations))
+    return float(
+        MEDIAN_TO_SIGMA * np.median(np.abs(levels - np.median(levels))) / np.median(history.deviations)
+    )
 
 
 def _changes(

@@ -21,8 +21,6 @@ MIN_SAMPLES: Final = 180
 that has too few independent residuals for a covariance."""
 _REFITS: Final = 3
 """How often a fit is continued that has not converged."""
-_ON_BOUND: Final = 1e-4
-"""Distance from a bound, as a share of the interval, below which a parameter is not determined."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +106,7 @@ def _lesson(judged: SessionEvidence, windows: Sequence[Window], model: Model) ->
         covariance = observed_covariance(fit, windows, judged.noise, judged.law)
     except (TwinmatchError, np.linalg.LinAlgError):
         return None
-    if _undetermined(fit) or not np.isfinite(covariance).all() or np.linalg.eigvalsh(covariance)[0] <= 0.0:
+    if fit.bounds_hit or not np.isfinite(covariance).all() or np.linalg.eigvalsh(covariance)[0] <= 0.0:
         return None
     last = judged.before_fault[-1] if judged.before_fault else None
     leader = None if last is None else _leader(last)
@@ -146,16 +144,6 @@ def _converged_fit(judged: SessionEvidence, windows: Sequence[Window], model: Mo
             break
         fit = fit_structure(windows, model, start=fit, noise=judged.noise, law=judged.law)
     return fit
-
-
-def _undetermined(fit: StructureFit) -> bool:
-    """Whether a parameter ended on a bound."""
-    for name in fit.model.structure.free:
-        low, high = fit.model.declared[name].bounds
-        value = fit.parameters[name]
-        if min(value - low, high - value) <= _ON_BOUND * (high - low):
-            return True
-    return False
 
 
 def _spans(signals: Sequence[FloatArray]) -> tuple[Span, ...]:

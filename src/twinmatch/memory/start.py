@@ -11,7 +11,7 @@ import numpy as np
 from twinmatch.comparing import Candidate
 from twinmatch.dynamics import Model, Plant, PlantError
 from twinmatch.memory.lesson import Lesson, current_lessons, in_order
-from twinmatch.signals import FloatArray
+from twinmatch.signals import MEDIAN_TO_SIGMA, FloatArray
 
 CENTRE: Final = "remembered"
 """Name of the candidate with the central values of all sessions."""
@@ -24,8 +24,6 @@ _EXPECTED: Final = 0.15
 one session, so that few sessions do not look more alike than they are."""
 _FAR: Final = 3.0
 """Deviations from the median are clipped at so many usual ones: one odd session widens nothing."""
-_NORMAL: Final = 1.4826
-"""Standard deviation of a normal variable, in units of its median absolute deviation."""
 
 
 def start_from(lessons: Iterable[Lesson], plant: type[Plant]) -> list[Candidate]:
@@ -77,7 +75,7 @@ def spread_of(values: FloatArray, centre: FloatArray, model: Model) -> FloatArra
     sizes = [abs(c) if each.relative else each.scale for c, each in zip(centre, declared, strict=True)]
     usual = _EXPECTED * np.array([size or each.scale for size, each in zip(sizes, declared, strict=True)])
     away = np.abs(values - centre)
-    most = _FAR * np.maximum(_NORMAL * np.median(away, axis=0), usual / _FAR)
+    most = _FAR * np.maximum(MEDIAN_TO_SIGMA * np.median(away, axis=0), usual / _FAR)
     squares = np.square(np.minimum(away, most)).sum(axis=0)
     return np.asarray(np.sqrt((squares + np.square(usual)) / len(values)))
 

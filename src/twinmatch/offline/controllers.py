@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,9 +13,9 @@ import numpy as np
 from twinmatch.comparing import LEVEL_WORDS, TrustLevel, Verdict
 from twinmatch.controllers import ControllerError, Holding, TriedTwin, law_from
 from twinmatch.dynamics import Law, Plant, advance
-from twinmatch.dynamics.pace import plant_scale, time_constant
+from twinmatch.dynamics.pace import plant_scale
 from twinmatch.errors import TwinmatchError
-from twinmatch.fitting import fit_session
+from twinmatch.fitting import fit_session, in_parts
 from twinmatch.forecasting import ForecastError, SetPoints
 from twinmatch.memory import Memory, digest_of, start_from
 from twinmatch.memory.start import CENTRE
@@ -25,7 +24,7 @@ from twinmatch.plants import Peltier, plant_named
 from twinmatch.plants.files import load_law
 from twinmatch.sessions import Session
 from twinmatch.sessions.files import read_bounded
-from twinmatch.signals import FloatArray, Sample, Window, stretches
+from twinmatch.signals import MEDIAN_TO_SIGMA, FloatArray, Sample, stretches
 from twinmatch.twin import Outcome, Twin
 
 MAX_BYTES = 1 << 20
@@ -34,8 +33,6 @@ SHARE = 0.1
 """Step of the usual profile, as a share of the range of the set-points."""
 HOLD = 240
 """Time for which a level is held, s, on a plant with a time constant of 100 s."""
-NORMAL = 1.4826
-"""Standard deviation of a normal distribution whose median distance from the mean is 1."""
 VISITED = 3.0
 """Margin around the visited levels, in the output's noise."""
 WINDOW = 10.0
@@ -121,7 +118,7 @@ class Ground(NamedTuple):
         """Standard deviations of readings, shape (o,): from their second differences, since a plant hardly
         bends within three samples; of a reading that mostly repeats itself, that of the plant file."""
         bends = np.diff([sample.outputs for sample in self.session.samples], n=2, axis=0)
-        found = NORMAL * np.median(np.abs(bends), axis=0) / np.sqrt(6.0)
+        found = MEDIAN_TO_SIGMA * np.median(np.abs(bends), axis=0) / np.sqrt(6.0)
         declared = np.array([output.noise for output in self.plant.outputs.values()])
         return np.where(found > 0.0, found, declared)
 
@@ -191,8 +188,8 @@ def _fitted(ground: Ground, watch: Watch | None) -> tuple[TriedTwin, ...]:
             "of its movement, so it cannot say what a controller would do; record steps of every input"
         )
     kept = [fit.model for fit in fits if fit.charge <= best.charge + MAX_CHARGE]
-    length = WINDOW * (time_constant(plant) or session.period * HOLD) / session.period
-    windows = [part for window in whole for part in _parts(window, length)]
+    parts = [part for w in whole for part in in_parts(plant, w, WINDOW, otherwise=WINDOW * HOLD)]
+    windows = [part for part in parts if len(part) >= MIN_WINDOW]
     members, total = [], len(windows) * len(kept)
     for k, (model, window) in enumerate((model, window) for model in kept for window in windows):
         fit = fit_session(model, window, law=None)
@@ -230,13 +227,6 @@ def remembered(
         )
         for each in found
     )
-
-
-def _parts(window: Window, length: float) -> list[Window]:
-    """A window in parts of about this number of samples."""
-    number = max(1, round(len(window) / max(length, MIN_WINDOW)))
-    ends = (window.first + np.linspace(0, len(window), number + 1)).astype(int).tolist()
-    return [window.part(a, b - 1) for a, b in pairwise(ends) if b - a >= MIN_WINDOW]
 
 
 def _members(twin: Twin) -> list[TriedTwin]:

@@ -170,8 +170,8 @@ class Discriminator:
                 self._admitted(self._given.pop(0), trigger.window)
         rival = self._pool.incumbent_at(trigger.operating_point)
         incumbent = rival.parameters if rival else None
-        start, expected = incumbent or self.settings.start, self.settings
-        if self._pool.estranged and start.model.structure_name in expected.prior:
+        start = incumbent or self.settings.start
+        if self._pool.estranged and start.model.structure_name in self.settings.prior:
             start = self._plain.start  # in the structure of the memory, its values would be the prior
         return MatchRequest(
             sample=trigger.sample,

@@ -27,7 +27,7 @@ from twinmatch.comparing.criteria import Criteria
 from twinmatch.dynamics import FROM_PLANT_FILE, LoopLaw, Model, Parameters
 from twinmatch.errors import TwinmatchError
 from twinmatch.fitting import FittingError, Noise, StructureFit, fit_structure
-from twinmatch.signals import BoolArray, FloatArray, Window
+from twinmatch.signals import MEDIAN_TO_SIGMA, BoolArray, FloatArray, Window
 
 NOISE_ORDER: Final = 12
 """Order of the noise model: longer than the loop's time constants, small compared with a window."""
@@ -36,8 +36,6 @@ CUT: Final = 3.0
 _ROUNDS: Final = 3
 """How often the noise model is fitted again with new weights."""
 _TINY: Final = float(np.finfo(np.float64).tiny)
-_NORMAL: Final = 1.4826
-"""Standard deviation of normal noise in units of its median absolute value."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,13 +226,13 @@ def prediction_errors(
             past.append(np.lib.stride_tricks.sliding_window_view(window[:-1], order)[counted])
             now.append(window[order:][counted])
     rows, target = np.concatenate(past), np.concatenate(now)
-    reach = 2.0 * CUT * _NORMAL * float(np.median(np.abs(target)))
+    reach = 2.0 * CUT * MEDIAN_TO_SIGMA * float(np.median(np.abs(target)))
     downweighted = _downweighted(reach, np.max(np.abs(rows), axis=1))
     weights = np.ones(target.size)
     for _ in range(_ROUNDS + 1):
         weighed = rows * weights[:, None]
         errors = target - rows @ np.linalg.lstsq(weighed.T @ rows, weighed.T @ target, rcond=None)[0]
-        limit = CUT * _NORMAL * float(np.median(np.abs(errors)))
+        limit = CUT * MEDIAN_TO_SIGMA * float(np.median(np.abs(errors)))
         weights = downweighted * _downweighted(limit, np.abs(errors))
     return np.clip(errors, -limit, limit)
 
