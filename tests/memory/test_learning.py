@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -52,6 +53,13 @@ def verdict(sample: int, fault: str = "", since: int | None = None, **changed: o
     for name, value in (held | {"fault": fault, "fault_since": since} | changed).items():
         object.__setattr__(bare, name, value)
     return bare
+
+
+@cache
+def of_day(day: int, **changed: float) -> Lesson:
+    """What an hour of this day teaches, in a room of its own."""
+    hours = hour(20 + day, ambient=292.0 + day % 3, **changed)
+    return of_structure(lessons_of(judged(hours, name=f"day {day}")))
 
 
 def of_structure(lessons: list[Lesson], name: str = RICH) -> Lesson:
@@ -152,11 +160,8 @@ def test_a_session_is_known_by_its_samples():
     ],
 )
 def test_a_step_of_a_simulated_rig_is_named(name, factor, named):
-    lessons = []
-    for day in range(7):
-        now = {"ambient": 292.0 + day % 3} | ({name: factor * TRUE[name]} if day >= 4 else {})
-        learned = lessons_of(judged(hour(20 + day, **now), name=f"day {day}"))
-        lessons.append(of_structure(learned))
+    before = [of_day(day) for day in range(4)]
+    lessons = before + [of_day(day, **{name: factor * TRUE[name]}) for day in range(4, 7)]
     (change,) = report_on(lessons, Peltier.model(RICH)).changes
     assert (change.name, change.kind, change.since) == (named, "step", "day 4")
     assert abs(change.size) == pytest.approx(0.2 if factor == 0.8 else 0.1, abs=0.04)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -11,19 +12,22 @@ import pytest
 from tests.support.laws import kit_session, law_file
 from tests.support.lessons import comparison, lesson
 from tests.support.places import OTHERS, SHIPPED
-from twinmatch.cli import main
+from twinmatch.cli import main, retune, try_controller
 from twinmatch.controllers import (
     ControllerError,
+    TriedTwin,
     as_linear,
 )
 from twinmatch.dynamics import LinearLaw, law_of
-from twinmatch.memory import Memory
+from twinmatch.memory import Memory, digest_of
 from twinmatch.offline.controllers import (
     Ground,
     ground_of,
+    members_from,
     read_law,
     remembered,
 )
+from twinmatch.offline.judging import Watch
 from twinmatch.plants import Peltier
 from twinmatch.sessions import read_session
 
@@ -31,6 +35,23 @@ from twinmatch.sessions import read_session
 @pytest.fixture(scope="module")
 def ground() -> Ground:
     return ground_of(read_session(SHIPPED))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def judged_once() -> Iterator[None]:
+    """A session is judged for the first command that asks; later ones get the same twins."""
+    known: dict[str, tuple[TriedTwin, ...]] = {}
+
+    def members(ground: Ground, *, watch: Watch) -> tuple[TriedTwin, ...]:
+        session = digest_of(ground.session.samples)
+        if session not in known:
+            known[session] = members_from(ground, watch=watch)
+        return known[session]
+
+    with pytest.MonkeyPatch.context() as patch:
+        for command in (try_controller, retune):
+            patch.setattr(command, "members_from", members)
+        yield
 
 
 def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -9,16 +9,21 @@ import numpy as np
 import pytest
 
 from tests.memory.test_start import taught
-from tests.support.places import PROJECT
+from tests.support.places import PROJECT, SHIPPED
 from twinmatch.cli import main
 from twinmatch.memory import Memory
+from twinmatch.sessions import read_session, write_session
 
-SESSION = PROJECT / "bags" / "four_setpoints"
+SAMPLES = 100
+"""The first verdict comes after the 60th."""
 
 
 def first_verdict(tmp_path: Path, *options: str) -> dict:
-    out = tmp_path / "verdicts.json"
-    assert main(["replay", str(SESSION), "--json", str(out), *options]) == 0
+    """That of the sample session's first minutes."""
+    session, out = tmp_path / SHIPPED.name, tmp_path / "verdicts.json"
+    if not session.exists():
+        write_session(session, read_session(SHIPPED).samples[:SAMPLES])
+    assert main(["replay", str(session), "--json", str(out), *options]) == 0
     return json.loads(out.read_text("utf-8"))["verdicts"][0]
 
 
@@ -49,7 +54,7 @@ def test_it_joins_the_users_candidates_and_leaves_out_the_session_itself(
     Memory(alone).add(
         [
             lesson.__class__(
-                **{f: getattr(lesson, f) for f in lesson.__dataclass_fields__} | {"name": SESSION.name}
+                **{f: getattr(lesson, f) for f in lesson.__dataclass_fields__} | {"name": SHIPPED.name}
             )
         ]
     )
