@@ -33,7 +33,7 @@ unexport PYTHONDONTWRITEBYTECODE
 
 INSTALL := sh .ci/install.sh $(RUN)
 
-.PHONY: help setup setup-test test check demo bench docs dist pythons clean
+.PHONY: help setup setup-test debian-tools test check demo bench docs dist pythons clean
 .DELETE_ON_ERROR:
 
 help:
@@ -52,7 +52,11 @@ help:
 setup: $(STAMPS)/messages $(STAMPS)/compiled
 	@:
 
-setup-test: setup $(addprefix $(STAMPS)/,test board browser workspace)
+# Debian packages come over the network while the processor compiles.
+setup-test: $(STAMPS)/test
+	@$(MAKE) --no-print-directory -j2 setup debian-tools
+
+debian-tools: $(addprefix $(STAMPS)/,board browser workspace)
 	@:
 
 test: setup-test
@@ -129,6 +133,10 @@ $(STAMPS)/peers: $(STAMPS)/test
 $(STAMPS)/board $(STAMPS)/browser $(STAMPS)/workspace: .ci/debian_tools.sh | $(STAMPS)/venv
 	@sh .ci/debian_tools.sh $(@F)
 	@touch $@
+
+# apt-get installs for one at a time.
+$(STAMPS)/browser: | $(STAMPS)/board
+$(STAMPS)/workspace: | $(STAMPS)/browser
 
 # The plants' equations and numba's machine code are cached: no first run has to wait.
 $(STAMPS)/compiled: $(shell grep -rl compiled src/twinmatch --include=*.py) $(wildcard src/twinmatch/plants/*.py) $(STAMPS)/messages

@@ -101,13 +101,14 @@ class ArxForecast(NamedTuple):
 
         `rows` are the disturbances from the newest sample on, shape (N + 1, d), if there are any.
         """
-        disturbances = np.zeros((len(ahead), 0)) if rows is None else rows
+        # Copies: read-only rows would need a kernel of their own.
+        disturbances = np.zeros((len(ahead), 0)) if rows is None else np.array(rows)
         if not self.coefficients.size:
             signals = self.past.shape[1] - disturbances.shape[1]
             return np.repeat(self.past[0, :signals, None], len(ahead), axis=1)
         means: FloatArray = _simulate(
             self.coefficients, self.level, self.past, disturbances, *law_code(self.law, self.controller),
-            ahead.reshape(len(ahead), -1), self.spans,
+            np.array(ahead).reshape(len(ahead), -1), self.spans,
         )  # fmt: skip
         return means
 

@@ -17,7 +17,7 @@ from tests.support.places import OTHERS
 from twinmatch.cli import main
 from twinmatch.dynamics import Experiment
 from twinmatch.fitting import fit_structure
-from twinmatch.forecasting import Arx, ArxForecast
+from twinmatch.forecasting import Arx, ArxForecast, baselines
 from twinmatch.forecasting.baselines import MAX_ORDER
 from twinmatch.importing import open_any
 from twinmatch.offline.backtest import Choices, Listener, graded
@@ -63,6 +63,15 @@ def test_the_least_squares_and_their_aicc_are_those_of_statsmodels(kept: float) 
         n, size = weights.sum(), columns.shape[1]
         found[measures.aicc(-0.5 * n * np.log(theirs.ssr / n), n, size + 1)] = theirs.params
     np.testing.assert_allclose(ours.coefficients[0], found[min(found)], rtol=1e-6, atol=1e-8)
+
+
+def test_rows_that_cannot_be_written_need_no_kernel_of_their_own() -> None:
+    u, y = second_order(400, 0.05, 3)
+    model, kernel, ahead = fitted(y[:, None], u[:, None]), baselines._simulate, u[:20].copy()
+    written, known = model.forecast(ahead, None), len(kernel.signatures)
+    ahead.flags.writeable = False
+    np.testing.assert_array_equal(model.forecast(ahead, None), written)
+    assert len(kernel.signatures) == known
 
 
 def test_one_signal_is_the_case_of_several() -> None:
