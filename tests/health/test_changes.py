@@ -77,6 +77,39 @@ def test_what_is_undone_is_over_and_what_stays_is_usual_after_ten_minutes() -> N
     assert alarm.last - alarm.flagged == pytest.approx(600, abs=10)
 
 
+def test_shifted_readings_never_become_usual_and_are_over_when_they_step_back() -> None:
+    """In one of these the step back comes while the plate heats up, where it hides best."""
+    for seed in (4, 5):
+        reference, broken = rig.profile(1000 + seed, 2100), rig.Break("reading+3", 700, 1200)
+        samples, _ = rig.run(reference, broken, rig=rig.some_rig(seed), seed=seed)
+        monitor, doubts = Monitor(), []
+        for sample in samples:
+            monitor.push(sample)
+            doubts.append(monitor.doubt)
+        (alarm,) = monitor.alarms
+        assert alarm.fault is Fault.SENSOR_DRIFT
+        assert alarm.last is not None
+        assert 1900 <= alarm.last <= 1960
+        assert {bool(doubt) for doubt in doubts[800:1900]} == {True}
+        assert doubts[1000].startswith("the readings of the plate temperature may be off by about +3")
+        assert doubts[1000].endswith("°C: compare them with another thermometer")
+        assert not doubts[1970]
+
+
+def test_time_without_readings_does_not_show_that_they_are_right_again() -> None:
+    """After a gap they are still off; a new session knows nothing."""
+    samples, _ = rig.run(rig.profile(1004, 1500), rig.Break("reading+3", 700), rig=rig.some_rig(4), seed=4)
+    monitor = Monitor()
+    for sample in samples[:1000] + samples[1060:]:
+        monitor.push(sample)
+    (alarm,) = monitor.alarms
+    assert (alarm.fault, alarm.last) == (Fault.SENSOR_DRIFT, None)
+    assert monitor.doubt
+    monitor.push(samples[0])
+    assert not monitor.alarms
+    assert not monitor.doubt
+
+
 def test_the_plant_is_trusted_as_far_as_the_samples_bear() -> None:
     """The simulated rig obeys the equations; one whose readings wander does not."""
     samples, _ = rig.run(rig.profile(3, 1500), rig=rig.some_rig(3), seed=3)

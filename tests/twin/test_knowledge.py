@@ -48,7 +48,7 @@ def known(**more: Any) -> Knowledge:
         **{"scores": UNSCORED, "leader": "leader", "confidence": 0.95, "forecasts": (score(),)},
         **{"standing": "it leads", "horizons": (10.0, 60.0), "bands": INSIDE, "miss_limit": 2.0},
         **{"miss_since": None, "held": (30.0, 50.0), "residuals": Residuals(0.5, 7.0), "health": None},
-        **{"reservation": "", "structure": "", "decimals": 2, "remembered": False},
+        **{"reservation": "", "doubt": "", "structure": "", "decimals": 2, "remembered": False},
     }
     return Knowledge(**said | more)
 
@@ -124,6 +124,17 @@ def faulty(fault: Fault, state: HealthState = HealthState.FAULT) -> Health:
         ({"match": NO_MATCH, "bands": BandCheck()}, TrustLevel.UNKNOWN, "no forecast has been compared"),
         ({"reservation": "not yet", "bands": BandCheck()}, TrustLevel.UNKNOWN, "not yet"),
         ({"reservation": "not yet"}, TrustLevel.TRUSTED, "measurements lie within the forecast bands"),
+        ({"doubt": "readings may be off"}, TrustLevel.DOUBTFUL, "readings may be off"),
+        (
+            {"doubt": "readings may be off", "health": faulty(Fault.ROOM_CHANGED)},
+            TrustLevel.DOUBTFUL,
+            "readings may be off",
+        ),
+        (
+            {"doubt": "readings may be off", "health": faulty(Fault.SENSOR_FROZEN)},
+            TrustLevel.FAULT,
+            "the plant shows sensor-frozen",
+        ),
     ],
 )
 def test_the_level_has_one_reason(more: dict[str, Any], level: TrustLevel, reason: str) -> None:

@@ -209,6 +209,7 @@ class ChangeDetector:
         noise = parameters.model.plant.output.noise
         self.hypotheses = hypotheses(self.tracker, noise, period, steps=steps)
         self._steps = steps
+        self._back: Hypothesis | None = None
         self._jumps = list({h.index: h for h in self.hypotheses if h.kind is not Kind.PASSING}.values())
         self._offset = next(h for h in self.hypotheses if h.kind is Kind.SENSOR)
         self._best: tuple[DetectedChange, _Found] | None = None
@@ -252,6 +253,16 @@ class ChangeDetector:
         opening = (self._offset.index, self._offset.spread) if offset else None
         self._tracked.restart(opening)
         self._reset()
+
+    def expect_back(self, before: float | None) -> None:
+        """The readings have shifted, and may step back to an offset `before`; None: no longer.
+
+        A camera's own steps seldom have this size, so such a step of any plant is looked at.
+        """
+        self._back = None
+        if before is not None:
+            shift = before - self.offset
+            self._back = replace(self._offset, shift=shift, spread=0.2 * abs(shift), at_once=True)
 
     def push(self, sample: Sample) -> DetectedChange | None:
         """Take a sample; when a block is full, return the change, if any."""
@@ -337,7 +348,7 @@ class ChangeDetector:
 
         Such a step may be taken for an outlier, and leave no trace.
         """
-        blocks = list(self._tracked.blocks) if self._steps else []
+        blocks = list(self._tracked.blocks) if self._steps or self._back else []
         for age in range(_MIN_AGE, min(_STEP_AGE, len(blocks)) + 1):
             if np.abs(np.diff(blocks[-age].stretch.output[1:])).max() >= self._offset.least:
                 return age
@@ -348,7 +359,8 @@ class ChangeDetector:
         nothing, before = self._tracked.unchanged()
         dispersion = self.track_record.dispersion
         found: dict[Kind, _Found] = {}
-        for age, h, level in itertools.product(ages, self.hypotheses, self._tracked.levels):
+        likely = [*self.hypotheses, *([self._back] if self._back else [])]
+        for age, h, level in itertools.product(ages, likely, self._tracked.levels):
             if level > self._tracked.level and h.kind not in _LESS_ACCURATE:
                 continue
             cost, belief = self._run(h, age, level)

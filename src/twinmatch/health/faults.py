@@ -130,6 +130,7 @@ class FaultSentences:
         self.input = plant.drive.unit or plant.drive.name
         self.sensor = f"the {plant.output.sensor}"
         self.surroundings = plant.surroundings
+        self._other = "thermometer" if plant.output.unit == "°C" else "instrument"
 
     def refused(self, before: Sample | None, sample: Sample) -> Evidence:
         """A reading that the plant cannot have, or cannot have reached from the sample before."""
@@ -181,6 +182,13 @@ class FaultSentences:
             f"{lasts * self._period:g} s: look at drive, wires and supply"
         )
         return Evidence(Fault.DRIVE_WEAK, sure, index - effect.length - lasts, reason)
+
+    def doubted(self, offset: float) -> str:
+        """Readings that may have shifted."""
+        return (
+            f"the readings of {self.output} may be off by about {signed(offset)}{self.unit}: "
+            f"compare them with another {self._other}"
+        )
 
     def passed(self, moved: float, lasted: float) -> str:
         """What has moved the output for a while."""

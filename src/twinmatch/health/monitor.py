@@ -154,6 +154,11 @@ class Monitor:
         return f"{_NEWCOMER}: its input seems to act {late:g} s late" if late else _NEWCOMER
 
     @property
+    def doubt(self) -> str:
+        """Why no reading can be relied on, in words: they have shifted, and are not back; else empty."""
+        return self._slow.doubt
+
+    @property
     def _brief(self) -> bool:
         """Whether the fault that is on consists of a few refused readings, which count nowhere."""
         return self._open and not self._alarms[-1].spoils and self._alarms[-1].fault is _REFUSED

@@ -37,8 +37,7 @@ _UNNAMED_FACTOR: Final = 2.0
 _NAME_WAIT: Final = 60.0
 """Time to wait for a name before an unnamed change is reported, s."""
 _ACCEPT: Final = 600.0
-"""Time after which a reported change counts as the plant's normal state, s; a step of the reading never
-does."""
+"""Time after which a reported change counts as the plant's normal state, s; shifted readings never do."""
 _MOVED: Final = 10.0
 """What has passed is reported if it moved the output by so many standard deviations of its noise."""
 _REMAINDER: Final = 0.4
@@ -51,7 +50,6 @@ class _Reported:
     hypothesis: Hypothesis
     before: float
     at: int
-    shift: float
 
 
 class SlowChanges:
@@ -63,8 +61,8 @@ class SlowChanges:
         self._detector = ChangeDetector(settings.followed, settings.period, steps=steps)
         self._change: DetectedChange | None = None
         self._reported: _Reported | None = None
+        self._shifted: tuple[float, float] | None = None  # offset before the readings shifted; the shift
         self._over = False
-        self._last = math.nan
         self.evidence: Evidence | None = None
         """The current evidence, if any."""
         self._running = 0
@@ -95,47 +93,56 @@ class SlowChanges:
         """By how much the readings are known to be shifted, in the output's unit."""
         return self._detector.offset
 
+    @property
+    def doubt(self) -> str:
+        """Why no reading can be relied on, in words; empty unless the readings have shifted."""
+        return self._sentences.doubted(self.offset - self._shifted[0]) if self._shifted else ""
+
     def restart(self, *, offset: bool = False) -> None:
-        """Start over after a gap or a fault; with `offset`, the reading may be off from now on."""
+        """Start over after a gap or a fault; with `offset`, the reading may be off from now on.
+
+        What was off stays off: time without readings does not show that they are right again.
+        """
         self._detector.restart(offset=offset)
-        self._reported = None
+        if self.reported is not Fault.SENSOR_DRIFT:
+            self._reported = None
         self._clear_suspicion()
 
     def forget(self) -> None:
         """Start over with an unknown plant."""
         self._detector = ChangeDetector(self._settings.followed, self._settings.period, steps=self._steps)
-        self._reported = None
+        self._reported = self._shifted = None
         self._clear_suspicion()
 
     def mark_reported(self, index: int) -> None:
         """Note that the evidence was reported; the changed plant is the baseline from now on."""
         change = self._change
         assert change is not None and self.evidence is not None  # noqa: S101, PT018 — only evidence are reported
-        self._reported = _Reported(self.evidence.fault, change.hypothesis, change.before, index, change.shift)
+        self._reported = _Reported(self.evidence.fault, change.hypothesis, change.before, index)
         self._over = False
+        if self.evidence.fault is Fault.SENSOR_DRIFT:
+            self._shifted = self._shifted or (change.before, change.shift)
         if self.evidence.fault in _NAMED:  # what has no name is an error of the twin
             self._detector.track_record.forget_newest()
         if self.evidence.fault is not Fault.DRIFT or change.hypothesis.kind is Kind.OTHER:
             self._detector.adopt()
             self._clear_suspicion()
+        self._detector.expect_back(self._shifted[0] if self._shifted else None)
 
     def over(self, index: int) -> bool:
         """Whether the reported change is over: reversed, or accepted as the plant's normal state."""
         if self._reported is None:
             return True
         known = (index - self._reported.at) * self._settings.pace >= _ACCEPT
-        known = known and not self._reported.hypothesis.at_once  # until it steps back
-        if known or self._over:
+        over = self._over or (known and self._shifted is None)
+        if over:
             self._reported = None
-        return known or self._over
+        return over
 
     def push(self, sample: Sample) -> None:
         """Take a sample."""
-        if self._stepped_back(sample.output - self._last):
-            self._over = True
-            self._detector.restart(offset=True)
-            self._clear_suspicion()
-        self._last = sample.output
+        if self._shifted and abs(self.offset - self._shifted[0]) <= _REMAINDER * abs(self._shifted[1]):
+            self._end_shift()
         change = self._detector.push(sample)
         if change is None:
             if not self._detector.suspected:
@@ -148,12 +155,10 @@ class SlowChanges:
         if not self._settled(change):
             self.evidence = self._evidence(change, sample.index)
 
-    def _stepped_back(self, step: float) -> bool:
-        """Whether a shift that came with one reading goes with this one."""
-        reported = self._reported
-        if reported is None or not reported.hypothesis.at_once or self._over:
-            return False
-        return abs(step + reported.shift) <= _REMAINDER * abs(reported.shift)
+    def _end_shift(self) -> None:
+        self._over = self._over or self.reported is Fault.SENSOR_DRIFT
+        self._shifted = None
+        self._detector.expect_back(None)
 
     def _clear_suspicion(self) -> None:
         self.evidence, self._change, self._running = None, None, 0

@@ -282,6 +282,7 @@ class Discriminator:
             residuals=self._residuals(window),
             health=self._health,
             reservation=self.monitor.reservation,
+            doubt=self.monitor.doubt,
             structure=choice.chosen if choice else "",
             decimals=self.settings.decimals,
         )

@@ -74,6 +74,8 @@ class Knowledge:
     health: Health | None
     reservation: str
     """Why nobody can be accused of a fault yet; empty if somebody can."""
+    doubt: str
+    """Why no reading can be relied on; empty unless they seem to have shifted."""
     structure: str
     """The structure that the samples justify; empty before the first comparison."""
     decimals: int
@@ -104,8 +106,11 @@ def trust_of(known: Knowledge) -> Trust:
     leading, miss = known.leading, known.bands.miss
     beaten = beaten_words(leading.beaten(known.horizons)) if leading else ""
     level, reason = TrustLevel.DOUBTFUL, LEVEL_WORDS[TrustLevel.DOUBTFUL]
-    if known.fault is not None:
-        level = TrustLevel.DOUBTFUL if known.fault in _ADAPTABLE else TrustLevel.FAULT
+    if known.fault is not None and known.fault not in _ADAPTABLE:
+        level, reason = TrustLevel.FAULT, f"the plant shows {known.fault.value}"
+    elif known.doubt:
+        reason = known.doubt
+    elif known.fault is not None:
         reason = f"the plant shows {known.fault.value}"
     elif math.isnan(miss):
         level, reason = TrustLevel.UNKNOWN, known.reservation or LEVEL_WORDS[TrustLevel.UNKNOWN]
