@@ -50,6 +50,7 @@ PACKAGES = (
     "sippy_unipi",
     "pysid",
     "timeseries-toolbox",
+    "otwin",
 )
 
 
