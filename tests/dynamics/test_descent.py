@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from scipy.optimize import least_squares, lsq_linear
 
 from twinmatch.dynamics import Descended, box_step, descend
+from twinmatch.dynamics.descent import new_search
 
 
 class Curve:
@@ -146,3 +147,12 @@ def test_a_search_that_comes_into_a_known_valley_ends_with_its_minimum() -> None
     right = search(two, (3.0,), (-5.0,), (5.0,), found=left)
     assert left.values == pytest.approx([-1.0], abs=1e-3)
     assert right.values[0] > 1.5
+
+
+def test_bounds_that_are_columns_need_no_kernel_of_their_own() -> None:
+    start, bounds = np.array([0.5, 0.5]), np.array([[0.0, 1.0], [0.2, 2.0]])
+    kinds = [
+        [array.flags.c_contiguous for array in new_search(start, low, high, np.ones(2), 9)]
+        for low, high in (bounds.T, bounds.T.copy())
+    ]
+    assert kinds[0] == kinds[1]

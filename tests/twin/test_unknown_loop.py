@@ -100,15 +100,17 @@ def test_bands_hold_on_samples_of_another_session(kind: str) -> None:
 
 
 def test_a_session_file_gives_the_same_verdicts_bit_for_bit(judged: Judgement, tmp_path: Path) -> None:
-    samples = judged.samples
+    samples = judged.samples[:1000]
     with SessionWriter(tmp_path / "run") as writer:
         writer.add_topic(SAMPLE)
         for sample in samples:
             writer.write(SAMPLE.name, encode_sample(sample), sample.stamp)
     session = open_any(tmp_path / "run")
     again = judge_samples("again", session.samples, SETTINGS)
-    assert [repr(tree_of(v)) for v in again.verdicts] == [repr(tree_of(v)) for v in judged.verdicts]
-    assert [repr(tree_of(m)) for m in again.matches] == [repr(tree_of(m)) for m in judged.matches]
+    for new, old in ((again.verdicts, judged.verdicts), (again.matches, judged.matches)):
+        assert new
+        assert [repr(tree_of(one)) for one in new] == [repr(tree_of(one)) for one in old[: len(new)]]
+        assert all(one.sample >= len(samples) for one in old[len(new) :])
 
 
 def test_what_comes_depends_on_the_input_that_is_asked_for() -> None:

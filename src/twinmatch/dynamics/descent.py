@@ -94,8 +94,8 @@ def new_search(
         best=np.full(1, np.inf),
         gradient=np.empty(n),
         hessian=np.empty((n, n)),
-        lower=lower,
-        upper=upper,
+        lower=np.ascontiguousarray(lower),  # columns of an array would need kernels of their own
+        upper=np.ascontiguousarray(upper),
         scales=scales,
         known=found.values if known and found else start,
         known_hessian=found.hessian if known and found else np.zeros((n, n)),
