@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.linalg import solve_discrete_are, sqrtm
+from scipy.linalg import solve_discrete_are
 from scipy.stats import ortho_group
 
 from tests.support.places import OTHERS
@@ -140,15 +140,16 @@ def on_grid(one: StateSpace, other: StateSpace) -> float:
     args = () if one.period is None else (1.0,)
     first, second = (control.ss(s.A, s.B, s.C, s.D, *args) for s in (one, other))
     unstable = [int(np.sum(abs(s.poles()) > 1 if args else s.poles().real > 0)) for s in (first, second)]
-    best, turned, before = 0.0, 0.0, 1.0
-    for w in at:
-        a, b = (np.atleast_2d(s(np.exp(1j * w) if args else 1j * w)) for s in (first, second))
-        left = np.linalg.inv(sqrtm(np.eye(len(b)) + b @ b.conj().T))
-        right = np.linalg.inv(sqrtm(np.eye(a.shape[1]) + a.conj().T @ a))
-        best = max(best, float(np.linalg.norm(left @ (a - b) @ right, 2)))
-        inner = np.linalg.det(np.eye(a.shape[1]) + b.conj().T @ a)
-        turned += float(np.angle(inner / before)) if w != at[0] else 0.0
-        before = inner
+    points = np.exp(1j * at) if args else 1j * at
+    a, b = (np.moveaxis(s(points, squeeze=False), -1, 0) for s in (first, second))
+    adjoint = a.conj().swapaxes(1, 2)
+    # Cholesky factors are square roots up to rotations, which leave the norm as it is.
+    left = np.linalg.cholesky(np.eye(b.shape[1]) + b @ b.conj().swapaxes(1, 2))
+    right = np.linalg.cholesky(np.eye(a.shape[2]) + adjoint @ a)
+    halved = np.linalg.solve(right, (a - b).conj().swapaxes(1, 2)).conj().swapaxes(1, 2)
+    best = float(np.linalg.norm(np.linalg.solve(left, halved), 2, axis=(1, 2)).max())
+    inner = np.linalg.det(np.eye(a.shape[2]) + b.conj().swapaxes(1, 2) @ a)
+    turned = float(np.angle(inner[1:] / inner[:-1]).sum())
     winds = round(turned / np.pi) != unstable[0] - unstable[1]
     return 1.0 if winds else best
 
