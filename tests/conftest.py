@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import fcntl
 import gc
+import math
 import os
 import signal
 import tempfile
@@ -17,6 +18,7 @@ from hypothesis import settings
 from xdist.scheduler import LoadFileScheduling
 
 from tests.support.places import OTHERS, RECORDINGS, TESTS
+from twinmatch.cli.shared import Progress
 from twinmatch.fmu import is_fmu
 from twinmatch.plants import PLANTS
 from twinmatch.signals import Window
@@ -80,6 +82,14 @@ def own_signals() -> Iterator[None]:
     yield
     for number, handler in zip(numbers, before, strict=True):
         signal.signal(number, handler)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def no_lines_of_progress() -> Iterator[None]:
+    """Programs say that they still work only to tests that ask for it; others would depend on the load."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Progress, "SILENCE", math.inf)
+        yield
 
 
 @pytest.fixture(scope="session", autouse=True)
