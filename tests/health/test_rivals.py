@@ -97,3 +97,22 @@ def test_what_is_known_of_a_shift_is_taken_off_the_readings() -> None:
             for effect, shift in zip(effects, (0.0, 5.0), strict=True)
         ]
         assert moved[0] == pytest.approx(moved[1], abs=1e-9)
+
+
+@pytest.mark.parametrize(("kind", "named"), [("kit", False), ("rig", True)])
+def test_readings_that_creep_are_doubted_until_they_step_back(kind: str, named: bool) -> None:
+    """6 °C within five minutes; on a kit a warmer room explains that as well, on this rig nothing does."""
+    seed, of = 2 * named, KINDS[kind]
+    when = Order(kind, seed, 0.0, ("reading~6",), alone=True).onset("reading~6")
+    plant = AbroadPlant(of, seed, (), (150.0, 400.0), closed=True, mishap=when)
+    monitor, doubts = Monitor(HealthSettings.of(of.plant)), []
+    for sample in islice(plant.run(when.stop + 100), when.stop + 100):
+        monitor.push(sample)
+        doubts.append(monitor.doubt)
+    assert not any(doubts[: when.start])
+    assert all(doubts[when.start + 160 : when.stop])
+    assert "may be off by about +" in doubts[when.stop - 1]
+    assert not doubts[-1]
+    names = {alarm.fault.value for alarm in monitor.alarms}
+    assert names == ({"drift", "sensor-drift"} if named else {"drift"})
+    assert monitor.alarms[-1].last is not None

@@ -116,11 +116,20 @@ class DetectedChange:
     """The other kinds, best first …"""
     gains: tuple[float, ...] = ()
     """… and what each gains."""
+    off: float = 0.0
+    """How far the readings would have shifted, if it were that, in the output's unit."""
 
     @property
     def shift(self) -> float:
         """By how much the number has changed."""
         return self.value - self.before
+
+    def behind(self, kind: Kind) -> float:
+        """How many nats less a change of this kind gains than the best one."""
+        if kind is self.hypothesis.kind:
+            return 0.0
+        gains = dict(zip(self.rivals, self.gains, strict=True))
+        return self.gain - gains.get(kind, -math.inf)
 
 
 def hypotheses(tracker: Tracker, noise: float, period: float, *, steps: bool) -> Sequence[Hypothesis]:
@@ -254,15 +263,13 @@ class ChangeDetector:
         self._tracked.restart(opening)
         self._reset()
 
-    def expect_back(self, before: float | None) -> None:
-        """The readings have shifted, and may step back to an offset `before`; None: no longer.
+    def expect_back(self, shift: float) -> None:
+        """The readings have shifted, and may step back by a `shift`; 0: they have not.
 
         A camera's own steps seldom have this size, so such a step of any plant is looked at.
         """
-        self._back = None
-        if before is not None:
-            shift = before - self.offset
-            self._back = replace(self._offset, shift=shift, spread=0.2 * abs(shift), at_once=True)
+        step = replace(self._offset, shift=shift, spread=0.2 * abs(shift), at_once=True)
+        self._back = step if shift else None
 
     def push(self, sample: Sample) -> DetectedChange | None:
         """Take a sample; when a block is full, return the change, if any."""
@@ -397,6 +404,7 @@ class ChangeDetector:
             begun=dated > 0,
             rivals=tuple(f.hypothesis.kind for f in order[1:]),
             gains=tuple(f.gain - (order[0].gain - gain) for f in order[1:]),
+            off=self._shift(found[Kind.SENSOR]),
         )
         self._best = (change, order[0]._replace(belief=belief))
         return change
@@ -407,10 +415,12 @@ class ChangeDetector:
 
     def _came_back(self, found: _Found) -> bool:
         """Whether a number is nearly where it was before."""
-        _, h, age, _, belief = found
-        before = self._tracked.blocks[-age].before[self._tracked.level]
-        shift = float(belief.values[h.index] - before.values[h.index])
-        return abs(shift) < _CAME_BACK * h.least
+        return abs(self._shift(found)) < _CAME_BACK * found.hypothesis.least
+
+    def _shift(self, found: _Found) -> float:
+        """By how much a number has changed."""
+        before = self._tracked.blocks[-found.age].before[self._tracked.level]
+        return float((found.belief.values - before.values)[found.hypothesis.index])
 
     def _run(self, h: Hypothesis, age: int, level: int, most: int | None = None) -> tuple[float, Belief]:
         """Code length of the last blocks' readings, or of the first `most` of those, under a hypothesis at a

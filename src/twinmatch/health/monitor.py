@@ -155,7 +155,7 @@ class Monitor:
 
     @property
     def doubt(self) -> str:
-        """Why no reading can be relied on, in words: they have shifted, and are not back; else empty."""
+        """Why no reading can be relied on, in words; empty unless the readings have shifted, or may have."""
         return self._slow.doubt
 
     @property

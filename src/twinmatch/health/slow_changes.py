@@ -42,6 +42,12 @@ _MOVED: Final = 10.0
 """What has passed is reported if it moved the output by so many standard deviations of its noise."""
 _REMAINDER: Final = 0.4
 """Share of a change that may remain when it counts as over."""
+_GROWN: Final = 2.0
+"""By what a doubted shift may have grown until the readings come back."""
+_DOUBTED: Final = 15.0
+"""Least shift of readings that are doubted, in standard deviations of their noise."""
+_CLEARLY: Final = 2.0
+"""By how much another cause must explain more to exclude shifted readings, in what a name must lead by."""
 
 
 @dataclass
@@ -50,6 +56,22 @@ class _Reported:
     hypothesis: Hypothesis
     before: float
     at: int
+
+
+@dataclass
+class _Shift:
+    """Readings that have shifted, or may have."""
+
+    size: float
+    """In the output's unit."""
+    since: int
+    """Sample at which it was first believed."""
+    before: float = 0.0
+    """Offset before."""
+    named: bool = False
+    """Whether it was reported by name: then the tracker follows it."""
+    open: bool = True
+    """Whether the comparison in which it came up continues."""
 
 
 class SlowChanges:
@@ -61,7 +83,8 @@ class SlowChanges:
         self._detector = ChangeDetector(settings.followed, settings.period, steps=steps)
         self._change: DetectedChange | None = None
         self._reported: _Reported | None = None
-        self._shifted: tuple[float, float] | None = None  # offset before the readings shifted; the shift
+        self._shift: _Shift | None = None
+        self._likely = 0  # comparisons in a row in which the readings may have shifted
         self._over = False
         self.evidence: Evidence | None = None
         """The current evidence, if any."""
@@ -95,8 +118,11 @@ class SlowChanges:
 
     @property
     def doubt(self) -> str:
-        """Why no reading can be relied on, in words; empty unless the readings have shifted."""
-        return self._sentences.doubted(self.offset - self._shifted[0]) if self._shifted else ""
+        """Why no reading can be relied on, in words; empty unless the readings have shifted, or may have."""
+        shift = self._shift
+        if shift is None:
+            return ""
+        return self._sentences.doubted(self.offset - shift.before if shift.named else shift.size)
 
     def restart(self, *, offset: bool = False) -> None:
         """Start over after a gap or a fault; with `offset`, the reading may be off from now on.
@@ -106,12 +132,13 @@ class SlowChanges:
         self._detector.restart(offset=offset)
         if self.reported is not Fault.SENSOR_DRIFT:
             self._reported = None
+        self._leave_doubt(lasting=True)
         self._clear_suspicion()
 
     def forget(self) -> None:
         """Start over with an unknown plant."""
         self._detector = ChangeDetector(self._settings.followed, self._settings.period, steps=self._steps)
-        self._reported = self._shifted = None
+        self._reported = self._shift = None
         self._clear_suspicion()
 
     def mark_reported(self, index: int) -> None:
@@ -120,45 +147,89 @@ class SlowChanges:
         assert change is not None and self.evidence is not None  # noqa: S101, PT018 — only evidence are reported
         self._reported = _Reported(self.evidence.fault, change.hypothesis, change.before, index)
         self._over = False
-        if self.evidence.fault is Fault.SENSOR_DRIFT:
-            self._shifted = self._shifted or (change.before, change.shift)
+        if self.evidence.fault is Fault.SENSOR_DRIFT and not (self._shift and self._shift.named):
+            self._shift = _Shift(change.shift, index, change.before, named=True, open=False)
         if self.evidence.fault in _NAMED:  # what has no name is an error of the twin
             self._detector.track_record.forget_newest()
         if self.evidence.fault is not Fault.DRIFT or change.hypothesis.kind is Kind.OTHER:
-            self._detector.adopt()
-            self._clear_suspicion()
-        self._detector.expect_back(self._shifted[0] if self._shifted else None)
+            self._adopt(lasting=self.evidence.fault is Fault.DRIFT)
+        self._expect_back()
 
     def over(self, index: int) -> bool:
         """Whether the reported change is over: reversed, or accepted as the plant's normal state."""
         if self._reported is None:
             return True
         known = (index - self._reported.at) * self._settings.pace >= _ACCEPT
-        over = self._over or (known and self._shifted is None)
+        over = self._over or (known and self._reported.fault is not Fault.SENSOR_DRIFT)
         if over:
             self._reported = None
         return over
 
     def push(self, sample: Sample) -> None:
         """Take a sample."""
-        if self._shifted and abs(self.offset - self._shifted[0]) <= _REMAINDER * abs(self._shifted[1]):
+        shift = self._shift
+        if shift and shift.named and abs(self.offset - shift.before) <= _REMAINDER * abs(shift.size):
             self._end_shift()
         change = self._detector.push(sample)
         if change is None:
             if not self._detector.suspected:
                 self._over = self._over or self._no_longer_there
+                self._leave_doubt(lasting=self._lasted(sample.index))
                 self._clear_suspicion()
             return
         kind = change.hypothesis.kind
         self._running = self._running + 1 if self._change and self._change.hypothesis.kind is kind else 1
         self._change = change
-        if not self._settled(change):
+        self._doubt_readings(change, sample.index)
+        if not self._settled(change, sample.index):
             self.evidence = self._evidence(change, sample.index)
+
+    def _doubt_readings(self, change: DetectedChange, index: int) -> None:
+        """Doubt the readings while nothing explains clearly more than that they have shifted."""
+        settings, shift, behind = self._settings, self._shift, change.behind(Kind.SENSOR)
+        least = _DOUBTED * settings.followed.model.plant.output.noise
+        near = behind <= _CLEARLY * settings.lead and abs(change.off) >= least
+        sure = change.gain - behind >= settings.change and change.begun and self.earned
+        sure = sure and self._separable(change)
+        if shift is None:
+            self._likely = self._likely + 1 if near and sure else 0
+            if self._likely >= _AGREEING:
+                self._shift = _Shift(change.off, index)
+        elif shift.open:
+            self._likely = _AGREEING if near else self._likely - 1
+            if self._likely <= 0:
+                self._end_shift()
+            elif near:
+                shift.size = change.off
+        self._expect_back()
+
+    def _expect_back(self) -> None:
+        shift = self._shift
+        off = 0.0 if shift is None else self.offset - shift.before if shift.named else shift.size
+        self._detector.expect_back(-off)
+
+    def _lasted(self, index: int) -> bool:
+        """Whether the readings have been doubted for as long as a name is waited for."""
+        since = index if self._shift is None else self._shift.since
+        return (index - since) * self._settings.pace >= _NAME_WAIT
+
+    def _adopt(self, *, lasting: bool) -> None:
+        """Learn the change; `lasting`: a doubt that came up with it stays."""
+        self._detector.adopt()
+        self._leave_doubt(lasting=lasting)
+        self._clear_suspicion()
+
+    def _leave_doubt(self, *, lasting: bool) -> None:
+        """The comparison in which a doubt came up has ended; `lasting`: without an answer."""
+        if self._shift is not None and self._shift.open:
+            self._shift.open = False
+            if not lasting:
+                self._end_shift()
 
     def _end_shift(self) -> None:
         self._over = self._over or self.reported is Fault.SENSOR_DRIFT
-        self._shifted = None
-        self._detector.expect_back(None)
+        self._shift, self._likely = None, 0
+        self._detector.expect_back(0.0)
 
     def _clear_suspicion(self) -> None:
         self.evidence, self._change, self._running = None, None, 0
@@ -169,18 +240,21 @@ class SlowChanges:
         """Whether what was reported is over once nothing is suspected: no number of it returns."""
         return self._reported is not None and self._reported.fault in (Fault.DRIFT, Fault.DISTURBANCE)
 
-    def _settled(self, change: DetectedChange) -> bool:
+    def _settled(self, change: DetectedChange, index: int) -> bool:
         """Whether the change needs no report: always there, or the end or growth of a reported one."""
         if change.gain < self._settings.change or self._running < _AGREEING:
             return False
-        if not change.begun:
-            self._detector.adopt()
-            self._clear_suspicion()
+        returned = self._is_return(change)
+        if returned:
+            self._end_shift()
+        if returned or not change.begun:
+            self._adopt(lasting=self._lasted(index))
             return True
         reported, h = self._reported, change.hypothesis
         if h.kind is Kind.PASSING:
             return self._absorbed(change)
         same = reported is not None and reported.hypothesis.index == h.index
+        same = same and not (self.reported is Fault.DRIFT and h.kind is Kind.SENSOR)  # now it has a name
         if not same and h.parameter:
             return False
         usual = reported.before if reported is not None and same else 0.0
@@ -190,16 +264,22 @@ class SlowChanges:
         elif not same or change.lead < self._settings.lead:
             return False
         self._detector.track_record.forget_newest()
-        self._detector.adopt()
-        self._clear_suspicion()
+        self._adopt(lasting=True)
         return True
+
+    def _is_return(self, change: DetectedChange) -> bool:
+        """Whether readings that were only doubted are back where they were."""
+        shift = self._shift
+        if shift is None or shift.named or shift.open or change.hypothesis.kind is not Kind.SENSOR:
+            return False
+        undone = -change.shift / shift.size  # more than all of it, if it has grown since
+        return 1.0 - _REMAINDER <= undone <= _GROWN and change.lead >= self._settings.lead
 
     def _absorbed(self, change: DetectedChange) -> bool:
         """Whether what has passed needs no report: too small, or while a reported change is on."""
         if not self._surely_passed(change) or (self._reported is None and self._passage() is not None):
             return False
-        self._detector.adopt()
-        self._clear_suspicion()
+        self._adopt(lasting=False)
         return True
 
     def _surely_passed(self, change: DetectedChange) -> bool:
@@ -232,8 +312,8 @@ class SlowChanges:
         named = change.lead >= settings.lead and h.kind is not Kind.OTHER
         if h.kind is Kind.DRIVE and not (change.shift < 0.0 and settings.lost - 1.0 <= change.value < 0.0):
             named = False  # a lost drive is found by `Effect`, and one that does more has no fault name
-        if h.kind is Kind.SENSOR and not any(rival in (Kind.ROOM, Kind.LOSSES) for rival in change.rivals):
-            named = False  # changed surroundings, if not modelled, look the same as an offset
+        if h.kind is Kind.SENSOR and not self._separable(change):
+            named = False
         if named and h.kind is Kind.PASSING:
             passed = self._surely_passed(change) and enough
             reason = self._sentences.passed(*self._passage() or (0.0, 0.0))
@@ -250,6 +330,11 @@ class SlowChanges:
         )
         sure = enough and material and waited and change.gain >= self._enough_unnamed
         return Evidence(Fault.DRIFT, sure, change.first, self._ambiguous(change), slow=True)
+
+    def _separable(self, change: DetectedChange) -> bool:
+        """Whether shifted readings have a rival; changed surroundings, if not modelled, look the same."""
+        kinds = (change.hypothesis.kind, *change.rivals)
+        return Kind.ROOM in kinds or Kind.LOSSES in kinds
 
     def _ambiguous(self, change: DetectedChange) -> str:
         """Describe a change that the samples cannot attribute to one cause."""
