@@ -26,7 +26,10 @@ from twinmatch.signals import Window
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # how a shell starts what runs in the background
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
-FIRST = ("system", "test_golden.py", "docs", "showing", "nodes", "packaging", "emulation", "fmu", "twin")
+FIRST = (
+    *("system", "test_golden.py", "docs", "showing", "nodes", "packaging", "emulation", "fmu", "twin"),
+    *("health", "offline", "words"),
+)
 """Whose tests wait for other processes or compute longest; they begin first, so that none is the last."""
 APART = ("tests/test_golden.py", "tests/docs/test_examples.py")
 """Files whose tests share nothing and take long: each is run by whichever worker is free."""
