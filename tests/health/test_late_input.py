@@ -7,11 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.support.abroad import KINDS, AbroadPlant
 from tests.support.recorded_kits import kit_rows
 from twinmatch.dynamics import advance, begin, read
-from twinmatch.health import Alarm, Fault, HealthSettings, Monitor
-from twinmatch.health.late_input import LateInput
-from twinmatch.plants import TCLab
+from twinmatch.health import Alarm, Fault, HealthSettings, Monitor, Refusals
+from twinmatch.health.late_input import LateInput, later_inputs
+from twinmatch.plants import Peltier, TCLab
 from twinmatch.signals import Sample
 
 PERIOD = 5.0
@@ -91,3 +92,41 @@ def test_lost_samples_leave_the_delay_known() -> None:
     for sample in kit(2, 1):
         late.push(replace(sample, seen=sample.index % 7 != 3))
     assert late.delay == 2
+
+
+def test_later_inputs_are_delayed_or_lag_behind() -> None:
+    """The lag of first order to a step has the closed form 1 - exp(-t / lag)."""
+    step = np.repeat([0.0, 1.0], 30)
+    found = list(later_inputs(step, 40, 0.5))
+    onsets = [int(np.argmax(late)) for late in found if set(late.tolist()) == {0.0, 1.0}]
+    assert onsets == [11, 12, 13, 14, 16]  # half a second to six seconds: rounded, and none twice
+    lags = [late for late in found if not set(late.tolist()) == {0.0, 1.0}]
+    for lag, late in zip([0.5, 1.0, 1.5, 2.0, 3.0, 4.5, 6.0], lags, strict=True):
+        np.testing.assert_allclose(late[10:], 1.0 - np.exp(-np.arange(1.0, 31.0) / lag), atol=1e-12)
+        assert not late[:10].any()
+
+
+def test_an_input_at_rest_is_the_same_however_late() -> None:
+    assert all(np.array_equal(late, np.full(5, 7.0)) for late in later_inputs(np.full(9, 7.0), 5, 1.0))
+
+
+def test_what_a_late_input_explains_is_no_change() -> None:
+    """Without this rival, a rig with a dead time shows a shift of 2.5 °C after 1009 s and a push after 2539."""
+    plant, monitor = AbroadPlant(KINDS["rig"], 500), Monitor(HealthSettings.of(Peltier, 1.0))
+    assert plant.lacks == ("dead time",)
+    for sample in plant.run(2600):
+        monitor.push(sample)
+    assert monitor.alarms == ()
+
+
+def test_a_jump_that_a_late_input_explains_is_plausible() -> None:
+    """A motor is reversed, and turns a tenth of a second later: its file says at once."""
+    kind = KINDS["motor"]
+    plant, settings = AbroadPlant(kind, 503), HealthSettings.of(kind.plant, kind.period)
+    assert "dead time" in (plant.lacks or ())
+    refusals = Refusals(settings, longest=5)
+    settled = [refusals.settle(sample) for sample in plant.run(4300)]
+    assert not any(sample.refused for sample in settled)
+    last = settled[-1]
+    spike = replace(last, index=last.index + 1, stamp=last.stamp + 50_000_000, outputs=(last.output + 150.0,))
+    assert refusals.settle(spike).refused == spike.outputs

@@ -20,8 +20,9 @@ import numpy as np
 
 from twinmatch.dynamics import Parameters
 from twinmatch.dynamics.filters import Readings, Traces
-from twinmatch.dynamics.pace import slow_scale, time_scale
+from twinmatch.dynamics.pace import plant_scale, slow_scale, time_scale
 from twinmatch.dynamics.tracker import Belief, Tracker
+from twinmatch.health.late_input import later_inputs
 from twinmatch.health.track_record import TrackRecord
 from twinmatch.health.tracking import REACH, Block, TrackedBlocks, joined
 from twinmatch.signals import FloatArray, Sample
@@ -184,6 +185,9 @@ another to count as the beginning of the change."""
 _LESS_ACCURATE: Final = frozenset({Kind.LOSSES, Kind.ROOM, Kind.OTHER, Kind.PASSING})
 """Changes after which the equations may be less accurate than before, as they may without a change: the air
 in an open box is no longer one lump. A sensor offset or a weak drive leaves their accuracy as it was."""
+_ABSORBED_AFTER: Final = 24
+"""Age from which on what a late input explains is taken for how the plant is, blocks: before long, its onset
+is out of reach, and its trace would look like a change that came later."""
 _PATIENCE: Final = 12
 """Comparisons without result after which they are made less often …"""
 _RAREST: Final = 6
@@ -212,6 +216,7 @@ class ChangeDetector:
         `hypotheses`.
         """
         self._period = period
+        self._second = plant_scale(parameters.model.plant, period)
         self._tracked = TrackedBlocks(parameters, period)
         self.tracker = self._tracked.tracker
         self.track_record = TrackRecord(self.tracker)
@@ -385,6 +390,13 @@ class ChangeDetector:
             return None
         # The hour in which it began, when in it, and what has changed have to be said, too.
         gain -= code_length_of(1 + self._tracked.known // _HOUR) + math.log(_HOUR / _EVERY * len(found))
+        if gain > 0.0:
+            cost, late = self._lateness(age)
+            gain -= max(0.0, nothing - float(before[-age - 1]) - cost) / dispersion
+            if gain < 0.0 and age >= _ABSORBED_AFTER:
+                self._tracked.adopt(late)
+                self._reset()
+                return None
         # A change has an onset; one that explains as much from long before was there from the start.
         oldest = len(self._tracked.blocks)
         dated = oldest
@@ -408,6 +420,19 @@ class ChangeDetector:
         )
         self._best = (change, order[0]._replace(belief=belief))
         return change
+
+    def _lateness(self, age: int) -> tuple[float, Belief]:
+        """Code length of the last blocks' readings if nothing has changed, but inputs act later than the
+        equations say, and the belief after it."""
+        blocks = list(self._tracked.blocks)
+        stretch, inputs = joined(blocks[-age:]), np.concatenate([b.stretch.input for b in blocks])
+        rivals = list(later_inputs(inputs, stretch.input.size, self._second / self._period))
+        runs = (
+            self.tracker.run(blocks[-age].before[level], stretch._replace(input=late), level)
+            for late, level in itertools.product(rivals, self._tracked.levels)
+        )
+        belief, cost = min(runs, key=lambda run: run[1])
+        return cost + math.log(len(rivals)), belief
 
     def _passed(self, found: _Found) -> bool:
         """Whether something has pushed the output and ceased."""

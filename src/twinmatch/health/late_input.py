@@ -7,10 +7,13 @@ it is and with the same input a few seconds late; the readings' code lengths say
 
 from __future__ import annotations
 
+import math
 from collections import deque
+from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
+from scipy.signal import lfilter
 
 from twinmatch.dynamics import Parameters
 from twinmatch.dynamics.filters import Readings
@@ -32,6 +35,21 @@ _LEARNED_AFTER: Final = 10
 """Blocks after which a code length counts: a drive that has just been lost looks like a late one."""
 _LEVEL: Final = 1.0
 """Assumed model error, in units of that of a real rig."""
+
+
+_LATER_S: Final = (1.0, 2.0, 3.0, 4.0, 6.0, 9.0, 12.0)
+"""Delays, and lags, with which an input of a stretch is tried, s of a plant as fast as the rig."""
+
+
+def later_inputs(inputs: FloatArray, size: int, second: float) -> Iterator[FloatArray]:
+    """The newest `size` inputs as they act if they come late, or through a lag; `second`: its samples."""
+    first, times = inputs.size - size, [late * second for late in _LATER_S if late * second >= 0.5]
+    for delay in sorted({max(1, round(late)) for late in times}):
+        yield inputs[np.maximum(np.arange(first, inputs.size) - delay, 0)]
+    for late in times:
+        kept = math.exp(-1.0 / late)
+        behind, _ = lfilter([1.0 - kept], [1.0, -kept], inputs, zi=[kept * inputs[0]])
+        yield np.asarray(behind[first:])
 
 
 class LateInput:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import replace
 from itertools import pairwise
 from typing import Final
@@ -19,6 +20,8 @@ movement is expected, its absence is a drive fault, not an implausible reading."
 _SURE: Final = 6.0
 """A movement below `jump` by this factor is never implausible: what is missing of the expected movement is
 then within its reach."""
+_LATE: Final = 5
+"""Samples by which the plant may answer later than the twin."""
 GAP: Final = 3.0
 """Time between two samples that counts as a gap: so many seconds, and so many periods. Half the shortest
 stretch over which the drive is judged, so that a late sample or two change nothing."""
@@ -50,6 +53,7 @@ class Refusals:
         self._jump = settings.jump * max(1.0, settings.pace)
         self._since: list[Sample] = []  # the newest accepted sample, and what was refused after it
         self._cut = False  # whether the first of these is not usable
+        self._earlier: deque[float] = deque(maxlen=_LATE)  # inputs of accepted samples
 
     def know(self, parameters: Parameters) -> None:
         """Judge movements by this twin if the plant file declares no typical one."""
@@ -59,8 +63,10 @@ class Refusals:
         """The sample, its reading replaced if it is refused."""
         if self._since and self._apart(self._since[-1], sample):
             self._since, self._cut = [], False
+            self._earlier.clear()
         if self._possible(sample) and not (self._since and self._leaps(sample)):
             self._since, self._cut = [sample], False
+            self._earlier.extend(sample.inputs[:1])
             return sample
         return self._refused(sample)
 
@@ -86,11 +92,13 @@ class Refusals:
         moved = sample.output - before.output
         if abs(moved) <= self._jump / _SURE:
             return False
-        expected, size = self._movement(self._twin, sample.index)
-        return abs(moved - expected) > max(self._jump, _REACH * size)
+        inputs = [None, *self._earlier]  # the plant may answer later than the twin
+        expected = (self._movement(self._twin, sample.index, given) for given in inputs)
+        return all(abs(moved - to) > max(self._jump, _REACH * size) for to, size in expected)
 
-    def _movement(self, twin: Parameters, index: int) -> tuple[float, float]:
-        """Expected movement from the newest accepted sample to an index, and the sum of its parts' sizes."""
+    def _movement(self, twin: Parameters, index: int, given: float | None = None) -> tuple[float, float]:
+        """Expected movement from the newest accepted sample to an index, and the sum of its parts' sizes;
+        under another input, if one is `given`."""
         model, steps = twin.model, twin.steps(self._period)
         states: FloatArray = np.full(len(model.states), np.nan)
         y, size = self._since[0].output, 0.0
@@ -98,10 +106,10 @@ class Refusals:
         try:
             for sample, (begin, end) in zip(self._since, pairwise(ends), strict=True):
                 row = model.disturbance_row(sample.disturbances or None)
+                u = float(sample.input if given is None else given)
                 for _ in range(end - begin):
                     drive, passive, states = model.kernels.parts(
-                        twin.vector, y, states, float(sample.input), float(model.plant.drive.rest), row,
-                        self._period, steps,
+                        twin.vector, y, states, u, float(model.plant.drive.rest), row, self._period, steps,
                     )  # fmt: skip
                     y, size = y + drive + passive, size + abs(drive) + abs(passive)
         except PlantError:
