@@ -26,6 +26,7 @@ from twinmatch.adding.data import check_data, compare_structures, loop_findings
 from twinmatch.adding.proposal import noise_of
 from twinmatch.cli import main
 from twinmatch.dynamics import PidGains, begin, simulate_closed_loop, simulate_driven
+from twinmatch.fitting import fit_structure
 from twinmatch.importing import open_any
 from twinmatch.importing.recordings import session_of
 from twinmatch.importing.tables import Table, read_table
@@ -198,6 +199,28 @@ def test_a_dead_time_is_found_with_the_file_as_it_was_written(tmp_path: Path) ->
     for match in accepted:
         assert match.parameters["dead_time"] == pytest.approx(late, abs=1.0)
     assert found.verdicts[-1].structure in ("", "dead time")
+
+
+def test_a_constant_load_and_a_second_lag_are_found_with_the_file_as_it_was_written(tmp_path: Path) -> None:
+    """Something that nobody measured adds 4 K to a measured room, and the sensor lags by 8 s."""
+    room, u = 20 + np.sin(np.arange(1200) / 100), np.repeat([0.0, 60.0, 20.0, 80.0, 40.0, 0.0], 200)
+    slow, late = np.exp(-1.0 / 60.0), np.exp(-1.0 / 8.0)
+    inner = lfilter([0.0, 1 - slow], [1.0, -slow], 0.5 * u + room + 4.0 - 24.0)
+    y = 24.0 + lfilter([0.0, 1 - late], [1.0, -late], inner)
+    y += 0.05 * np.random.default_rng(3).standard_normal(u.size)
+    table = tmp_path / "loaded.csv"
+    rows = "\n".join(f"{k},{a:.3f},{b},{c:.3f}" for k, (a, b, c) in enumerate(zip(y, u, room, strict=True)))
+    table.write_text(f"when,T (degC),Heat (%),Room (degC)\n{rows}\n")
+    held = propose(read_table(table), parse_map([*MAP, "room=Room"]))
+    plant = find_plant(str(written(tmp_path, held, "loaded_one")[0]))
+    window = Window(y, y, u, period=1.0, disturbances=room[:, None])
+    found = fit_structure([window], plant.model("sensor lag, load"), law=None)
+    # A few standard errors; the first-order hold of the room and its samples differ by less.
+    assert found.parameters["load"] == pytest.approx(4.0, abs=0.05)
+    assert found.parameters["gain"] == pytest.approx(0.5, rel=0.01)
+    assert found.parameters["sensor_lag"] == pytest.approx(8.0, rel=0.15)
+    without = fit_structure([window], plant.model("sensor lag"), law=None)
+    assert without.cost > 5 * found.cost
 
 
 def test_the_example_passes_its_own_test(tmp_path: Path) -> None:

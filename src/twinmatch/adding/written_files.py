@@ -79,6 +79,7 @@ def _plant(name: str, held: Proposal) -> dict[str, Any]:
         **{"gain_low": rounded(low), "gain_high": rounded(high)},
         **{"lag_low": rounded(held.lag / _WIDE), "lag_high": rounded(held.lag * _WIDE)},
         "rest_scale": rounded((y.high - y.low) / 10),
+        "load_most": rounded(y.high - y.low),
         **{"sensor_lag": rounded(held.lag / 10), "sensor_low": rounded(held.lag / 500)},
         "dead_low": rounded(held.lag / 50),
         "free": ", ".join(f'"{name}"' for name in free),
