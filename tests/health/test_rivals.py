@@ -11,6 +11,7 @@ from benchmarks.abroad import Order
 from tests.support.abroad import KINDS, AbroadPlant
 from twinmatch.dynamics import begin, simulate_driven
 from twinmatch.health import Alarm, HealthSettings, Monitor
+from twinmatch.health.changes import ChangeDetector, Kind
 from twinmatch.health.lagged_effect import LaggedEffect
 from twinmatch.health.rivals import Cause, costs_of_causes
 from twinmatch.plants import TCLab
@@ -87,6 +88,37 @@ def test_a_shifted_sensor_is_named_in_a_loop_that_follows_it_and_until_it_is_bac
 def test_a_sensor_that_stands_is_frozen_and_not_a_drive_without_effect() -> None:
     """At rest nothing shows it; at the next step of the set-point the heater works and no reading moves."""
     assert {a.fault.value for a in alarms("frozen", 0)[0]} == {"sensor-frozen"}
+
+
+@pytest.mark.parametrize("seed", [0, 2])
+def test_heat_from_elsewhere_is_a_disturbance_once_it_has_ceased(seed: int) -> None:
+    """0.2 W for a minute, in a loop that takes back as much. No lost drive is left standing."""
+    during, after = alarms("pushed", seed)
+    assert {a.fault.value for a in during} - {"drift"} == {"disturbance"}
+    pushed = next(a for a in during if a.fault.value == "disturbance")
+    assert "something other than the drive moved the temperature T1" in pushed.reason
+    assert pushed.last is not None
+    assert not after
+
+
+@pytest.mark.parametrize(("mishap", "name"), [("losses*2.5", "losses-changed"), ("drive*0.62", "drive-weak")])
+def test_what_readings_cannot_tell_apart_gets_no_wrong_name(mishap: str, name: str) -> None:
+    """In a loop that holds its level, more losses and less drive are the same but for the first minute."""
+    during, _ = alarms(mishap, 0)
+    assert during
+    assert {a.fault.value for a in during} <= {"drift", name}
+
+
+def test_a_lost_drive_has_no_freedom_and_shows_sooner() -> None:
+    """A tracker with that hypothesis, and its rivals: heat from elsewhere, for good or for a while."""
+    asked = ChangeDetector(HealthSettings.of(TCLab).followed, 1.0, steps=True).hypotheses
+    [lost] = [h for h in asked if h.kind is Kind.LOST]
+    [share] = [h for h in asked if h.kind is Kind.DRIVE and not h.slowly]
+    assert (lost.index, lost.shift) == (share.index, -1.0)
+    assert lost.spread < share.spread
+    assert [h.kind for h in asked if h.vague] == [Kind.ROOM, Kind.PASSING]
+    prompt = ChangeDetector(HealthSettings().followed, 1.0).hypotheses
+    assert Kind.LOST not in {h.kind for h in prompt}
 
 
 def test_what_is_known_of_a_shift_is_taken_off_the_readings() -> None:

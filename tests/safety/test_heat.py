@@ -215,6 +215,19 @@ def test_a_twin_accuses_those_on_whom_it_may_act(act_on: tuple[str, ...], fault:
     assert say(4, fault=fault) is None  # it has to be trusted again
 
 
+@pytest.mark.parametrize("over", [False, True])
+def test_a_change_without_a_name_may_turn_out_to_be_the_drive_s(over: bool) -> None:
+    """As long as it lasts; afterwards the twin has to be trusted again."""
+    accusations = Accusations()
+    assert accusations.take(1, trusted=True, fault="", reason="") is None
+    for sample in (2, 3):
+        assert accusations.take(sample, trusted=False, fault="drift", reason="or the losses") is None
+    if over:
+        assert accusations.take(4, trusted=False, fault="", reason="") is None
+    told = accusations.take(5, trusted=False, fault="drive-lost", reason="evidence")
+    assert told == (None if over else "the twin, trusted at sample 1, reports drive-lost: evidence")
+
+
 @pytest.mark.parametrize(
     ("make", "message"),
     [

@@ -34,6 +34,8 @@ class Kind(Enum):
     LOSSES = "losses"
     ROOM = "room"
     DRIVE = "drive"
+    LOST = "lost drive"
+    """All of it: without the freedom of a share, it shows apart from larger losses sooner."""
     SENSOR = "sensor"
     OTHER = "other"
     """Something else pushes the output, from now on …"""
@@ -46,6 +48,12 @@ _LOSSES: Final = ((math.log(1 / 6), 0.8), (math.log(3.0), 0.6))
 _ROOM: Final = 0.8
 """Spread of a change of the room, in the scale of the parameter."""
 _SHARE: Final = 0.3
+_LOST: Final = 0.1
+"""Spreads of a change of the drive's share, and of what a lost one lacks of it."""
+_ONSETS: Final = 4
+"""Number of moments tried between two at which others may have begun: it begins at once."""
+_HEAT: Final = 2.5
+"""The same for heat from elsewhere, which acts where the drive does, as another room would."""
 _OFFSET: Final = 30.0
 """Spread of an offset of the reading, in standard deviations of its noise."""
 _PUSH: Final = 1.0
@@ -64,6 +72,7 @@ _MIN_SIZE: Final = {
     Kind.LOSSES: 0.4,
     Kind.ROOM: 0.3,
     Kind.DRIVE: 0.08,
+    Kind.LOST: 0.6,
     Kind.SENSOR: 10.0,
     Kind.OTHER: 0.3,
     Kind.PASSING: 0.5,
@@ -94,6 +103,10 @@ class Hypothesis:
     """Time in which an even change covers its spread, s; 0: a sudden change."""
     at_once: bool = False
     """Whether all of it comes with one reading."""
+    vague: bool = False
+    """Whether it stands for anything that acts like it."""
+    ceases: bool = False
+    """Whether it is over again, since some moment."""
 
 
 @dataclass(frozen=True)
@@ -151,6 +164,9 @@ def hypotheses(tracker: Tracker, noise: float, period: float, *, steps: bool) ->
             least = _MIN_SIZE[Kind.ROOM] * scale
             found.append(Hypothesis(Kind.ROOM, tracker.at[name], 0.0, _ROOM * scale, least, name))
     found += [replace(h, slowly=_ROOM_TIME, price=_RARE) for h in found if h.kind is Kind.ROOM]
+    if steps:
+        price = math.log(_ONSETS)
+        found.append(Hypothesis(Kind.LOST, tracker.share, -1.0, _LOST, _MIN_SIZE[Kind.LOST], price=price))
     for kind, index, unit, spread in (
         (Kind.DRIVE, tracker.share, 1.0, _SHARE),
         (Kind.SENSOR, tracker.offset, noise, _OFFSET),
@@ -164,11 +180,14 @@ def hypotheses(tracker: Tracker, noise: float, period: float, *, steps: bool) ->
         found += [replace(h, at_once=True) for h in found if h.kind is Kind.SENSOR and not h.slowly]
     passing = Hypothesis(Kind.PASSING, tracker.fading, 0.0, 0.0, _MIN_SIZE[Kind.PASSING] * unit)
     found += [replace(passing, spread=spread * unit, lasting=time) for spread, time in _PASSING]
+    for room in [h for h in found if h.kind is Kind.ROOM and not h.slowly and steps]:
+        heat = replace(room, spread=_HEAT / _ROOM * room.spread, vague=True)
+        found += [heat, replace(heat, kind=Kind.PASSING, least=passing.least, ceases=True)]
     return [replace(h, lasting=h.lasting * scale, slowly=h.slowly * scale) for h in found]
 
 
 _EVERY: Final = 2
-"""Spacing of the moments at which a change may have begun, blocks."""
+"""Spacing of the moments at which a change may have begun or ceased, blocks."""
 _HOUR: Final = 360
 """Blocks of an hour of a plant as fast as the rig."""
 _MIN_AGE: Final = 3
@@ -224,7 +243,8 @@ class ChangeDetector:
         self.hypotheses = hypotheses(self.tracker, noise, period, steps=steps)
         self._steps = steps
         self._back: Hypothesis | None = None
-        self._jumps = list({h.index: h for h in self.hypotheses if h.kind is not Kind.PASSING}.values())
+        lasting = [h for h in self.hypotheses if h.kind is not Kind.PASSING and not h.vague]
+        self._jumps = list({h.index: h for h in lasting}.values())
         self._offset = next(h for h in self.hypotheses if h.kind is Kind.SENSOR)
         self._best: tuple[DetectedChange, _Found] | None = None
         self._reset()
@@ -238,6 +258,11 @@ class ChangeDetector:
     def suspected(self) -> bool:
         """Whether a change is suspected now."""
         return self._best is not None
+
+    @property
+    def compares(self) -> bool:
+        """Whether the plant has been seen for long enough, and follows its equations well enough."""
+        return self._tracked.known >= _LEARN and not self._tracked.blind
 
     @property
     def block(self) -> float:
@@ -290,7 +315,7 @@ class ChangeDetector:
         self.track_record.push(
             self._tracked.blocks, self._tracked.count, self._tracked.level, newcomer=newcomer
         )
-        if newcomer or self._tracked.blind:
+        if not self.compares:
             self._best = None
             return None
         return self._search()
@@ -299,8 +324,21 @@ class ChangeDetector:
         """What has passed: how far it pushed the output in every block since its onset, in its unit."""
         assert self._best is not None  # noqa: S101 — only a returned change is asked about
         _, h, age, level, _ = self._best[1]
+        if h.ceases:
+            return self._beyond(age, level)
         beliefs = (self._run(h, age, level, blocks)[1] for blocks in range(1, age + 1))
         return np.array([belief.values[h.index] for belief in beliefs]) * self.block
+
+    def _beyond(self, age: int, level: int) -> FloatArray:
+        """How far the output went in every block beyond what the equations alone expect, until most of it."""
+        blocks = list(self._tracked.blocks)[-age:]
+        belief, gone = blocks[0].before[level], [0.0]
+        for block, after in itertools.pairwise(blocks):
+            unseen = block.stretch._replace(noise=np.full_like(block.stretch.noise, np.inf))
+            belief, _ = self.tracker.run(belief, unseen, level)
+            expected, _ = self.tracker.expected(belief, after.stretch.disturbances[0])
+            gone.append(float(after.stretch.output[2]) - expected)
+        return np.diff(gone[: int(np.nanargmax(np.abs(gone))) + 1])
 
     def adopt(self) -> None:
         """Accept the change returned last as the new state of the plant."""
@@ -373,7 +411,7 @@ class ChangeDetector:
         found: dict[Kind, _Found] = {}
         likely = [*self.hypotheses, *([self._back] if self._back else [])]
         for age, h, level in itertools.product(ages, likely, self._tracked.levels):
-            if level > self._tracked.level and h.kind not in _LESS_ACCURATE:
+            if level > self._tracked.level and (h.ceases or h.kind not in _LESS_ACCURATE):
                 continue
             cost, belief = self._run(h, age, level)
             gain = (nothing - float(before[-age - 1]) - cost) / dispersion
@@ -440,7 +478,8 @@ class ChangeDetector:
 
     def _came_back(self, found: _Found) -> bool:
         """Whether a number is nearly where it was before."""
-        return abs(self._shift(found)) < _CAME_BACK * found.hypothesis.least
+        h = found.hypothesis
+        return h.ceases or abs(self._shift(found)) < _CAME_BACK * h.least
 
     def _shift(self, found: _Found) -> float:
         """By how much a number has changed."""
@@ -456,6 +495,12 @@ class ChangeDetector:
         if h.at_once:
             came = stretch.output[: 2 + _EVERY * self._tracked.size]
             return self._jumped(h, before, stretch, int(np.nanargmax(np.abs(np.diff(came[1:])))), level)
+        if h.kind is Kind.LOST:
+            places = np.linspace(0, _EVERY * self._tracked.size, _ONSETS, endpoint=False).astype(int)
+            found = (self._jumped(h, before, stretch, int(place), level) for place in places)
+            return min(found, key=lambda one: one[0])
+        if h.ceases:
+            return self._ceased(h, before, stretch, level)
         if h.slowly:
             belief = before.opened(self.tracker.rate, 0.0, h.spread / h.slowly)
             belief, cost = self.tracker.run(belief, stretch, level, rising=h.index)
@@ -471,6 +516,18 @@ class ChangeDetector:
             lasting=round(h.lasting / self._period),
         )
         return cost, belief
+
+    def _ceased(self, h: Hypothesis, before: Belief, stretch: Readings, level: int) -> tuple[float, Belief]:
+        """The same if a number changes, and is as before since the moment that explains most."""
+        at, size, found = h.index, self._tracked.size, list[tuple[float, Belief]]()
+        belief, begun, done = before.opened(at, h.shift, h.spread), 0.0, 0
+        for end in range(_EVERY * size, len(stretch.input), _EVERY * size):
+            belief, cost = self.tracker.run(belief, stretch.part(done, end), level)
+            begun, done = begun + cost, end
+            after = belief.closed(at).opened(at, before.values[at], math.sqrt(before.covariance[at, at]))
+            after, rest = self.tracker.run(after, stretch.part(end, len(stretch.input)), level)
+            found.append((begun + rest + h.price, after))
+        return min(found, key=lambda one: one[0], default=(math.inf, before))
 
     def _jumped(
         self, h: Hypothesis, before: Belief, stretch: Readings, place: int, level: int

@@ -194,7 +194,7 @@ _SHIFTED: Final = 3.0
 _MINUTE: Final = -2
 """The place of the length of time of which all readings are compared with what else could explain them."""
 _FAR_BETTER: Final = 10.0
-"""Nats by which something else has to explain them better."""
+"""Nats by which something else has to explain them better, and a reading that stands than all the rest."""
 _MISSING: Final = 0.6
 """… if it is this share of the least effect: where both begin, a share of 0.4 is left."""
 _MAX_MISSING: Final = 1.6
@@ -419,7 +419,9 @@ class LaggedEffect(DriveEffect):
                 first.parameters, first.states, inputs, readings,
                 rows=rows, period=self._period, slow_error=slow_error,
             )  # fmt: skip
-            best = min(costs, key=costs.__getitem__)
+            best, second = sorted(costs, key=costs.__getitem__)[:2]
+            if best is Cause.FROZEN and costs[second] < _FAR_BETTER:
+                best = second  # under other losses, too, a plant comes to rest
             if costs[Cause.DRIVE] >= _FAR_BETTER and best in causes:
                 return best
         return None

@@ -8,6 +8,7 @@ from typing import Final
 
 from twinmatch.dynamics import Parameters
 from twinmatch.health.balance import BLOCK, TRIAL, Balance
+from twinmatch.health.earned import NOTHING
 from twinmatch.health.faults import (
     BLINDING,
     PRECEDENCE,
@@ -39,6 +40,8 @@ _OVER: Final = 7.0
 """Nats, a thousand to one, by which the whole effect of a drive explains more than the share reported."""
 _STOOD: Final = 30.0
 """Time for which a reading must stand that explains a missing effect better than a lost drive, s."""
+_SHOWS: Final = 60.0
+"""Time after which a drive that works shows some effect against larger losses, s."""
 _PROVE: Final = 10.0
 """Time for which the plant must follow the drive before the drive counts as recovered, s."""
 _REFUSED: Final = Fault.SENSOR_IMPLAUSIBLE
@@ -257,10 +260,13 @@ class Monitor:
         self._contrary = self._feeble = 0
         slow, stood = self._slow.evidence, self._repeats.count
         stands = self._late is not None and self._late.rival is Cause.FROZEN
+        stands = stands and not (slow is not None and sample.index - slow.first > stood)
         if stands and stood * self.settings.pace >= _STOOD:
             return self._sentences.frozen(sample, self._repeats)
         if slow is not None and 0 < sample.index - slow.first <= stood:
             return slow._replace(sure=False)  # no reading has changed since: the sensor may be frozen
+        if slow is not None and slow.fault is Fault.DRIVE_LOST and self._effect.follows:
+            return slow._replace(sure=False)
         return slow
 
     def _track(self, sample: Sample) -> None:
@@ -283,8 +289,29 @@ class Monitor:
             return self._sentences.late(index, self._effect, lag, sure=sure)
         weakly = self._balance.smooth and self._feeble * self.settings.pace >= _WEAKLY
         if lost and (sure or not weakly):
-            return self._sentences.lost(index, self._effect, sure=sure, lagged=self._late is not None)
+            both = self._both or (self._late is not None and not self._slow.compares)
+            missing = self._sentences.lost(index, self._effect, sure=sure, lagged=both)
+            if not self._both:
+                return missing
+            named = self._slow.evidence
+            if named is not None and named.sure and named.fault is not Fault.DRIFT:
+                return named
+            return missing._replace(fault=Fault.DRIFT)
         return self._sentences.weak(index, self._effect, self._feeble, sure=weakly)
+
+    @property
+    def _both(self) -> bool:
+        """Whether larger losses may explain a missing effect as well: behind a lag, they do for a minute."""
+        known = self._late is not None and not self._blind and self._slow.compares
+        if not known or self._slow.blames_drive:
+            return False
+        lasts = self._index - self._alarms[-1].flagged if self._unsettled else 0
+        return lasts * self.settings.pace < _SHOWS or self._effect.share > NOTHING
+
+    @property
+    def _unsettled(self) -> bool:
+        """Whether the alarm that is on says that the drive or the losses have changed."""
+        return self._open and self._alarms[-1].fault is Fault.DRIFT and not self._slow_alarm
 
     def _learn(self) -> None:
         """Learn from a block once it is full, unless something was wrong in it."""
@@ -327,6 +354,7 @@ class Monitor:
             on = self._alarms[-1].fault
             if evidence.slow and evidence.fault is on and self._slow.reported is None:
                 self._slow.mark_reported(index)  # the drive's effect has reported it already
+                self._slow_alarm = self._slow_alarm or on is Fault.DRIFT
             others = frozenset(Fault) - {_REFUSED} if self._brief else PRECEDENCE.get(on, ())
             if evidence.fault not in others:
                 return None
@@ -334,6 +362,9 @@ class Monitor:
                 return None
             if self._brief:
                 self._close(self._refused_at)
+            elif self._unsettled and evidence.fault not in SLOW:  # it is the same trace
+                evidence = evidence._replace(first=min(evidence.first, self._alarms[-1].first))
+                self._close(index - 1)
             else:
                 earliest = index
                 self._close(index - 1)
@@ -349,15 +380,21 @@ class Monitor:
                 spoils=evidence.fault not in SLOW and evidence.fault is not _REFUSED,
             )
         )
+        self._begun(index, evidence)
+        return self._alarms[-1]
+
+    def _begun(self, index: int, evidence: Evidence) -> None:
+        """Have every part know of an alarm that has begun."""
         self._open, self._slow_alarm = True, evidence.slow
         self._balance.forget_newest()
+        if evidence.fault is Fault.DISTURBANCE and not self._prompt:
+            self._restart_traces()  # stretches that reach back into it lack an effect
         if evidence.fault in _OF_THE_DRIVE and isinstance(self._effect, Effect):
             self._effect.accuse()
         if self._blind:
             self._slow.restart()
         elif evidence.slow:
             self._slow.mark_reported(index)
-        return self._alarms[-1]
 
     def _recovered(self) -> bool:
         """Whether the fault that is on is over."""
@@ -367,8 +404,9 @@ class Monitor:
             return self._slow.over(self._index)
         if fault in _OF_THE_DRIVE and self._prompt and isinstance(self._effect, Effect):
             return self._effect.returned >= _OVER
-        if fault in (*_OF_THE_DRIVE, Fault.SENSOR_LATE):
-            return proven >= _PROVE or quiet >= _UNPROVEN
+        if fault in (*_OF_THE_DRIVE, Fault.SENSOR_LATE, Fault.DRIFT):
+            suspected = fault is Fault.DRIFT and self._slow.suspected
+            return (proven >= _PROVE or quiet >= _UNPROVEN) and not suspected
         if self._brief:
             return (self._index - self._refused_at) * self.settings.pace >= _RECOVERED
         return quiet >= _RECOVERED

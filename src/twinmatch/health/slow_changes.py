@@ -25,6 +25,7 @@ _CAUSES: Final = {
     Kind.LOSSES: "its losses",
     Kind.ROOM: "the room",
     Kind.DRIVE: "its drive",
+    Kind.LOST: "its drive",
     Kind.SENSOR: "the reading",
     Kind.OTHER: "something unknown",
     Kind.PASSING: "something that passes",
@@ -105,6 +106,19 @@ class SlowChanges:
     def suspected(self) -> bool:
         """Whether something seems to have changed."""
         return self.evidence is not None
+
+    @property
+    def compares(self) -> bool:
+        """Whether causes can be compared: the plant is known, and follows its equations."""
+        return self.earned and self._detector.compares
+
+    @property
+    def blames_drive(self) -> bool:
+        """Whether a lost drive explains the readings far better than anything else."""
+        change = self._change
+        if change is None or change.hypothesis.kind is not Kind.LOST:
+            return False
+        return change.lead >= self._settings.lead
 
     @property
     def rate(self) -> float:
@@ -310,8 +324,11 @@ class SlowChanges:
         enough = enough and self.earned
         material = abs(change.shift) >= h.least
         named = change.lead >= settings.lead and h.kind is not Kind.OTHER
+        named = named and (not h.vague or h.ceases)
         if h.kind is Kind.DRIVE and not (change.shift < 0.0 and settings.lost - 1.0 <= change.value < 0.0):
             named = False  # a lost drive is found by `Effect`, and one that does more has no fault name
+        if h.kind is Kind.LOST and named:
+            return Evidence(Fault.DRIVE_LOST, enough, change.first, self._describe(change))
         if h.kind is Kind.SENSOR and not self._separable(change):
             named = False
         if named and h.kind is Kind.PASSING:
@@ -340,7 +357,7 @@ class SlowChanges:
         """Describe a change that the samples cannot attribute to one cause."""
         gains = zip(change.rivals, change.gains, strict=True)
         near = [_CAUSES[kind] for kind, gain in gains if gain > change.gain - self._settings.lead]
-        names = [_CAUSES[change.hypothesis.kind], *near]
+        names = list(dict.fromkeys([_CAUSES[change.hypothesis.kind], *near]))
         listed = " or ".join(names) if len(names) < 3 else f"{', '.join(names[:-1])} or {names[-1]}"
         return (
             f"the plant no longer behaves as before; {listed} may have changed, "
@@ -350,6 +367,8 @@ class SlowChanges:
     def _describe(self, change: DetectedChange) -> str:
         """Say what has changed, and by how much."""
         h, output, unit = change.hypothesis, self._sentences.output, self._sentences.unit
+        if h.kind is Kind.LOST:
+            return f"the drive has no effect on {output}: look at drive, wires and supply"
         if h.kind is Kind.DRIVE:
             return f"the drive has {1.0 + change.value:.0%} of its expected effect on {output}"
         if h.kind is Kind.SENSOR:

@@ -11,27 +11,31 @@ ACCUSED: Final = {
 }
 """What the twin's alarms accuse. Left out: a weak drive and one impossible reading, no danger yet."""
 
+_UNNAMED: Final = "drift"
+
 
 class Accusations:
     """Acts on the alarms of a twin whose forecasts held until then.
 
     A twin that was never trusted accuses nobody: it may be the one that is wrong. After each fault it has to
-    be trusted again.
+    be trusted again; but a change without a name may still turn out to be the drive's.
     """
 
     def __init__(self, act_on: Collection[str] = tuple(ACCUSED)) -> None:
         """Act on accusations of these: keys of `ACCUSED`."""
         self._names = frozenset[str]().union(*(ACCUSED[who] for who in act_on))
         self._trusted: int | None = None
+        self._unnamed = False
 
     def take(self, sample: int, *, trusted: bool, fault: str, reason: str) -> str | None:
         """Take a verdict: its sample, whether the twin is trusted, name and evidence of a fault of the plant;
         returns an error message, or None."""
         since = self._trusted
-        if fault:
+        if fault != _UNNAMED and (fault or self._unnamed):
             self._trusted = None
-        elif trusted:
+        if trusted and not fault:
             self._trusted = sample
+        self._unnamed = fault == _UNNAMED
         if since is None or fault not in self._names:
             return None
         return f"the twin, trusted at sample {since}, reports {fault}: {reason}"
