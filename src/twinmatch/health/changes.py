@@ -204,6 +204,9 @@ another to count as the beginning of the change."""
 _LESS_ACCURATE: Final = frozenset({Kind.LOSSES, Kind.ROOM, Kind.OTHER, Kind.PASSING})
 """Changes after which the equations may be less accurate than before, as they may without a change: the air
 in an open box is no longer one lump. A sensor offset or a weak drive leaves their accuracy as it was."""
+_COARSE: Final = 2.0
+"""Factor on what a late input saves: those that are tried are pure delays or lags, some seconds apart, and a
+plant that has both, or one in between, is explained better by its own."""
 _ABSORBED_AFTER: Final = 24
 """Age from which on what a late input explains is taken for how the plant is, blocks: before long, its onset
 is out of reach, and its trace would look like a change that came later."""
@@ -430,7 +433,7 @@ class ChangeDetector:
         gain -= code_length_of(1 + self._tracked.known // _HOUR) + math.log(_HOUR / _EVERY * len(found))
         if gain > 0.0:
             cost, late = self._lateness(age)
-            gain -= max(0.0, nothing - float(before[-age - 1]) - cost) / dispersion
+            gain -= _COARSE * max(0.0, nothing - float(before[-age - 1]) - cost) / dispersion
             if gain < 0.0 and age >= _ABSORBED_AFTER:
                 self._tracked.adopt(late)
                 self._reset()
