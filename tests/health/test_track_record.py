@@ -158,3 +158,14 @@ def test_equations_that_leave_their_range_end_nothing() -> None:
     assert np.isfinite(after.values).all()
     assert np.isfinite(after.covariance).all()
     assert math.isfinite(cost)
+
+
+def test_what_another_twin_expected_is_forgotten_with_it() -> None:
+    """A motor's first twin expects forty times what a better one does: its sums would be a lost drive."""
+    kind = KINDS["motor"]
+    plant = AbroadPlant(kind, 704)
+    better = kind.plant.model("with friction").parameters(k=0.0384, j=3.1e-4, b=9e-5, dry=0.0116)
+    monitor = Monitor(HealthSettings.of(kind.plant, kind.period))
+    for sample in plant.run(2300):
+        monitor.push(sample, better if sample.index > 1750 else None)
+    assert monitor.alarms == ()

@@ -200,7 +200,10 @@ class Monitor:
         if self._given is None or self._until_trial >= 0 or not self._balance.rough:
             return
         self._until_trial = TRIAL
-        self._balance = self._balance.better_of(self._given)
+        better = self._balance.better_of(self._given)
+        if better is not self._balance and self._late is None:
+            self._restart_traces()  # sums of another balance say nothing beside the errors of this one
+        self._balance = better
 
     def _examine(self, sample: Sample) -> Evidence | None:
         """Add the sample to the traces; return the worst evidence."""
