@@ -431,7 +431,7 @@ class ChangeDetector:
             return None
         # The hour in which it began, when in it, and what has changed have to be said, too.
         gain -= code_length_of(1 + self._tracked.known // _HOUR) + math.log(_HOUR / _EVERY * len(found))
-        if gain > 0.0:
+        if gain > 0.0 and not self._steps:  # behind a lag, the inputs come with the delay that suits them
             cost, late = self._lateness(age)
             gain -= _COARSE * max(0.0, nothing - float(before[-age - 1]) - cost) / dispersion
             if gain < 0.0 and age >= _ABSORBED_AFTER:
