@@ -27,9 +27,9 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # how a shell starts what
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 FIRST = (
-    *("system", "test_golden.py", "docs", "showing", "nodes", "packaging", "emulation", "fmu", "twin"),
-    *("health", "offline", "words"),
-)
+    "system", "test_golden.py", "docs", "showing", "nodes", "packaging", "emulation", "fmu", "twin",
+    "health", "offline", "words",
+)  # fmt: skip
 """Whose tests wait for other processes or compute longest; they begin first, so that none is the last."""
 APART = ("tests/test_golden.py", "tests/docs/test_examples.py")
 """Files whose tests share nothing and take long: each is run by whichever worker is free."""

@@ -96,6 +96,11 @@ class Readings(NamedTuple):
             self.noise[begin:end],
         )  # fmt: skip
 
+    @property
+    def unseen(self) -> Readings:
+        """The same samples, to be forecast: all their readings are lost."""
+        return self._replace(noise=np.full_like(self.noise, np.inf))
+
 
 class Traces(NamedTuple):
     """Traces that jumps at past samples would have left in the innovations since."""

@@ -47,13 +47,13 @@ _LOSSES: Final = ((math.log(1 / 6), 0.8), (math.log(3.0), 0.6))
 """A fan that fails, a lid that opens: logarithm of the factor, and its spread."""
 _ROOM: Final = 0.8
 """Spread of a change of the room, in the scale of the parameter."""
+_HEAT: Final = 2.5
+"""The same for heat from elsewhere, which acts as another room would."""
 _SHARE: Final = 0.3
 _LOST: Final = 0.1
 """Spreads of a change of the drive's share, and of what a lost one lacks of it."""
 _ONSETS: Final = 4
-"""Number of moments tried between two at which others may have begun: it begins at once."""
-_HEAT: Final = 2.5
-"""The same for heat from elsewhere, which acts where the drive does, as another room would."""
+"""Number of moments tried for a lost drive between two at which other changes may have begun."""
 _OFFSET: Final = 30.0
 """Spread of an offset of the reading, in standard deviations of its noise."""
 _PUSH: Final = 1.0
@@ -238,7 +238,7 @@ class ChangeDetector:
         `hypotheses`.
         """
         self._period = period
-        self._second = plant_scale(parameters.model.plant, period)
+        self._second = plant_scale(parameters.model.plant, period) / period  # samples
         self._tracked = TrackedBlocks(parameters, period)
         self.tracker = self._tracked.tracker
         self.track_record = TrackRecord(self.tracker)
@@ -337,8 +337,7 @@ class ChangeDetector:
         blocks = list(self._tracked.blocks)[-age:]
         belief, gone = blocks[0].before[level], [0.0]
         for block, after in itertools.pairwise(blocks):
-            unseen = block.stretch._replace(noise=np.full_like(block.stretch.noise, np.inf))
-            belief, _ = self.tracker.run(belief, unseen, level)
+            belief, _ = self.tracker.run(belief, block.stretch.unseen, level)
             expected, _ = self.tracker.expected(belief, after.stretch.disturbances[0])
             gone.append(float(after.stretch.output[2]) - expected)
         return np.diff(gone[: int(np.nanargmax(np.abs(gone))) + 1])
@@ -412,12 +411,17 @@ class ChangeDetector:
         nothing, before = self._tracked.unchanged()
         dispersion = self.track_record.dispersion
         found: dict[Kind, _Found] = {}
+
+        def saved(cost: float, age: int) -> float:
+            """What a code for the blocks since then saves, in nats that count."""
+            return (nothing - float(before[-age - 1]) - cost) / dispersion
+
         likely = [*self.hypotheses, *([self._back] if self._back else [])]
         for age, h, level in itertools.product(ages, likely, self._tracked.levels):
             if level > self._tracked.level and (h.ceases or h.kind not in _LESS_ACCURATE):
                 continue
             cost, belief = self._run(h, age, level)
-            gain = (nothing - float(before[-age - 1]) - cost) / dispersion
+            gain = saved(cost, age)
             if h.kind not in found or gain > found[h.kind].gain:
                 found[h.kind] = _Found(gain, h, age, level, belief)
         order = sorted(found.values(), key=lambda f: -f.gain)
@@ -433,7 +437,7 @@ class ChangeDetector:
         gain -= code_length_of(1 + self._tracked.known // _HOUR) + math.log(_HOUR / _EVERY * len(found))
         if gain > 0.0 and not self._steps:  # behind a lag, the inputs come with the delay that suits them
             cost, late = self._lateness(age)
-            gain -= _COARSE * max(0.0, nothing - float(before[-age - 1]) - cost) / dispersion
+            gain -= _COARSE * max(0.0, saved(cost, age))
             if gain < 0.0 and age >= _ABSORBED_AFTER:
                 self._tracked.adopt(late)
                 self._reset()
@@ -443,8 +447,7 @@ class ChangeDetector:
         dated = oldest
         if oldest - age >= 2 * _EVERY:
             cost, early = self._run(h, oldest, level)
-            longer = (nothing - float(before[-oldest - 1]) - cost) / dispersion
-            if longer > order[0].gain - _WORTH:
+            if saved(cost, oldest) > order[0].gain - _WORTH:
                 belief, dated = early, 0
         onset = self._tracked.blocks[-age]
         change = DetectedChange(
@@ -467,7 +470,7 @@ class ChangeDetector:
         equations say, and the belief after it."""
         blocks = list(self._tracked.blocks)
         stretch, inputs = joined(blocks[-age:]), np.concatenate([b.stretch.input for b in blocks])
-        rivals = list(later_inputs(inputs, stretch.input.size, self._second / self._period))
+        rivals = list(later_inputs(inputs, stretch.input.size, self._second))
         runs = (
             self.tracker.run(blocks[-age].before[level], stretch._replace(input=late), level)
             for late, level in itertools.product(rivals, self._tracked.levels)

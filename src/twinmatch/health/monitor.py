@@ -292,9 +292,10 @@ class Monitor:
             return self._sentences.late(index, self._effect, lag, sure=sure)
         weakly = self._balance.smooth and self._feeble * self.settings.pace >= _WEAKLY
         if lost and (sure or not weakly):
-            both = self._both or (self._late is not None and not self._slow.compares)
-            missing = self._sentences.lost(index, self._effect, sure=sure, lagged=both)
-            if not self._both:
+            both = self._both
+            lagged = both or (self._late is not None and not self._slow.compares)
+            missing = self._sentences.lost(index, self._effect, sure=sure, lagged=lagged)
+            if not both:
                 return missing
             named = self._slow.evidence
             if named is not None and named.sure and named.fault is not Fault.DRIFT:

@@ -105,9 +105,7 @@ class TrackRecord:
             return None
         belief, begun, found = blocks[0].before[level], 0, []
         for horizon, after in zip(HORIZONS, came, strict=True):
-            stretch = joined(blocks[begun:horizon])
-            unseen = stretch._replace(noise=np.full_like(stretch.noise, np.inf))
-            belief, _ = self._tracker.run(belief, unseen, level)
+            belief, _ = self._tracker.run(belief, joined(blocks[begun:horizon]).unseen, level)
             expected, variance = self._tracker.expected(belief, after.disturbances[0])
             error, begun = after.output[2] - expected, horizon
             relative = min(error**2 / (variance + after.noise[0] ** 2), _MOST)

@@ -106,12 +106,11 @@ def trust_of(known: Knowledge) -> Trust:
     leading, miss = known.leading, known.bands.miss
     beaten = beaten_words(leading.beaten(known.horizons)) if leading else ""
     level, reason = TrustLevel.DOUBTFUL, LEVEL_WORDS[TrustLevel.DOUBTFUL]
-    if known.fault is not None and known.fault not in _ADAPTABLE:
-        level, reason = TrustLevel.FAULT, f"the plant shows {known.fault.value}"
-    elif known.doubt:
-        reason = known.doubt
-    elif known.fault is not None:
-        reason = f"the plant shows {known.fault.value}"
+    shown = f"the plant shows {known.fault.value}" if known.fault is not None else ""
+    if shown and known.fault not in _ADAPTABLE:
+        level, reason = TrustLevel.FAULT, shown
+    elif known.doubt or shown:
+        reason = known.doubt or shown
     elif math.isnan(miss):
         level, reason = TrustLevel.UNKNOWN, known.reservation or LEVEL_WORDS[TrustLevel.UNKNOWN]
     elif miss < known.miss_limit and known.match.unexplained:
