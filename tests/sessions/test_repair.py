@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import shutil
+import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
+import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mcap.writer import CompressionType, Writer
 from rosbags.rosbag2 import Reader
 
 from twinmatch.cli import main
@@ -243,3 +248,82 @@ def test_the_command_says_what_was_saved(tmp_path, capsys):
     assert "complete, 60 messages over 59.0 s; nothing to repair" in capsys.readouterr().out
     assert main(["repair", str(tmp_path / "nothing")]) == 2
     assert "does not exist" in capsys.readouterr().err
+
+
+RECORDER = """
+import sys
+from twinmatch.sessions.messages import SAMPLE, Sample, encode_sample
+from twinmatch.sessions.writer import SessionWriter
+with SessionWriter(sys.argv[1]) as writer:
+    writer.add_topic(SAMPLE)
+    for k, split in enumerate(sys.stdin):
+        writer.write(SAMPLE.name, encode_sample(Sample(k, k * 10**9, 30.0, 25.0, 1.0)), k * 10**9)
+        writer.split() if split == "split\\n" else writer.flush()
+        print(k, flush=True)
+"""
+
+
+def test_a_running_recorder_keeps_its_files_and_a_killed_one_lets_go(tmp_path):
+    folder = tmp_path / "run"
+    with subprocess.Popen(
+        [sys.executable, "-c", RECORDER, folder], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as recorder:
+        for step in ("flush", "split", "flush"):  # within a file, between two, and in the second
+            print(step, file=recorder.stdin, flush=True)
+            assert recorder.stdout.readline()
+            before = content(folder)
+            with pytest.raises(SessionError, match=r"run_\d.mcap is still being written; end its recorder"):
+                repair_session(folder)
+            assert content(folder) == before
+        recorder.send_signal(signal.SIGKILL)
+    assert repair_session(folder).messages == 3
+    check_whole(folder, 3)
+
+
+def test_a_finished_or_abandoned_recorder_holds_nothing(tmp_path):
+    assert repair_session(record(tmp_path / "whole", finish=True)).faults == ()
+    writer = SessionWriter(tmp_path / "empty")
+    writer.close()
+    writer.close()
+    assert repair_session(tmp_path / "empty").faults == ()
+
+
+def test_messages_that_are_missing_are_counted_and_the_original_is_kept(tmp_path):
+    folder = record(tmp_path / "run", split=25, finish=True)
+    (folder / "run_1.mcap").unlink()
+    before = content(folder)
+    found = repair_session(folder)
+    assert found.faults == (
+        "metadata.yaml does not list the files that exist",
+        "metadata.yaml lists other numbers of messages than the files hold: 60 of /plant/sample (35 found)",
+    )
+    assert (found.messages, content(found.original)) == (35, before)
+    listed = yaml.safe_load((folder / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    assert (listed["message_count"], repair_session(folder).faults) == (35, ())
+
+
+@pytest.mark.parametrize("cut", [False, True])
+@pytest.mark.parametrize("library", ["somebody", ""])
+def test_what_others_have_written_is_refused_and_left_as_it_is(tmp_path, capsys, library, cut):
+    """JSON, IDL, compressed chunks, attachments: a copy of ours would hold none of them."""
+    folder = tmp_path / "theirs"
+    folder.mkdir()
+    with (folder / "theirs_0.mcap").open("wb") as file:
+        out = Writer(file, chunk_size=500, compression=CompressionType.ZSTD)
+        out.start(profile="ros2", library=library)
+        idl = b"module std_msgs { module msg { struct Float64 { double data; }; }; };"
+        heater = out.register_channel("/h", "cdr", out.register_schema("std_msgs/msg/Float64", "ros2idl", idl))
+        notes = out.register_channel("/notes", "json", out.register_schema("Note", "jsonschema", b"{}"))
+        out.add_attachment(0, 0, "calibration.yaml", "text/yaml", b"gain: 1.5")
+        for k in range(100):
+            out.add_message(heater, k, b"\0\1\0\0" + bytes(8), k)
+            out.add_message(notes, k, b'{"note": "x"}', k)
+        out.finish()
+        file.truncate(file.tell() // 2 if cut else file.tell())
+    before = content(folder)
+    assert main(["repair", str(folder)]) == 2
+    said = capsys.readouterr().err
+    assert f"was written by {repr(library) if library else 'another program'}; nothing was changed" in said
+    assert said.count("\n") == 1
+    assert content(folder) == before
+    assert [p.name for p in tmp_path.iterdir()] == ["theirs"]

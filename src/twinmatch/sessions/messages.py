@@ -142,6 +142,10 @@ class Topic(NamedTuple):
     """RIHS01 hash of the type; empty where it is not known."""
     qos: Qos = Qos()
     """Profile offered by the publisher."""
+    encoding: str = "cdr"
+    """Of its messages; ours are `cdr`."""
+    language: str = "ros2msg"
+    """Of its definition; empty if the file has none."""
 
 
 class Message(NamedTuple):

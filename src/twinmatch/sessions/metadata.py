@@ -5,9 +5,11 @@ The records hold its plant, the parameters of its nodes, and its initial candida
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import yaml
 
@@ -17,6 +19,8 @@ from twinmatch.sessions.messages import Qos, Topic
 
 METADATA = "metadata.yaml"
 VERSION = 9
+_MOST_TOLD: Final = 5
+"""Topics named in a sentence."""
 
 PLANT = "twinmatch/plant"
 """Record with the name of the `plant`; an import adds `source`, `map`, and `reference` if there is none."""
@@ -127,10 +131,27 @@ def parse_qos(text: str) -> Qos:
 
 def files_listed(folder: Path) -> list[str]:
     """Names of the MCAP files listed in `metadata.yaml`; empty if it cannot be read."""
-    try:
+    with suppress(*_UNREADABLE):
         return [Path(name).name for name in _read(folder)["relative_file_paths"]]
-    except (OSError, ValueError, TypeError, LookupError):
-        return []
+    return []
+
+
+def counts_listed(folder: Path) -> dict[str, int]:
+    """Messages per topic name listed in `metadata.yaml`; empty if it cannot be read."""
+    counts: Counter[str] = Counter()
+    with suppress(*_UNREADABLE):
+        for topic in _read(folder)["topics_with_message_count"]:
+            counts[str(topic["topic_metadata"]["name"])] += int(topic["message_count"])
+    return dict(counts)
+
+
+def miscounted(listed: Mapping[str, int], found: Mapping[str, int]) -> list[str]:
+    """A sentence on the topics of which `metadata.yaml` lists another number of messages than were found."""
+    both = {name: (listed.get(name, 0), found.get(name, 0)) for name in sorted({*listed, *found}) if listed}
+    wrong = [f"{a} of {name} ({b} found)" for name, (a, b) in both.items() if a != b]
+    told = ", ".join(wrong[:_MOST_TOLD])
+    more = f" and others of {len(wrong) - _MOST_TOLD} more topics" if len(wrong) > _MOST_TOLD else ""
+    return [f"{METADATA} lists other numbers of messages than the files hold: {told}{more}"] if wrong else []
 
 
 def mcap_files(folder: Path) -> list[Path]:
@@ -147,10 +168,12 @@ def mcap_files(folder: Path) -> list[Path]:
 
 def distro_of(folder: Path) -> str:
     """The ROS 2 distribution in `metadata.yaml`; `unknown` if it cannot be read."""
-    try:
+    with suppress(*_UNREADABLE):
         return str(_read(folder)["ros_distro"])
-    except (OSError, ValueError, TypeError, LookupError):
-        return "unknown"
+    return "unknown"
+
+
+_UNREADABLE: Final = (OSError, ValueError, TypeError, LookupError)
 
 
 def _read(folder: Path) -> Any:

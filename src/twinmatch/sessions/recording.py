@@ -6,13 +6,15 @@ is full. It depends on neither ROS nor threads; a recorder calls it from its wri
 
 `repair_session` writes the readable messages to a copy beside the session, which replaces the original only
 after it has been compared with it. The original is kept as `<session>.broken` if it was damaged in the
-middle, where another tool may recover more; a merely truncated one contains nothing more and is removed.
+middle, where another tool may recover more, or if messages are missing; a merely truncated one contains
+nothing more and is removed. It touches neither what is still being written nor what others have written.
 """
 
 from __future__ import annotations
 
 import shutil
 import tempfile
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -22,10 +24,17 @@ from typing import NamedTuple
 
 from twinmatch.sessions.files import DiskError, ProgressCallback, SessionError
 from twinmatch.sessions.messages import SAMPLE, Topic, plant_messages, topics_of
-from twinmatch.sessions.metadata import METADATA, distro_of, files_listed, mcap_files
+from twinmatch.sessions.metadata import (
+    METADATA,
+    counts_listed,
+    distro_of,
+    files_listed,
+    mcap_files,
+    miscounted,
+)
 from twinmatch.sessions.reader import check_samples, gaps_of
 from twinmatch.sessions.scan import Scan, messages_of
-from twinmatch.sessions.writer import SessionWriter, sync_folder
+from twinmatch.sessions.writer import LIBRARY, SessionWriter, being_written, sync_folder
 from twinmatch.settings import setting
 from twinmatch.signals import NANOSECONDS, Sample, Window
 
@@ -257,6 +266,8 @@ BROKEN = ".broken"
 """Suffix appended to the name of the original."""
 
 TORN = "truncated"
+_NOTHING_MORE = (TORN, "missing or unreadable", "does not list", "is empty")
+"""Faults of an original that contains no more than its repaired copy."""
 
 
 class Repair(NamedTuple):
@@ -289,15 +300,15 @@ def repair_session(folder: Path | str) -> Repair:
             `<folder>.broken` may exist; the repair is then repeated.
 
     Raises:
-        SessionError: there is no session, no message can be read, the original of an earlier repair exists,
-            or writing fails.
+        SessionError: there is no session, it is still being written or was written by another program, no
+            message can be read, the original of an earlier repair exists, or writing fails.
     """
     folder = Path(folder).absolute()
     broken = folder.with_name(folder.name + BROKEN)
     try:
         if not folder.exists() and broken.is_dir():
             broken.rename(folder)
-        files = _files(folder)
+        files = _files_at_rest(folder)
         repair = _examine(folder, files)
         if repair.faults:
             repair = _rebuild(folder, broken, files, repair)
@@ -313,17 +324,33 @@ def _files(folder: Path) -> list[Path]:
     return mcap_files(folder)
 
 
+def _files_at_rest(folder: Path) -> list[Path]:
+    files = _files(folder)
+    busy = [file.name for file in files if being_written(file)]
+    if busy or files != _files(folder):
+        what = f"{busy[0]} is" if busy else "its files are"
+        raise SessionError(f"session {folder}: {what} still being written; end its recorder first")
+    return files
+
+
 def _examine(folder: Path, files: list[Path]) -> Repair:
     faults: list[str] = []
-    count, start, end = 0, 2**64, 0
+    counts: Counter[str] = Counter()
+    start, end = 2**64, 0
     for file in files:
         if file.stat().st_size == 0:
             faults.append(f"{file.name} is empty")
             continue
         scan = Scan(file)
         for message in scan:
-            count += 1
+            counts[message.topic.name] += 1
             start, end = min(start, message.log_time), max(end, message.log_time)
+        if scan.library != LIBRARY and scan.topics:
+            author = f"by {scan.library!r}" if scan.library else "by another program"
+            raise SessionError(
+                f"session {folder}: {file.name} was written {author}; nothing was changed: use its tools (ros2 "
+                "bag reindex, mcap recover), or twinmatch import, which reads it up to the damage"
+            )
         if scan.fault:
             faults.append(f"{file.name}: {scan.fault}")
     listed = files_listed(folder)
@@ -331,7 +358,8 @@ def _examine(folder: Path, files: list[Path]) -> Repair:
         faults.append(f"{METADATA} is missing or unreadable")
     elif sorted(listed) != sorted(file.name for file in files):
         faults.append(f"{METADATA} does not list the files that exist")
-    return Repair(folder, tuple(faults), count, start if count else 0, end, None)
+    faults += miscounted(counts_listed(folder), counts)
+    return Repair(folder, tuple(faults), counts.total(), start if counts else 0, end, None)
 
 
 def _rebuild(folder: Path, broken: Path, files: list[Path], repair: Repair) -> Repair:
@@ -346,7 +374,7 @@ def _rebuild(folder: Path, broken: Path, files: list[Path], repair: Repair) -> R
         _rewrite(copy, readable, distro_of(folder))
         _compare(copy, readable)
         _move(copy, folder, broken)
-    if all(TORN in fault or METADATA in fault or "empty" in fault for fault in repair.faults):
+    if all(any(words in fault for words in _NOTHING_MORE) for fault in repair.faults):
         shutil.rmtree(broken, ignore_errors=True)
         return repair
     return repair._replace(original=broken)
@@ -372,7 +400,7 @@ def _compare(copy: Path, files: list[Path]) -> None:
     """Check that the copy is complete and has the messages of the original."""
     written = _files(copy)
     for new, old in zip_longest(messages_of(written), messages_of(files)):
-        if new is None or old is None or new[1:] != old[1:] or new.topic.name != old.topic.name:
+        if new != old:
             msg = f"session {copy.name}: the repaired copy differs from the original; nothing was changed"
             raise SessionError(msg)
     faults = _examine(copy, written).faults

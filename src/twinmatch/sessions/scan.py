@@ -20,7 +20,7 @@ from typing import BinaryIO, TypeVar
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, Metadata, Schema, Statistics
+from mcap.records import Channel, Chunk, Header, Metadata, Schema, Statistics
 
 from twinmatch.sessions.files import SessionError, open_regular
 from twinmatch.sessions.messages import Message, Topic
@@ -34,7 +34,10 @@ _PRIVATE = 0x80
 _MAX_UNPACKED = 1 << 28
 """Longest chunk, unpacked bytes: recorders write chunks of a few megabytes, or one longer message."""
 
-_Record = TypeVar("_Record", Schema, Channel, Chunk, Metadata, Statistics)
+_WITHOUT = Schema(0, b"", "", "")
+"""What number 0 stands for: messages that have no schema, such as JSON."""
+
+_Record = TypeVar("_Record", Header, Schema, Channel, Chunk, Metadata, Statistics)
 
 
 class _FaultError(Exception):
@@ -64,6 +67,8 @@ class Scan:
         """Topics found so far, with or without messages."""
         self.records: dict[str, dict[str, str]] = {}
         """Metadata records found so far; the last of those with the same name."""
+        self.library = ""
+        """The program that wrote the file, in its own words."""
         self.fault = ""
         """Why reading ended early; empty if it did not."""
         self.read = 0
@@ -157,12 +162,14 @@ class Scan:
             self._schemas[schema.id] = schema
         elif opcode == Opcode.CHANNEL:
             self._announce(_parse(Channel, body))
+        elif opcode == Opcode.HEADER:
+            self.library = _parse(Header, body).library
         elif opcode == Opcode.METADATA:
             record = _parse(Metadata, body)
             self.records[record.name] = record.metadata
 
     def _announce(self, channel: Channel) -> None:
-        schema = self._schemas.get(channel.schema_id)
+        schema = self._schemas.get(channel.schema_id) if channel.schema_id else _WITHOUT
         if channel.id in self._channels or schema is None:
             return
         topic = Topic(
@@ -171,6 +178,8 @@ class Scan:
             schema.data.decode("utf-8", "replace"),
             channel.metadata.get("topic_type_hash", ""),
             parse_qos(channel.metadata.get("offered_qos_profiles", "")),
+            channel.message_encoding,
+            schema.encoding,
         )
         self._channels[channel.id] = topic
         self.topics.append(topic)

@@ -6,13 +6,14 @@ It does not depend on ROS, so a live recorder and an importer use the same class
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import os
 import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from twinmatch.sessions.files import DiskError, SessionError
+from twinmatch.sessions.files import DiskError, SessionError, open_regular
 from twinmatch.sessions.messages import Topic
 from twinmatch.sessions.metadata import METADATA, Part, Summary, qos_text
 
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
 
 CHUNK_SIZE = 64 * 1024
 """Bytes buffered before they are written: what a killed recorder loses if it never flushes."""
+LIBRARY = "twinmatch"
+"""What the files of a session name as the program that wrote them."""
 BLOCK = 1 << 20
 """Bytes written to the summary at once."""
 
@@ -73,12 +76,18 @@ class _SessionFile:
         self._schemas: dict[str, int] = {}
         self._span: tuple[int, int] | None = None
         self._file = path.open("wb")
+        with contextlib.suppress(OSError):  # some file systems have no locks
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         self._mcap = Writer(self._file, chunk_size=CHUNK_SIZE, compression=CompressionType.NONE)
         # The writer keeps an object for every chunk until the end: 170 MB for a day that is flushed every
         # 0.4 s. It has no option to keep them elsewhere; a test checks that it uses this attribute.
         self._chunks = _ChunkIndexes(path.parent)
         self._mcap._Writer__chunk_indices = self._chunks  # type: ignore[attr-defined]
-        self._mcap.start(profile="ros2", library="twinmatch")
+        self._mcap.start(profile="ros2", library=LIBRARY)
+
+    def hold(self) -> int:
+        """A handle that keeps the file locked after it has been closed."""
+        return os.dup(self._file.fileno())
 
     @property
     def size(self) -> int:
@@ -138,6 +147,9 @@ class SessionWriter:
 
     A failed write raises `DiskError` in the call that makes it. After that nothing more is written: the
     file ends there, and `read_session` reads it up to that point.
+
+    Until it is closed, its newest file is locked (flock), and `being_written` says so. The lock ends with the
+    process, however it ends.
     """
 
     def __init__(self, folder: Path | str, *, ros_distro: str = "unknown") -> None:
@@ -162,6 +174,7 @@ class SessionWriter:
         self._parts: list[Part] = []
         self._failed = False
         self._closed = False
+        self._held: int | None = None
         self._file: _SessionFile | None = None
         try:
             self.folder.mkdir(parents=True)
@@ -253,12 +266,14 @@ class SessionWriter:
             parts = (*self._parts, file.part)
             write_metadata(self.folder, Summary(parts, self.counts, self._ros_distro))
         self._closed = True
+        self._hold(None)
 
     def abandon(self) -> None:
         """Close the file without writing index and metadata."""
         self._closed = True
         if self._file is not None:
             self._file.abandon()
+        self._hold(None)
 
     def __enter__(self) -> SessionWriter:
         return self
@@ -270,10 +285,17 @@ class SessionWriter:
         path = self.folder / f"{self.name}_{len(self._parts)}.mcap"
         with self._disk(begins=True):
             self._file = _SessionFile(path)
+            self._hold(self._file.hold())
             for topic in self._topics.values():
                 self._file.add_topic(topic)
             for name, values in self._records.items():
                 self._file.add_record(name, values)
+
+    def _hold(self, handle: int | None) -> None:
+        """Keep the lock of another file, or of none; of two files the older is released last."""
+        before, self._held = self._held, handle
+        if before is not None:
+            os.close(before)
 
     @contextlib.contextmanager
     def _disk(self, *, begins: bool = False) -> Iterator[_SessionFile]:
@@ -288,6 +310,20 @@ class SessionWriter:
             self.abandon()
             when = f"after {sum(self.counts.values())} messages"
             raise DiskError.of(self.folder, error, when) from error
+
+
+def being_written(file: Path) -> bool:
+    """Whether a `SessionWriter` holds a file of its session.
+
+    Raises:
+        OSError: it cannot be opened.
+    """
+    with open_regular(file) as handle, contextlib.suppress(OSError):  # some file systems have no locks
+        try:
+            fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return True
+    return False
 
 
 def write_metadata(folder: Path, summary: Summary) -> None:
