@@ -312,7 +312,9 @@ def test_what_others_have_written_is_refused_and_left_as_it_is(tmp_path, capsys,
         out = Writer(file, chunk_size=500, compression=CompressionType.ZSTD)
         out.start(profile="ros2", library=library)
         idl = b"module std_msgs { module msg { struct Float64 { double data; }; }; };"
-        heater = out.register_channel("/h", "cdr", out.register_schema("std_msgs/msg/Float64", "ros2idl", idl))
+        heater = out.register_channel(
+            "/h", "cdr", out.register_schema("std_msgs/msg/Float64", "ros2idl", idl)
+        )
         notes = out.register_channel("/notes", "json", out.register_schema("Note", "jsonschema", b"{}"))
         out.add_attachment(0, 0, "calibration.yaml", "text/yaml", b"gain: 1.5")
         for k in range(100):

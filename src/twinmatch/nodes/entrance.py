@@ -20,9 +20,10 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.event_handler import QoSSubscriptionEventType
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
-from rclpy.serialization import deserialize_message, serialize_message
+from rclpy.serialization import deserialize_message
 
 from twinmatch.errors import TwinmatchError
+from twinmatch.nodes.cdr import serialized
 from twinmatch.nodes.expected import MESSAGES, MessageRules, check, check_readable
 from twinmatch.nodes.fields import Expected, MessageError
 from twinmatch.nodes.health import Level, NodeHealth
@@ -48,8 +49,6 @@ ALONE: Final = 2.0
 
 UNKNOWN: Final = "_NODE_NAME_UNKNOWN_"
 """What rmw gives for a publisher that it knows before its node."""
-_ALIGNED: Final = 8
-"""Largest alignment of a value, bytes."""
 _FIGURES: Final = re.compile(r"[−-]?[\d.,]+(e[-+]\d+)?")
 
 
@@ -89,8 +88,8 @@ class Entrance:
     ) -> Take:
         """What a raw subscription calls in place of `take`, which gets what `MESSAGES` makes of the bytes.
 
-        If `raw`, it gets bytes again: those of the message that was checked, without what rclpy reads over
-        and other readers stumble at. Bytes of types that are not in the table pass as they came, and so may
+        If `raw`, it gets bytes again: those of the message that was checked, without what follows its last
+        field. Bytes of types that are not in the table pass as they came, and so may
         what is said of a plant that only another process has loaded.
         """
         if raw and kind not in MESSAGES:
@@ -105,7 +104,7 @@ class Entrance:
                     course.follow(message, time.monotonic())
                 if raw:
                     check_readable(message)
-                take(_again(came, message) if raw else expected.read(message))
+                take(serialized(message) if raw else expected.read(message))
             except TwinmatchError as error:
                 self.refuse(topic, str(error), topic)
 
@@ -289,14 +288,6 @@ def _message(data: bytes, kind: Any) -> Any:
         return deserialize_message(data, kind)
     except Exception as error:  # rclpy raises several kinds for damaged bytes, and gives them no public names
         raise MessageError(f"{len(data)} bytes are not a {kind.__name__}") from error
-
-
-def _again(came: bytes, message: Any) -> bytes:
-    """A message as bytes again, as long as it came: rclpy appends what aligns a value that does not follow,
-    and strict readers refuse that."""
-    again: bytes = serialize_message(message)
-    longer = len(again) - len(came)
-    return again[: len(came)] if came[:2] == again[:2] and 0 < longer < _ALIGNED else again
 
 
 def _refuse(request: Any, response: Any, why: str) -> Any:

@@ -15,8 +15,9 @@ from dataclasses import dataclass
 from typing import Any, Final, Protocol
 
 import numpy as np
-from rclpy.serialization import deserialize_message, serialize_message
+from rclpy.serialization import deserialize_message
 
+from twinmatch.nodes.cdr import serialized
 from twinmatch.nodes.health import Level
 from twinmatch.nodes.messages import SAMPLED, nanoseconds
 from twinmatch.nodes.node import TwinmatchNode
@@ -310,7 +311,7 @@ class RecorderPast:
         for name, messages in ((self._match, answer.match), (self._score, answer.score)):
             for message in messages:
                 self._copies.add(name, repr(message))
-                data, stamp = serialize_message(message), nanoseconds(message.header.stamp)
+                data, stamp = serialized(message), nanoseconds(message.header.stamp)
                 self._hold(Kept(message.sample, name, data, stamp, live=False))
 
     def _hold(self, kept: Kept) -> None:

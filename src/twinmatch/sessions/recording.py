@@ -348,8 +348,8 @@ def _examine(folder: Path, files: list[Path]) -> Repair:
         if scan.library != LIBRARY and scan.topics:
             author = f"by {scan.library!r}" if scan.library else "by another program"
             raise SessionError(
-                f"session {folder}: {file.name} was written {author}; nothing was changed: use its tools (ros2 "
-                "bag reindex, mcap recover), or twinmatch import, which reads it up to the damage"
+                f"session {folder}: {file.name} was written {author}; nothing was changed: use its tools "
+                "(ros2 bag reindex, mcap recover), or twinmatch import, which reads it up to the damage"
             )
         if scan.fault:
             faults.append(f"{file.name}: {scan.fault}")
