@@ -3,31 +3,41 @@
 from __future__ import annotations
 
 import shutil
+import sqlite3
+from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import yaml
+import zstandard
 from hypothesis import given
 from hypothesis import strategies as st
 
 pytest.importorskip("rosbags", reason="rosbags is not installed; it is in the extra 'bags'")
 
-from rosbags.rosbag2 import StoragePlugin
-from rosbags.typesys import get_types_from_msg
+from mcap.writer import Writer as McapWriter
+from rosbags.rosbag1 import Writer as Writer1
+from rosbags.rosbag2 import CompressionMode, StoragePlugin
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from tests.support.bags import START, STORE, bag, header, number, temperature
 from tests.support.plant_files import plant_file
 from tests.support.processes import run_twinmatch
+from twinmatch.cli import main
 from twinmatch.errors import TwinmatchError
-from twinmatch.importing import bags
-from twinmatch.importing.bags import _means, _Signal, map_bag
+from twinmatch.importing import bag_files, bags
+from twinmatch.importing.bags import _means, _Signal, map_bag, open_bag
 from twinmatch.plants import find_plant
+from twinmatch.sampling.channels import Channel
 from twinmatch.sampling.sources import parse_map
 from twinmatch.sessions import read_session
 
 STORE.register(get_types_from_msg("float32 value\nstring name", "lab_msgs/msg/Reading"))
 STORE.register(get_types_from_msg("std_msgs/Header header\nReading[] readings", "lab_msgs/msg/Rack"))
+BOTH = (StoragePlugin.MCAP, StoragePlugin.SQLITE3)
 TICKS = 60
 PERIOD = 0.5
 MAP = ["output=/rack:readings[1].value", "input=/heater", "reference=/sp:data", "room=/room:temperature"]
@@ -54,12 +64,40 @@ def messages(ticks: int = TICKS, hole: tuple[int, int] = (0, 0)) -> list[tuple[f
     return made
 
 
+RACK = Channel("/rack", "readings[1].value")
+
+
+def stored(folder: Path) -> Path:
+    """The only file of a bag beside its metadata."""
+    (file,) = (path for path in folder.iterdir() if path.name != "metadata.yaml")
+    return file
+
+
+def read(path: Path, *channels: Channel) -> tuple[list[list[float]], list[str]]:
+    """The numbers of channels, and what is said of the bag."""
+    with open_bag(path) as opened:
+        return [held.values.tolist() for held in opened.series(channels or [RACK])], opened.notes
+
+
+def listed(path: Path, capsys: pytest.CaptureFixture[str]) -> str:
+    assert main(["import", str(path), "--list"]) == 0
+    return capsys.readouterr().out
+
+
+def metadata(folder: Path, change: Callable[[Any], object]) -> None:
+    """Change what `metadata.yaml` says."""
+    file = folder / "metadata.yaml"
+    held = yaml.safe_load(file.read_text())
+    change(held["rosbag2_bagfile_information"])
+    file.write_text(yaml.safe_dump(held))
+
+
 @pytest.fixture(scope="module")
 def plant(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return plant_file(tmp_path_factory.mktemp("plant"), "bagged_block")
 
 
-@pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
+@pytest.mark.parametrize("storage", BOTH)
 def test_a_bag_of_either_storage_becomes_a_session(
     tmp_path: Path, plant: Path, storage: StoragePlugin
 ) -> None:
@@ -179,7 +217,7 @@ def test_a_gap_is_refused_with_its_place_or_bridged_where_that_is_asked_for(
     assert len(read_session(tmp_path / "session").samples) == TICKS
 
 
-@pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
+@pytest.mark.parametrize("storage", BOTH)
 def test_a_file_without_its_folder_will_do(tmp_path: Path, plant: Path, storage: StoragePlugin) -> None:
     folder = bag(tmp_path / "bag", storage, messages())
     (file,) = (path for path in folder.iterdir() if path.name != "metadata.yaml")
@@ -211,21 +249,22 @@ def test_a_gap_splits_a_bag_and_the_twin_judges_both_parts(tmp_path: Path, plant
     assert run_twinmatch("replay", tmp_path / "split", "--plant", plant).returncode == 0
 
 
-@pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
-def test_a_damaged_bag_is_one_line(tmp_path: Path, plant: Path, storage: StoragePlugin) -> None:
+@pytest.mark.parametrize(
+    ("storage", "damage"),
+    [(storage, damage) for storage in BOTH for damage in ("empty", "no beginning")]
+    + [(StoragePlugin.SQLITE3, "half")],
+)
+def test_a_damaged_bag_is_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], storage: StoragePlugin, damage: str
+) -> None:
     source = bag(tmp_path / "bag", storage, messages())
-    file = next(p for p in source.iterdir() if p.suffix in (".mcap", ".db3"))
+    file = stored(source)
     whole = file.read_bytes()
-    for damaged in (b"", whole[: len(whole) // 2], b"\0" * 1000 + whole[1000:]):
-        file.write_bytes(damaged)
-        done = run_twinmatch("import", source, "--plant", plant, "--map", *MAP, "-o", tmp_path / "session")
-        assert done.returncode == 2, done.stdout
-        assert len(done.stderr.splitlines()) == 1
-        assert "Traceback" not in done.stderr
-    (source / "metadata.yaml").unlink()
-    done = run_twinmatch("import", source, "--list")
-    assert done.returncode == 2
-    assert "has no metadata.yaml" in done.stderr
+    half = whole[: len(whole) // 2]
+    file.write_bytes({"empty": b"", "half": half, "no beginning": b"\0" * 1000 + whole[1000:]}[damage])
+    assert main(["import", str(source), "--list"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert file.name in line
 
 
 def test_our_own_session_is_a_bag_like_any_other(tmp_path: Path, plant: Path) -> None:
@@ -266,3 +305,243 @@ def test_means_keep_what_the_drive_delivered(steps: list[tuple[float, float]], w
         total += value * (edge - at)
         at, value = edge, held.get(edge, value)
     assert float(np.sum(means[:-1] * np.diff(time))) == pytest.approx(total, abs=1e-6)
+
+
+READINGS = [20.0 + k for k in range(TICKS)]
+PROFILE = {
+    "history": "keep_last", "depth": 10, "reliability": "best_effort", "durability": "volatile",
+    "deadline": {"sec": 0, "nsec": 0}, "lifespan": {"sec": 0, "nsec": 0}, "liveliness": "automatic",
+    "liveliness_lease_duration": {"sec": 0, "nsec": 0}, "avoid_ros_namespace_conventions": False,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("storage", BOTH)
+def test_messages_are_read_whatever_their_quality_of_service_is_said_to_be(
+    tmp_path: Path, storage: StoragePlugin
+) -> None:
+    """It was edited, lost by a converter, or changed between two recordings in one folder."""
+    source = bag(tmp_path / "bag", storage, messages())
+    metadata(
+        source,
+        lambda held: [
+            topic["topic_metadata"].update(offered_qos_profiles=[PROFILE])
+            for topic in held["topics_with_message_count"]
+        ],
+    )
+    assert read(source) == ([READINGS], [])
+
+
+@pytest.mark.parametrize("storage", BOTH)
+def test_what_was_read_is_counted_against_the_metadata(
+    tmp_path: Path, plant: Path, capsys: pytest.CaptureFixture[str], storage: StoragePlugin
+) -> None:
+    source = bag(tmp_path / "bag", storage, messages())
+    metadata(source, lambda held: held["topics_with_message_count"][0].update(message_count=7))
+    words = "metadata.yaml lists other numbers of messages than the files hold: 7 of /empty (0 found)."
+    assert f"Note: {words}" in listed(source, capsys)
+    assert words in map_bag(source, parse_map(MAP), find_plant(str(plant))).notes
+
+
+def test_files_that_the_metadata_does_not_list_or_that_are_missing_are_named(tmp_path: Path) -> None:
+    source = bag(tmp_path / "bag", StoragePlugin.MCAP, messages())
+    shutil.copy(stored(source), source / "copy.mcap")
+    assert read(source) == (
+        [READINGS],
+        ["copy.mcap is not listed in metadata.yaml and is left out; read it alone."],
+    )
+    (source / "bag.mcap").unlink()
+    with pytest.raises(TwinmatchError, match=r"has no \.mcap"):
+        read(source)
+
+
+@pytest.mark.parametrize("storage", BOTH)
+def test_the_folder_of_a_killed_recorder_is_read_without_its_metadata(
+    tmp_path: Path, plant: Path, storage: StoragePlugin
+) -> None:
+    source = bag(tmp_path / "bag", storage, messages())
+    whole = map_bag(source, parse_map(MAP), find_plant(str(plant)))
+    (source / "metadata.yaml").unlink()
+    found = map_bag(source, parse_map(MAP), find_plant(str(plant)))
+    assert found.samples == whole.samples
+    assert "metadata.yaml is missing or unreadable: the recording was not finished." in found.notes
+
+
+def test_a_truncated_file_is_read_up_to_its_end_and_says_so(tmp_path: Path) -> None:
+    file = stored(bag(tmp_path / "bag", StoragePlugin.MCAP, messages()))
+    whole = file.read_bytes()
+    file.write_bytes(whole[: len(whole) // 3])
+    (held,), (note,) = read(file)
+    assert 0 < len(held) < TICKS
+    assert held == READINGS[: len(held)]
+    assert note.startswith("bag.mcap: the file is truncated; ")
+
+
+@pytest.mark.parametrize("beside", ["-wal", "-journal"])
+def test_what_sqlite_has_not_moved_into_the_file_yet_is_read(tmp_path: Path, beside: str) -> None:
+    """As a kill leaves it: the newest messages in the log beside the file, or a change half made in it."""
+    source = bag(tmp_path / "bag", StoragePlugin.SQLITE3, messages())
+    file = stored(source)
+    with closing(sqlite3.connect(file)) as data:
+        if beside == "-wal":
+            data.executescript("PRAGMA journal_mode = wal; PRAGMA wal_autocheckpoint = 0;")
+            rows = data.execute("SELECT topic_id, timestamp, data FROM messages ORDER BY id").fetchall()
+            data.execute("DELETE FROM messages")
+            data.executemany("INSERT INTO messages (topic_id, timestamp, data) VALUES (?, ?, ?)", rows[:30])
+            data.commit()
+            data.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+            data.executemany("INSERT INTO messages (topic_id, timestamp, data) VALUES (?, ?, ?)", rows[30:])
+            data.commit()
+        else:
+            data.executescript("PRAGMA cache_size = 1; BEGIN; DELETE FROM messages WHERE id > 9;")
+        shutil.copytree(source, tmp_path / "killed")
+    killed = tmp_path / "killed"
+    assert (killed / f"bag.db3{beside}").stat().st_size
+    before = {path.name: path.read_bytes() for path in killed.iterdir()}
+    assert read(killed) == ([READINGS], [])
+    assert {path.name: path.read_bytes() for path in killed.iterdir()} == before
+
+
+@pytest.mark.parametrize("surplus", [4, 24, 100])
+def test_bytes_behind_the_last_field_are_not_an_error(tmp_path: Path, surplus: int) -> None:
+    """As `serialize_message` of rclpy writes them, and with it every recorder in Python."""
+    source = bag(tmp_path / "bag", StoragePlugin.MCAP, messages(), surplus=b"\xfe" * surplus)
+    assert read(source) == ([READINGS], [])
+
+
+def mixed(file: Path, profile: str) -> Path:
+    """An MCAP file with topics that cannot be read beside two that can; one has no definition."""
+    with file.open("wb") as stream:
+        out = McapWriter(stream)
+        out.start(profile=profile, library="somebody")
+        kind = "std_msgs/msg/Float64"
+        made = {
+            "/stated": ("cdr", out.register_schema(kind, "ros2msg", b"float64 data")),
+            "/standard": ("cdr", out.register_schema(kind, "", b"")),
+            "/idl": ("cdr", out.register_schema(kind, "ros2idl", b"module { nonsense")),
+            "/json": ("json", out.register_schema("Note", "jsonschema", b"{}")),
+            "/bare": ("json", 0),
+            "/protobuf": ("protobuf", out.register_schema("Pose", "protobuf", b"\xff\x00")),
+            "/broken": ("cdr", out.register_schema("lab_msgs/msg/Broken", "ros2msg", b"float64[ data")),
+            "/unknown": ("cdr", out.register_schema("lab_msgs/msg/Unknown", "", b"")),
+            "/nested": ("cdr", out.register_schema("lab_msgs/msg/Nested", "ros2msg", b"lab_msgs/Part part")),
+            "/short": ("cdr", out.register_schema("lab_msgs/msg/Long", "ros2msg", b"float64 a\nfloat64 b")),
+        }
+        channels = {
+            name: out.register_channel(name, encoding, schema) for name, (encoding, schema) in made.items()
+        }
+        for k in range(3):
+            for channel in channels.values():
+                out.add_message(channel, k, bytes(STORE.serialize_cdr(number(k), kind)), k)
+        out.finish()
+    return file
+
+
+@pytest.mark.parametrize("profile", ["ros2", ""])
+def test_topics_that_cannot_be_read_are_listed_with_the_reason(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], profile: str
+) -> None:
+    file = mixed(tmp_path / "mixed.mcap", profile)
+    for name in ("/stated", "/standard", "/idl"):
+        assert read(file, Channel(name, "")) == ([[0.0, 1.0, 2.0]], [])
+    rows = {line.split("│")[1].strip(): line for line in listed(file, capsys).splitlines() if "│ /" in line}
+    assert len(rows) == 10
+    for name, words in {
+        "/stated": " data ",
+        "/json": "messages in json",
+        "/bare": "messages in json",
+        "/protobuf": "messages in protobuf",
+        "/broken": "the definition of lab_msgs/msg/Broken",
+        "/unknown": "does not contain",
+        "/nested": "does not contain",
+        "/short": " a, b ",
+    }.items():
+        assert words in rows[name], name
+    with pytest.raises(
+        TwinmatchError, match=r"/unknown: .* source the workspace that has it, or map"
+    ):
+        read(file, Channel("/unknown", "x"))
+    with pytest.raises(TwinmatchError, match="/short: a message of 12 bytes is not a lab_msgs/msg/Long"):
+        read(file, Channel("/short", "a"))
+
+
+def test_a_type_without_a_definition_is_found_in_the_workspace(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As Humble writes SQLite: no table of definitions, no hashes."""
+    source = bag(tmp_path / "bag", StoragePlugin.SQLITE3, messages())
+    with closing(sqlite3.connect(stored(source))) as data:
+        data.executescript("DROP TABLE message_definitions; UPDATE schema SET schema_version = 3;")
+        data.execute("UPDATE topics SET type_description_hash = ''")
+        data.commit()
+    share = tmp_path / "install" / "share" / "lab_msgs" / "msg"
+    share.mkdir(parents=True)
+    (share / "Rack.msg").write_text("std_msgs/Header header\nReading[] readings\n")
+    standard = tmp_path / "install" / "share" / "std_msgs" / "msg"
+    standard.mkdir(parents=True)
+    (standard / "Header.msg").write_text("builtin_interfaces/Time stamp\nstring frame_id\n")
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path / "install"))
+    with pytest.raises(TwinmatchError, match="/rack: the bag does not contain the definition of lab"):
+        read(source)  # a nested one is missing
+    (share / "Reading.msg").write_text("float32 value  # as it was recorded\nstring name\n")
+    assert read(source, RACK, Channel("/heater", "")) == ([READINGS, [10.0, *range(15, 66, 10)]], [])
+
+
+def test_an_installed_type_that_is_not_that_which_was_recorded_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "one.mcap"
+    with file.open("wb") as stream:
+        out = McapWriter(stream)
+        out.start(profile="ros2", library="somebody")
+        schema = out.register_schema("lab_msgs/msg/Level", "", b"")
+        channel = out.register_channel("/level", "cdr", schema, {"topic_type_hash": "RIHS01_" + "0" * 64})
+        out.add_message(channel, 1, b"\0\1\0\0" + bytes(8), 1)
+        out.finish()
+    share = tmp_path / "install" / "share" / "lab_msgs" / "msg"
+    share.mkdir(parents=True)
+    (share / "Level.msg").write_text("float64 value\n")
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path / "install"))
+    with pytest.raises(TwinmatchError, match=r"/level: .* recorded with another definition than"):
+        read(file, Channel("/level", ""))
+
+
+@pytest.mark.parametrize("storage", BOTH)
+@pytest.mark.parametrize("mode", [CompressionMode.MESSAGE, CompressionMode.FILE])
+def test_compressed_messages_and_files_are_read_also_without_the_metadata(
+    tmp_path: Path, storage: StoragePlugin, mode: CompressionMode
+) -> None:
+    source = bag(tmp_path / "bag", storage, messages(), compression=mode)
+    assert read(source) == ([READINGS], [])
+    (source / "metadata.yaml").unlink()
+    assert read(source)[0] == [READINGS]
+
+
+def test_a_compressed_file_or_message_that_is_none_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "bag.mcap.zstd"
+    file.write_bytes(b"nonsense")
+    with pytest.raises(TwinmatchError, match="cannot be unpacked"):
+        read(file)
+    source = bag(tmp_path / "bag", StoragePlugin.SQLITE3, messages())
+    monkeypatch.setattr(bag_files, "MAX_UNPACKED", 10**5)
+    bomb = zstandard.compress(bytes(10**5 + 1))
+    with closing(sqlite3.connect(stored(source))) as data:
+        data.execute("UPDATE messages SET data = ?", (bomb,))
+        data.commit()
+    with pytest.raises(TwinmatchError, match="a compressed message of 100001 bytes"):
+        read(source)
+
+
+def test_a_bag_of_ros_1_is_read_in_the_order_of_recording(tmp_path: Path) -> None:
+    """Its clock was set back between the third message and the fourth."""
+    store = get_typestore(Stores.ROS1_NOETIC)
+    with Writer1(tmp_path / "one.bag") as writer:
+        heater = writer.add_connection("/heater", "std_msgs/msg/Float64", typestore=store)
+        for at, value in ((5, 1.0), (6, 2.0), (7, 3.0), (1, 4.0)):
+            message = store.types["std_msgs/msg/Float64"](data=value)
+            writer.write(heater, at * 10**9, store.serialize_ros1(message, "std_msgs/msg/Float64"))
+    assert read(tmp_path / "one.bag", Channel("/heater", "")) == ([[1.0, 2.0, 3.0, 4.0]], [])
+    (tmp_path / "one.bag").write_bytes((tmp_path / "one.bag").read_bytes()[:2000])
+    with pytest.raises(TwinmatchError, match="cannot be read as a bag, or is damaged"):
+        read(tmp_path / "one.bag")

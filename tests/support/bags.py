@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
@@ -33,18 +33,27 @@ def temperature(at: float, value: float) -> Any:
 
 
 def bag(
-    folder: Path, storage: StoragePlugin, made: list[tuple[float, str, Any]], behind: float = 0.0
+    folder: Path,
+    storage: StoragePlugin,
+    made: list[tuple[float, str, Any]],
+    behind: float = 0.0,
+    *,
+    surplus: bytes = b"",
+    compression: CompressionMode = CompressionMode.NONE,
 ) -> Path:
     """Write a bag whose messages are written 30 ms after they were sent, and `behind` s more.
 
-    On its topic `/empty` there is no message.
+    On its topic `/empty` there is no message. `surplus` follows every message.
     """
-    with Writer(folder, version=9, storage_plugin=storage) as writer:
+    writer = Writer(folder, version=9, storage_plugin=storage)
+    if compression is not CompressionMode.NONE:
+        writer.set_compression(compression, CompressionFormat.ZSTD)
+    with writer:
         known = {"/empty": writer.add_connection("/empty", "std_msgs/msg/Float64", typestore=STORE)}
         for at, name, message in sorted(made, key=lambda entry: entry[0]):
             kind = message.__msgtype__
             if name not in known:
                 known[name] = writer.add_connection(name, kind, typestore=STORE)
             logged = round((START + at + 0.03 + behind) * 1e9)
-            writer.write(known[name], logged, STORE.serialize_cdr(message, kind))
+            writer.write(known[name], logged, bytes(STORE.serialize_cdr(message, kind)) + surplus)
     return folder

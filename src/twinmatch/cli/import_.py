@@ -118,21 +118,23 @@ def _list(path: Path) -> int:
 
     if is_bag(path):
         with open_bag(path) as bag:
-            topics, seconds, columns = bag.topics, bag.seconds, bag.columns
+            topics, seconds, columns, notes = bag.topics, bag.seconds, bag.columns, bag.notes
         shown = Table("topic", "type", "messages", "per s", "numbers")
         for topic in topics:
             rate = f"{topic.messages / seconds:.3g}" if seconds else ""
-            numbers = ", ".join(topic.numbers[:8]) + (" …" if len(topic.numbers) > 8 else "")
+            numbers = ", ".join(topic.numbers[:8]) + (" …" if len(topic.numbers) > 8 else "") or topic.why
             shown.add_row(topic.name, topic.kind, str(topic.messages), rate, numbers)
         sources = {name: source for name, source in proposed(columns).items() if name != "time"}
     else:
-        columns = columns_of(read_table(path))
+        columns, notes = columns_of(read_table(path)), []
         shown = Table("column", "unit", "from", "to", "values", "empty", "looks like")
         for c in columns:
             ends = ("", "") if c.kind == "text" else (f"{c.low:.10g}", f"{c.high:.10g}")
             shown.add_row(c.title, c.unit, *ends, str(c.different), str(c.empty), c.kind)
         sources = proposed(columns)
     console_for(140).print(shown)
+    for note in notes:
+        print(f"Note: {note}")
     if sources:
         entries = [f"{signal}={source.text}" for signal, source in sources.items()]
         print(f"A guess, please check: --map {shlex.join(entries)}")

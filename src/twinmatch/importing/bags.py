@@ -1,28 +1,31 @@
 """Reading any ROS bag: rosbag2 folders with MCAP or SQLite, or one file of them, and `.bag` files of ROS 1.
 
-The library `rosbags` reads them without ROS; message types are those in the bag, or the standard ones if an
-old bag has none. It is an extra: `pip install twinmatch[bags]`.
+Message types are those in the bag, else the standard and the installed ones. The library `rosbags` reads them
+without ROS. It is an extra: `pip install twinmatch[bags]`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import math
+from collections import Counter
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from itertools import islice
+from importlib.util import find_spec
+from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from twinmatch.dynamics import Plant
 from twinmatch.errors import TwinmatchError
+from twinmatch.importing.bag_files import SCANS, definition_of, first_line, scans_of, suffix_of
 from twinmatch.importing.column_map import Column, described
 from twinmatch.importing.mapped import Mapped, by_signal, map_samples
 from twinmatch.importing.resampling import Gaps, bridged_up_to, held_means
 from twinmatch.importing.tables import Table
 from twinmatch.sampling.channels import (
     Channel,
-    Field,
     SamplingError,
     check_path,
     fields_below,
@@ -40,13 +43,11 @@ from twinmatch.sampling.sources import (
     signals_of,
 )
 from twinmatch.sessions.files import ProgressCallback, RecordingError, part_of
+from twinmatch.sessions.messages import Message, Topic
+from twinmatch.sessions.metadata import METADATA, counts_listed, files_of, miscounted
+from twinmatch.sessions.scan import Scan
 from twinmatch.signals import FloatArray
 
-if TYPE_CHECKING:
-    from rosbags.highlevel import AnyReader
-
-_FILES: Final = (".mcap", ".db3", ".bag")
-_METADATA: Final = "metadata.yaml"
 _MANY: Final = 40
 """Topics that an error lists."""
 _EVERY: Final = 500
@@ -62,6 +63,8 @@ class BagTopic(NamedTuple):
     messages: int
     numbers: tuple[str, ...]
     """Paths of the numbers in a message."""
+    why: str = ""
+    """Why there are none, if its messages cannot be read."""
 
 
 class Series(NamedTuple):
@@ -82,47 +85,64 @@ class Series(NamedTuple):
 def is_bag(path: Path) -> bool:
     """Whether a path looks like a bag."""
     if path.is_dir():
-        return any(file.name == _METADATA or file.suffix.lower() in _FILES for file in path.iterdir())
-    return path.suffix.lower() in _FILES
+        return any(file.name == METADATA or suffix_of(file) in SCANS for file in path.iterdir())
+    return suffix_of(path) in SCANS
 
 
 class Bag:
     """An open bag."""
 
-    def __init__(self, path: Path, reader: AnyReader) -> None:
+    def __init__(self, path: Path, scans: Callable[[], Sequence[Scan]], notes: Sequence[str]) -> None:
+        """Look through all its messages.
+
+        Args:
+            path: its folder or file.
+            scans: makes new passes over its files.
+            notes: what is known already of its files, as sentences.
+
+        Raises:
+            SessionError: a file is damaged, so that nothing of it can be read.
+        """
         self.path = path
-        self._reader = reader
+        self._scans = scans
+        self._topics: dict[str, list[Topic]] = {}
+        self._counts: Counter[str] = Counter()
+        notes, start, end = [*notes], math.inf, -math.inf
+        for scan in scans():
+            before = self._counts.total()
+            for message in scan:
+                self._counts[message.topic.name] += 1
+                start, end = min(start, message.log_time), max(end, message.log_time)
+            for topic in scan.topics:
+                self._topics.setdefault(topic.name, []).append(topic)
+            read = self._counts.total() - before
+            if scan.fault and not read:
+                raise RecordingError(f"{scan.path}: {scan.fault}; no message can be read")
+            if scan.fault:
+                notes.append(f"{scan.path.name}: {scan.fault}; {read} messages were read")
+        self.seconds = (end - start) / 1e9 if self._counts else 0.0
+        """Duration from the first to the last message, s."""
+        if path.is_dir():
+            notes += miscounted(counts_listed(path), self._counts)
+        self.notes = [f"{note}." for note in notes]
+        """What is missing, as sentences."""
 
     @property
     def topics(self) -> list[BagTopic]:
         """Its topics, sorted by name."""
-        return [self._topic(name) for name in sorted(self._reader.topics)]
-
-    @property
-    def seconds(self) -> float:
-        """Duration from the first to the last message, s."""
-        return float(self._reader.duration) / 1e9
+        return [self._topic(name) for name in sorted(self._topics)]
 
     @property
     def columns(self) -> list[Column]:
         """An overview of the numbers of each topic, under the names that a map uses."""
-        columns = []
-        for topic in self.topics:
-            if not topic.messages or len(topic.numbers) > _FIELDS:
-                continue
-            channels = [Channel(topic.name, path) for path in topic.numbers]
-            try:
-                held = self.series(channels, _ENOUGH)
-            except TwinmatchError:
-                continue  # a topic that cannot be read is not proposed
-            for channel, series in zip(channels, held, strict=True):
-                unit = usual_unit(series.kind, series.path)
-                columns.append(described(channel.text, unit, series.values, ordered=False))
+        listed = [topic for topic in self.topics if topic.messages and len(topic.numbers) <= _FIELDS]
+        channels = [Channel(topic.name, path) for topic in listed for path in topic.numbers]
+        columns = [
+            described(channel.text, usual_unit(series.kind, series.path), series.values, ordered=False)
+            for channel, series in zip(channels, self.series(channels, _ENOUGH), strict=True)
+            if series.values.size
+        ]
         return [column for column in columns if column.kind != "text"]
-
-    def fields_of(self, kind: str) -> Mapping[str, Field]:
-        """The fields of a message type."""
-        return {name: _field(described) for name, described in self._reader.typestore.fielddefs[kind][1]}
 
     def series(
         self,
@@ -134,7 +154,7 @@ class Bag:
 
         Args:
             channels: topics and paths.
-            most: most messages read per topic; all if not given.
+            most: most messages read per topic, and none of a topic with damaged ones; all if not given.
             progress: called with the number of messages read and their total.
 
         Raises:
@@ -142,54 +162,82 @@ class Bag:
         """
         checked = [self._check(channel) for channel in channels]
         rows: list[list[tuple[float, float, float]]] = [[] for _ in checked]
-        done, total = 0, sum(self._reader.topics[name].msgcount for name in {c.topic for c, _ in checked})
-        for topic in dict.fromkeys(channel.topic for channel, _ in checked):
-            wanted = [k for k, (channel, _) in enumerate(checked) if channel.topic == topic]
-            messages = self._reader.messages(self._reader.topics[topic].connections)
-            for connection, logged, raw in islice(messages, most):
-                message = self._reader.deserialize(raw, connection.msgtype)
-                done += 1
-                if progress is not None and done % _EVERY == 0:
-                    progress(done, total)
+        wanted: dict[str, list[int]] = {}
+        for k, (channel, _) in enumerate(checked):
+            wanted.setdefault(channel.topic, []).append(k)
+        total = sum(self._counts[name] for name in wanted)
+        for done, raw in enumerate(self._messages(wanted, most), 1):
+            if progress is not None and done % _EVERY == 0:
+                progress(done, total)
+            try:
+                message = self._decoded(raw)
                 stamped = _stamp(message)
-                for k in wanted:
-                    rows[k].append((logged / 1e9, stamped, follow(message, checked[k][0].path)))
+                for k in wanted.get(raw.topic.name, ()):
+                    rows[k].append((raw.log_time / 1e9, stamped, follow(message, checked[k][0].path)))
+            except TwinmatchError:
+                if most is None:
+                    raise
+                for k in wanted.pop(raw.topic.name):
+                    rows[k].clear()
         series = []
         for (channel, kind), held in zip(checked, rows, strict=True):
             columns = np.array(held, dtype=np.float64).reshape(-1, 3).T
             series.append(Series(kind, channel.path, *columns))
         return series
 
+    def _messages(self, topics: Collection[str], most: int | None) -> Iterator[Message]:
+        """The messages of topics in the order of recording, or the first few of each; `topics` may shrink."""
+        left = dict.fromkeys(topics, most or -1)  # counts down to 0, or for ever
+        for message in chain.from_iterable(self._scans()) if left else ():
+            name = message.topic.name
+            if name in left and name in topics:
+                left[name] -= 1
+                yield message
+                if not left[name]:
+                    del left[name]
+            if not left:
+                return
+
+    def _decoded(self, message: Message) -> Any:
+        try:
+            return definition_of(message.topic).decode(message.data)
+        except Exception as error:  # the library raises many kinds for damaged bytes
+            name, kind, *_ = message.topic
+            what = f"a message of {len(message.data)} bytes is not a {kind} ({first_line(error)})"
+            raise RecordingError(f"{self.path}: {name}: {what}") from error
+
     def _check(self, channel: Channel) -> tuple[Channel, str]:
-        topics = self._reader.topics
+        topics = self._topics
         name = channel.topic if channel.topic in topics else f"/{channel.topic.lstrip('/')}"
         if name not in topics:
             present = ", ".join(sorted(topics)[:_MANY]) or "none"
             raise RecordingError(f"{self.path}: has no topic {channel.topic}; it has {present}")
-        if not topics[name].msgcount:
+        if not self._counts[name]:
             raise RecordingError(f"{self.path}: topic {name} has no messages; map another one")
-        kind = topics[name].msgtype
-        if kind is None:
+        kinds = {topic.type for topic in topics[name]}
+        if len(kinds) > 1:
             raise RecordingError(
                 f"{self.path}: topic {name} was recorded with several types; map another one"
             )
+        (kind,) = kinds
         try:
-            return Channel(name, check_path(kind, channel.path, self.fields_of)), kind
+            for topic in topics[name]:
+                path = check_path(kind, channel.path, definition_of(topic).fields_of)
+            return Channel(name, path), kind
         except SamplingError as error:
             raise RecordingError(f"{self.path}: {channel.text}: {error}") from None
-        except KeyError:
-            raise RecordingError(
-                f"{self.path}: {name}: the bag does not contain the definition of {kind}; map another topic"
-            ) from None
+        except RecordingError as error:
+            raise RecordingError(f"{self.path}: {name}: {error}, or map another topic") from None
 
     def _topic(self, name: str) -> BagTopic:
-        info = self._reader.topics[name]
-        kind = info.msgtype or "several types"
+        kinds = sorted({topic.type for topic in self._topics[name]})
+        if len(kinds) > 1:
+            return BagTopic(name, "several types", self._counts[name], (), " and ".join(kinds))
         try:
-            numbers = tuple(fields_below(kind, self.fields_of))
-        except KeyError:
-            numbers = ()
-        return BagTopic(name, kind, info.msgcount, numbers)
+            numbers = tuple(fields_below(kinds[0], definition_of(self._topics[name][0]).fields_of))
+        except RecordingError as error:
+            return BagTopic(name, kinds[0], self._counts[name], (), str(error))
+        return BagTopic(name, kinds[0], self._counts[name], numbers)
 
 
 @contextmanager
@@ -199,24 +247,17 @@ def open_bag(path: Path) -> Iterator[Bag]:
     Raises:
         RecordingError: the bag does not exist or is damaged, or the library that reads it is not installed.
     """
-    try:
-        from rosbags.highlevel import AnyReader  # noqa: PLC0415 — an extra
-        from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415
-    except ImportError:
+    if find_spec("rosbags") is None:
         msg = f"{path}: to read bags, install rosbags: pip install 'twinmatch[bags]'"
-        raise RecordingError(msg) from None
+        raise RecordingError(msg)
     if not path.exists():
         raise RecordingError(f"{path}: does not exist")
-    if path.is_dir() and not (path / _METADATA).is_file():
-        raise RecordingError(f"{path}: has no {_METADATA}; give the folder of a rosbag2 bag")
-    try:
-        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
-            yield Bag(path, reader)
-    except TwinmatchError:
-        raise
-    except Exception as error:  # the library raises many kinds for damaged bytes
-        why = (str(error).splitlines() or [type(error).__name__])[0]
-        raise RecordingError(f"{path}: cannot be read as a bag, or is damaged ({why})") from error
+    files, notes = files_of(path, lambda file: suffix_of(file) in SCANS) if path.is_dir() else ([path], [])
+    if not files or len({suffix_of(file) for file in files}) > 1:
+        what = "has files of several kinds; give one of them" if files else f"has no {', '.join(SCANS)} file"
+        raise RecordingError(f"{path}: {what}")
+    with scans_of(files) as scans:
+        yield Bag(path, scans, notes)
 
 
 def _stamp(message: Any) -> float:
@@ -224,16 +265,6 @@ def _stamp(message: Any) -> float:
     stamp = getattr(getattr(message, "header", None), "stamp", None)
     seconds = float("nan") if stamp is None else stamp.sec + stamp.nanosec / 1e9
     return seconds or float("nan")
-
-
-def _field(described: Any) -> Field:
-    """Convert a field description of rosbags: a pair of node kind and content."""
-    node, of = described
-    name = node.name
-    if name in ("ARRAY", "SEQUENCE"):
-        inner, length = of
-        return _field(inner)._replace(array=True, length=length if name == "ARRAY" else None)
-    return Field(of[0] if name == "BASE" else of)
 
 
 _ASTRAY: Final = 1.0
@@ -274,6 +305,7 @@ def map_bag(
             raise RecordingError(msg)
     with open_bag(path) as bag:
         signals, notes = _read(bag, plant, sources, progress)
+        notes = [*bag.notes, *notes]
     columns, left_out = _rows(signals, longest)
     if columns[TIME].size < 2:
         msg = f"{path}: fewer than two readings of {sources[OUTPUT].text} follow the first input; check --map"

@@ -6,7 +6,7 @@ The records hold its plant, the parameters of its nodes, and its initial candida
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -136,6 +136,31 @@ def files_listed(folder: Path) -> list[str]:
     return []
 
 
+def is_mcap(path: Path) -> bool:
+    """Whether a file of a folder may be one of a session."""
+    return path.suffix == ".mcap"
+
+
+def _by_number(file: Path) -> tuple[int, str]:
+    return len(file.name), file.name
+
+
+def files_of(folder: Path, wanted: Callable[[Path], bool]) -> tuple[list[Path], list[str]]:
+    """The files of a recording in their order, and what is to be said of them, as sentences.
+
+    They are those listed in `metadata.yaml`, all wanted ones without it.
+    """
+    there = sorted(filter(wanted, folder.iterdir()), key=_by_number)
+    listed = [folder / name for name in files_listed(folder)]
+    if not listed:
+        return there, [f"{METADATA} is missing or unreadable: the recording was not finished"]
+    present = [file for file in listed if file.is_file() and wanted(file)]
+    notes = [f"{file.name} is listed in {METADATA} but missing" for file in listed if file not in present]
+    stray = [file.name for file in there if file not in listed]
+    notes += [f"{name} is not listed in {METADATA} and is left out; read it alone" for name in stray]
+    return present, notes
+
+
 def counts_listed(folder: Path) -> dict[str, int]:
     """Messages per topic name listed in `metadata.yaml`; empty if it cannot be read."""
     counts: Counter[str] = Counter()
@@ -160,7 +185,7 @@ def mcap_files(folder: Path) -> list[Path]:
     Raises:
         SessionError: there are none.
     """
-    files = sorted(folder.glob("*.mcap"), key=lambda file: (len(file.name), file.name))
+    files = sorted(filter(is_mcap, folder.iterdir()), key=_by_number)
     if not files:
         raise SessionError(f"session {folder}: is not a session: the folder has no MCAP file")
     return files

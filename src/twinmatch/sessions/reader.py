@@ -30,10 +30,10 @@ from twinmatch.sessions.messages import (
 )
 from twinmatch.sessions.metadata import (
     CONTINUES,
-    METADATA,
     doubts,
-    files_listed,
+    files_of,
     has_reference,
+    is_mcap,
     mcap_files,
     plant_of,
 )
@@ -290,14 +290,8 @@ def _files(path: Path) -> tuple[list[Path], list[str]]:
         raise SessionError(f"session {path}: does not exist")
     if not path.is_dir():
         return [path], []
-    listed = [path / name for name in files_listed(path)]
-    if not listed:
-        return mcap_files(path), [f"{METADATA} is missing or unreadable: the recording was not finished"]
-    present = [file for file in listed if file.is_file()]
-    notes = [f"{file.name} is listed in {METADATA} but missing" for file in listed if file not in present]
-    if not present:
-        raise SessionError(f"session {path}: is not a session: the folder has no MCAP file")
-    return present, notes
+    files, notes = files_of(path, is_mcap)
+    return files or mcap_files(path), notes
 
 
 def _plant_topic(topics: list[Topic], wanted: str | None, place: str) -> Topic:

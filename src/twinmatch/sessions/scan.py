@@ -31,7 +31,7 @@ MAGIC = b"\x89MCAP0\r\n"
 _RECORD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
 _PRIVATE = 0x80
-_MAX_UNPACKED = 1 << 28
+MAX_UNPACKED = 1 << 28
 """Longest chunk, unpacked bytes: recorders write chunks of a few megabytes, or one longer message."""
 
 _WITHOUT = Schema(0, b"", "", "")
@@ -219,8 +219,8 @@ def _parse(kind: type[_Record], body: bytes) -> _Record:
 def _unpack(chunk: Chunk) -> bytes:
     """The records in a chunk, checked against its stated size and CRC."""
     size = chunk.uncompressed_size
-    if size > _MAX_UNPACKED:
-        raise _FaultError(f"a chunk of {size} bytes is longer than the limit of {_MAX_UNPACKED}")
+    if size > MAX_UNPACKED:
+        raise _FaultError(f"a chunk of {size} bytes is longer than the limit of {MAX_UNPACKED}")
     data = chunk.data
     if chunk.compression:
         try:
@@ -241,7 +241,7 @@ def _decompress(compression: str, data: bytes, most: int) -> bytes:
     if compression == "zstd":
         import zstandard  # noqa: PLC0415 - rarely needed
 
-        with zstandard.ZstdDecompressor(max_window_size=_MAX_UNPACKED).stream_reader(data) as reader:
+        with zstandard.ZstdDecompressor(max_window_size=MAX_UNPACKED).stream_reader(data) as reader:
             return bytes(reader.read(most))
     if compression == "lz4":
         from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]  # noqa: PLC0415

@@ -1,0 +1,277 @@
+"""The files of bags: MCAP and SQLite (rosbag2), `.bag` (ROS 1), all messages in the order of recording.
+
+`Scan` reads MCAP, as far as it is intact; the other two passes look like it. What follows the last field of a
+message is not read: rclpy writes some bytes too many, which the library `rosbags` would refuse.
+"""
+
+from __future__ import annotations
+
+import re
+import shutil
+import sqlite3
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
+from functools import cache, lru_cache, partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Final, NamedTuple
+
+import zstandard
+
+from twinmatch.sampling.channels import Field
+from twinmatch.sessions.files import RecordingError, SessionError, open_regular
+from twinmatch.sessions.messages import Message, Qos, Topic, schema_of
+from twinmatch.sessions.metadata import parse_qos
+from twinmatch.sessions.scan import MAX_UNPACKED, Scan
+
+PACKED: Final = ".zstd"
+"""Suffix of files that rosbag2 compresses as a whole."""
+_ZSTD: Final = b"\x28\xb5\x2f\xfd"
+"""Begins a message that rosbag2 compressed alone; CDR begins with a zero."""
+_NEXT_IDL: Final = re.compile(r"^=+\nIDL: .*\n", re.MULTILINE)
+"""What separates the parts of a definition in IDL."""
+_BESIDE: Final = ("-wal", "-journal")
+"""What SQLite leaves beside a file while it writes."""
+
+
+_ROWS: Final = """SELECT topic_id, CAST(timestamp AS INTEGER), CAST(data AS BLOB)
+                  FROM messages ORDER BY rowid"""
+
+
+class SqliteScan(Scan):
+    """One pass over an SQLite file."""
+
+    def __iter__(self) -> Iterator[Message]:
+        """The messages in the order in which they were written.
+
+        Raises:
+            RecordingError: the file cannot be opened, is damaged, or is not a bag.
+        """
+        lost = 0
+        try:
+            with _database(self.path) as data:
+                topics = self._topics_in(data)
+                for number, stamp, content in data.execute(_ROWS):
+                    if number in topics:
+                        yield Message(topics[number], stamp or 0, stamp or 0, content or b"")
+                    else:
+                        lost += 1
+        except (sqlite3.Error, OSError) as error:
+            what = f"cannot be read as a bag, or is damaged ({error}); try sqlite3 {self.path.name} .recover"
+            raise RecordingError(f"{self.path}: {what}") from error
+        if lost:
+            self.fault = f"{lost} messages belong to no topic and are left out"
+
+    def _topics_in(self, data: sqlite3.Connection) -> dict[int, Topic]:
+        tables = {name for (name,) in data.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+        if not {"messages", "topics"} <= tables:
+            raise RecordingError(f"{self.path}: has no tables messages and topics, as a bag has")
+        data.row_factory = sqlite3.Row
+        stated = "message_definitions" in tables  # since Iron
+        rows = data.execute("SELECT * FROM message_definitions ORDER BY id") if stated else []
+        definitions = {row["topic_type"]: dict(row) for row in rows}
+        topics = {}
+        for row in map(dict, data.execute("SELECT * FROM topics ORDER BY id")):
+            definition = definitions.get(row["type"], {})
+            topics[row["id"]] = Topic(
+                str(row["name"]),
+                str(row["type"]),
+                str(definition.get("encoded_message_definition", "")),
+                str(row.get("type_description_hash", "")),
+                parse_qos(str(row.get("offered_qos_profiles", ""))),
+                str(row["serialization_format"]),
+                str(definition.get("encoding", "")),
+            )
+        data.row_factory = None
+        self.topics = list(topics.values())
+        return topics
+
+
+@contextmanager
+def _database(path: Path) -> Iterator[sqlite3.Connection]:
+    """An SQLite file, with what a killed recorder left beside it; none of these files is changed."""
+    open_regular(path).close()
+    beside = [path.with_name(path.name + suffix) for suffix in _BESIDE]
+    beside = [file for file in beside if file.is_file() and file.stat().st_size]
+    with TemporaryDirectory(prefix="twinmatch-bag-") as folder:
+        for file in (path, *beside) if beside else ():
+            shutil.copyfile(file, Path(folder) / file.name)
+        place = Path(folder) / path.name if beside else path
+        how = "mode=rw" if beside else "mode=ro&immutable=1"
+        with closing(sqlite3.connect(f"{place.absolute().as_uri()}?{how}", uri=True)) as data:
+            yield data
+
+
+class Ros1Scan(Scan):
+    """One pass over a file of ROS 1."""
+
+    def __iter__(self) -> Iterator[Message]:
+        """The messages in the order in which they were written.
+
+        Raises:
+            RecordingError: the file cannot be opened, is damaged, or is not a bag.
+        """
+        from rosbags.rosbag1 import Reader  # noqa: PLC0415 — an extra
+        from rosbags.rosbag1.reader import IndexData  # noqa: PLC0415
+
+        class Placed(IndexData):
+            """An entry of the index, which comes where it is in the file."""
+
+            __slots__ = ()
+
+            def __lt__(self, other: tuple[int, ...]) -> bool:
+                return self[1:] < other[1:]
+
+        try:
+            open_regular(self.path).close()
+            with Reader(self.path) as reader:
+                topics = {
+                    c.id: Topic(c.topic, c.msgtype, c.msgdef.data, "", encoding="ros1")
+                    for c in reader.connections
+                }
+                reader.indexes = {k: sorted(map(Placed._make, i)) for k, i in reader.indexes.items()}
+                self.topics = list(topics.values())
+                for connection, stamp, content in reader.messages():
+                    yield Message(topics[connection.id], stamp, stamp, content)
+        except Exception as error:  # the library raises many kinds for damaged bytes
+            msg = f"{self.path}: cannot be read as a bag, or is damaged ({first_line(error)})"
+            raise RecordingError(msg) from error
+
+
+SCANS: Final[Mapping[str, type[Scan]]] = {".mcap": Scan, ".db3": SqliteScan, ".bag": Ros1Scan}
+"""By the suffix of a file."""
+
+
+def suffix_of(path: Path) -> str:
+    """The suffix of a file, or of the file that is compressed in it."""
+    return Path(path.name.lower().removesuffix(PACKED)).suffix
+
+
+@contextmanager
+def scans_of(files: Sequence[Path]) -> Iterator[Callable[[], list[Scan]]]:
+    """What makes new passes over files; those that are compressed as a whole are unpacked meanwhile.
+
+    Raises:
+        RecordingError: one cannot be unpacked.
+    """
+    with TemporaryDirectory(prefix="twinmatch-bag-") as folder:
+        places = [_plain(file, Path(folder)) for file in files]
+        yield lambda: [SCANS[suffix_of(place)](place) for place in places]
+
+
+def _plain(file: Path, folder: Path) -> Path:
+    """A file, or what is compressed in it, unpacked into a folder."""
+    if not file.name.lower().endswith(PACKED):
+        return file
+    place = folder / file.stem
+    try:
+        with open_regular(file) as packed, place.open("wb") as plain:
+            zstandard.ZstdDecompressor().copy_stream(packed, plain)
+    except (zstandard.ZstdError, OSError) as error:
+        raise RecordingError(f"{file}: cannot be unpacked ({error})") from error
+    return place
+
+
+class Definition(NamedTuple):
+    """How the messages of a type are read."""
+
+    fields_of: Callable[[str], Mapping[str, Field]]
+    """The fields of the type and of those nested in it."""
+    decode: Callable[[bytes], Any]
+
+
+@lru_cache(maxsize=1024)
+def definition_of(topic: Topic) -> Definition:
+    """How the messages of a topic are read: by the definition in its file, a standard or an installed one.
+
+    Raises:
+        RecordingError: there is none, or the messages have another encoding than CDR or that of ROS 1.
+    """
+    return _definition(topic._replace(name="", qos=Qos()))
+
+
+@lru_cache(maxsize=256)
+def _definition(topic: Topic) -> Definition:
+    if topic.encoding not in ("cdr", "ros1"):
+        raise RecordingError(f"messages in {topic.encoding or 'an unnamed encoding'} are not read, only CDR")
+    why = f"the bag does not contain the definition of {topic.type}; source the workspace that has it"
+    for stored in (_stated, _standard, _installed):
+        try:
+            store = stored(topic)
+            known = store.get_msgdef(topic.type)
+            asked = topic.type_hash if stored is not _stated else ""
+            alike = not asked or store.hash_rihs01(topic.type) == asked
+        except (KeyError, SessionError):
+            continue  # it is not there, or one nested in it is not
+        except Exception as error:  # the library raises many kinds for what it cannot read
+            why = f"the definition of {topic.type} cannot be read ({first_line(error)})"
+            continue
+        if not alike:
+            why = f"{topic.type} was recorded with another definition than that which is installed"
+            continue
+        ros1 = partial(store.deserialize_ros1, typename=topic.type)
+        fields_of = partial(_fields_in, store)
+        return Definition(fields_of, ros1 if topic.encoding == "ros1" else partial(_from_cdr, store, known))
+    raise RecordingError(why)
+
+
+def _stated(topic: Topic) -> Any:
+    """The types that the file defines."""
+    from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore  # noqa: PLC0415
+
+    store = get_typestore(Stores.EMPTY)
+    if topic.schema and topic.language == "ros2msg":
+        store.register(get_types_from_msg(topic.schema, topic.type))
+    for part in re.split(_NEXT_IDL, topic.schema) if topic.language in ("ros2idl", "omgidl") else ():
+        if part.strip():
+            store.register(get_types_from_idl(part))
+    return store
+
+
+def _standard(_: Topic) -> Any:
+    """The types of the ROS 2 common interfaces."""
+    return _common()
+
+
+@cache
+def _common() -> Any:
+    from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415
+
+    return get_typestore(Stores.ROS2_JAZZY)
+
+
+def _installed(topic: Topic) -> Any:
+    """The types that the workspace defines."""
+    return _stated(topic._replace(schema=schema_of(topic.type), language="ros2msg"))
+
+
+def _fields_in(store: Any, kind: str) -> dict[str, Field]:
+    return {name: _field(described) for name, described in store.fielddefs[kind][1]}
+
+
+def _field(described: Any) -> Field:
+    """Convert a field description of rosbags: a pair of node kind and content."""
+    node, of = described
+    name = node.name
+    if name in ("ARRAY", "SEQUENCE"):
+        inner, length = of
+        return _field(inner)._replace(array=True, length=length if name == "ARRAY" else None)
+    return Field(of[0] if name == "BASE" else of)
+
+
+def _from_cdr(store: Any, known: Any, data: bytes) -> Any:
+    """The message at the beginning of these bytes; rclpy writes more than that."""
+    if data[:4] == _ZSTD:
+        size = zstandard.frame_content_size(data)
+        if not 0 <= size <= MAX_UNPACKED:
+            raise RecordingError(f"a compressed message of {size} bytes; {MAX_UNPACKED} is the most")
+        data = zstandard.decompress(data)
+    read = {b"\0\0": known.deserialize_cdr_be, b"\0\1": known.deserialize_cdr_le}.get(data[:2])
+    if read is None:
+        raise RecordingError(f"{data[:4].hex(' ')} does not begin plain CDR")
+    return read(data[4:], 0, known.cls, store)[0]
+
+
+def first_line(error: Exception) -> str:
+    """What a library says of an error, else its kind."""
+    return (str(error).splitlines() or [type(error).__name__])[0]
