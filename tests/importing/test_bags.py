@@ -456,9 +456,7 @@ def test_topics_that_cannot_be_read_are_listed_with_the_reason(
         "/short": " a, b ",
     }.items():
         assert words in rows[name], name
-    with pytest.raises(
-        TwinmatchError, match=r"/unknown: .* source the workspace that has it, or map"
-    ):
+    with pytest.raises(TwinmatchError, match=r"/unknown: .* source the workspace that has it, or map"):
         read(file, Channel("/unknown", "x"))
     with pytest.raises(TwinmatchError, match="/short: a message of 12 bytes is not a lab_msgs/msg/Long"):
         read(file, Channel("/short", "a"))
