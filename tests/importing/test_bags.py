@@ -514,7 +514,7 @@ def test_compressed_messages_and_files_are_read_also_without_the_metadata(
     assert read(source)[0] == [READINGS]
 
 
-def test_a_compressed_file_or_message_that_is_none_is_one_line(
+def test_an_invalid_compressed_file_or_message_is_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     file = tmp_path / "bag.mcap.zstd"

@@ -305,7 +305,7 @@ def test_messages_that_are_missing_are_counted_and_the_original_is_kept(tmp_path
 @pytest.mark.parametrize("cut", [False, True])
 @pytest.mark.parametrize("library", ["somebody", ""])
 def test_what_others_have_written_is_refused_and_left_as_it_is(tmp_path, capsys, library, cut):
-    """JSON, IDL, compressed chunks, attachments: a copy of ours would hold none of them."""
+    """JSON, IDL, compressed chunks, attachments: our copy would hold none of them."""
     folder = tmp_path / "theirs"
     folder.mkdir()
     with (folder / "theirs_0.mcap").open("wb") as file:

@@ -68,7 +68,7 @@ class Scan:
         self.records: dict[str, dict[str, str]] = {}
         """Metadata records found so far; the last of those with the same name."""
         self.library = ""
-        """The program that wrote the file, in its own words."""
+        """Name of the program that wrote the file."""
         self.fault = ""
         """Why reading ended early; empty if it did not."""
         self.read = 0
