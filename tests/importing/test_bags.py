@@ -342,6 +342,18 @@ def test_what_was_read_is_counted_against_the_metadata(
     assert words in map_bag(source, parse_map(MAP), find_plant(str(plant))).notes
 
 
+def test_a_metadata_file_or_a_table_of_another_form_ends_in_no_traceback(tmp_path: Path) -> None:
+    source = bag(tmp_path / "bag", StoragePlugin.SQLITE3, messages())
+    for count in (float("inf"), None, [], "many"):
+        metadata(source, lambda held, n=count: held["topics_with_message_count"][0].update(message_count=n))
+        assert read(source) == ([READINGS], [])
+    with closing(sqlite3.connect(stored(source))) as data:
+        data.execute("ALTER TABLE topics DROP COLUMN serialization_format")
+        data.commit()
+    with pytest.raises(TwinmatchError, match="serialization_format"):
+        read(source)
+
+
 def test_files_that_the_metadata_does_not_list_or_that_are_missing_are_named(tmp_path: Path) -> None:
     source = bag(tmp_path / "bag", StoragePlugin.MCAP, messages())
     shutil.copy(stored(source), source / "copy.mcap")

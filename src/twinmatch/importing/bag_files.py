@@ -56,7 +56,7 @@ class SqliteScan(Scan):
                         yield Message(topics[number], stamp or 0, stamp or 0, content or b"")
                     else:
                         lost += 1
-        except (sqlite3.Error, OSError) as error:
+        except (sqlite3.Error, OSError, LookupError) as error:
             what = f"cannot be read as a bag, or is damaged ({error}); try sqlite3 {self.path.name} .recover"
             raise RecordingError(f"{self.path}: {what}") from error
         if lost:

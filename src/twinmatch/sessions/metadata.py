@@ -161,13 +161,14 @@ def files_of(folder: Path, wanted: Callable[[Path], bool]) -> tuple[list[Path], 
     return present, notes
 
 
-def counts_listed(folder: Path) -> dict[str, int]:
+def counts_listed(folder: Path) -> Mapping[str, int]:
     """Messages per topic name listed in `metadata.yaml`; empty if it cannot be read."""
     counts: Counter[str] = Counter()
     with suppress(*_UNREADABLE):
         for topic in _read(folder)["topics_with_message_count"]:
             counts[str(topic["topic_metadata"]["name"])] += int(topic["message_count"])
-    return dict(counts)
+        return counts
+    return {}
 
 
 def miscounted(listed: Mapping[str, int], found: Mapping[str, int]) -> list[str]:
@@ -198,7 +199,7 @@ def distro_of(folder: Path) -> str:
     return "unknown"
 
 
-_UNREADABLE: Final = (OSError, ValueError, TypeError, LookupError)
+_UNREADABLE: Final = (OSError, ValueError, TypeError, LookupError, OverflowError)
 
 
 def _read(folder: Path) -> Any:
