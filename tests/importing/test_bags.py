@@ -29,7 +29,8 @@ from tests.support.processes import run_twinmatch
 from twinmatch.cli import main
 from twinmatch.errors import TwinmatchError
 from twinmatch.importing import bag_files, bags
-from twinmatch.importing.bags import _means, _Signal, map_bag, open_bag
+from twinmatch.importing.bags import open_bag
+from twinmatch.importing.mapped_bags import _means, _Signal, map_bag
 from twinmatch.plants import find_plant
 from twinmatch.sampling.channels import Channel
 from twinmatch.sampling.sources import parse_map
@@ -167,13 +168,6 @@ def test_the_reading_of_a_bag_reports_its_progress(
     assert shares == sorted(shares)
     assert shares[0] < 0.1
     assert 0.9 < shares[-1] <= 1.0
-
-
-def test_headers_of_another_clock_are_reported_and_not_used(tmp_path: Path, plant: Path) -> None:
-    source = bag(tmp_path / "bag", StoragePlugin.MCAP, messages(), behind=500.0)
-    found = map_bag(source, parse_map(MAP), find_plant(str(plant)))
-    assert any("headers have another clock (/rack by 500" in note for note in found.notes)
-    assert found.samples[0].stamp == round((START + 500.03) * 1e9)
 
 
 @pytest.mark.parametrize(

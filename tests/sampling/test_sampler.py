@@ -14,12 +14,13 @@ from twinmatch.importing.resampling import resample
 from twinmatch.sampling.channels import (
     Channel,
     Field,
+    Followed,
     SamplingError,
     check_path,
     fields_below,
-    follow,
     parse_channel,
     steps,
+    usual_unit,
 )
 from twinmatch.sampling.sampler import Grid, Limits, Rate, Sampler, SignalBuffer
 from twinmatch.signals import Sample
@@ -30,6 +31,10 @@ SIGNALS = {"reference": Limits(), "output": Limits(2.0), "input": Limits(2.0, -2
 
 def ns(at: float) -> int:
     return round(at * SECOND)
+
+
+def follow(message: object, path: str) -> float | None:
+    return Followed(Channel("/t", path)).number(message)
 
 
 def run(sampler: Sampler, told: list[tuple[float, str, float]], until: float) -> list[Sample]:
@@ -225,6 +230,10 @@ TYPES: dict[str, dict[str, Field]] = {
         "first": Field("lab_msgs/msg/Reading"),
     },
     "lab_msgs/msg/Nothing": {"text": Field("string")},
+    "sensor_msgs/msg/JointState": {
+        "name": Field("string", array=True),
+        "position": Field("double", array=True),
+    },
 }
 
 
@@ -242,6 +251,7 @@ def fields_of(kind: str) -> Mapping[str, Field]:
         ("lab_msgs/msg/Rack", "readings[2].good", "readings[2].good"),
         ("lab_msgs/msg/Rack", "pose[2]", "pose[2]"),
         ("lab_msgs/msg/Rack", "first.value", "first.value"),
+        ("sensor_msgs/msg/JointState", "position[left/elbow_1]", "position[left/elbow_1]"),
     ],
 )
 def test_a_path_to_a_number_is_found(kind: str, path: str, found: str) -> None:
@@ -265,6 +275,8 @@ def test_a_path_to_a_number_is_found(kind: str, path: str, found: str) -> None:
         ("lab_msgs/msg/Rack", "first[0]", "first is not a list; leave out .0."),
         ("lab_msgs/msg/Rack", "pose[3]", "pose has 3 values, counted from 0"),
         ("lab_msgs/msg/Rack", "first", "first is a message; choose a number in it: first.value, first.good"),
+        ("lab_msgs/msg/Rack", "pose[elbow]", "the elements of pose have no names; choose one by number"),
+        ("sensor_msgs/msg/JointState", "name[elbow]", "is text"),
         ("lab_msgs/msg/Nothing", "", "has no numbers"),
         ("std_msgs/msg/Float64", "data..x", "is not a field path"),
         ("std_msgs/msg/Float64", "[0]", "is not a field path"),
@@ -309,9 +321,35 @@ def test_bytes_flags_and_short_lists_are_followed() -> None:
     assert follow(message, "flag") == 1.0
     assert follow(message, "byte") == 7.0
     assert follow(message, "values[1]") == 2.5
-    assert np.isnan(follow(message, "values[2]"))
+    assert np.isnan(follow(message, "values[2]") or 0.0)
     with pytest.raises(SamplingError, match="text is 'on', which is not a number"):
         follow(message, "text")
+
+
+def joints(**positions: float) -> SimpleNamespace:
+    return SimpleNamespace(name=list(positions), position=np.array(list(positions.values())))
+
+
+def test_a_joint_is_found_by_its_name_in_any_order_and_in_no_message_of_others() -> None:
+    elbow = Followed(Channel("/joint_states", "position[elbow]"))
+    messages = joints(elbow=1.0, wrist=2.0), joints(wrist=2.5, elbow=1.5), joints(gripper=0.1)
+    assert [elbow.number(message) for message in messages] == [1.0, 1.5, None]
+
+
+@pytest.mark.parametrize("other", [joints(wrist=2.5, elbow=1.5), joints(gripper=0.1)])
+def test_an_index_that_means_another_joint_than_before_is_refused(other: SimpleNamespace) -> None:
+    first = Followed(Channel("/joint_states", "position[0]"))
+    assert [first.number(joints(elbow=1.0, wrist=2.0)), first.number(joints(elbow=1.2))] == [1.0, 1.2]
+    words = rf"elbow in one message and {other.name[0]} in another; choose it by name: .*:position\[elbow\]"
+    with pytest.raises(SamplingError, match=words):
+        first.number(other)
+
+
+@pytest.mark.parametrize(
+    ("wanted", "unit"), [("deg", "rad"), ("rad", "rad"), ("mm", "m"), ("°C", ""), ("%", ""), ("steps", "")]
+)
+def test_the_position_of_a_joint_is_an_angle_or_a_length_as_the_plant_says(wanted: str, unit: str) -> None:
+    assert usual_unit("sensor_msgs/msg/JointState", "position[elbow]", wanted) == unit
 
 
 def test_a_channel_is_written_as_it_was_read_and_what_is_none_is_refused() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ START = 1_700_000_000
 
 def stamp(at: float) -> Any:
     return STORE.types["builtin_interfaces/msg/Time"](
-        sec=START + int(at), nanosec=round(at % 1 * 1e9) % 1_000_000_000
+        sec=START + math.floor(at), nanosec=round(at % 1 * 1e9) % 1_000_000_000
     )
 
 

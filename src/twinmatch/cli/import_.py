@@ -11,9 +11,10 @@ from typing import Any
 from twinmatch.cli.shared import Progress, add_options, column_map, console_for, positive_period
 from twinmatch.errors import TwinmatchError
 from twinmatch.importing import read_recording
-from twinmatch.importing.bags import is_bag, map_bag, open_bag
+from twinmatch.importing.bags import is_bag, open_bag
 from twinmatch.importing.column_map import columns_of, proposed
 from twinmatch.importing.mapped import map_samples, with_plant_names
+from twinmatch.importing.mapped_bags import map_bag
 from twinmatch.importing.tables import read_table
 from twinmatch.plants import find_plant
 from twinmatch.sampling.sources import SignalMap

@@ -17,32 +17,18 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from twinmatch.dynamics import Plant
 from twinmatch.errors import TwinmatchError
 from twinmatch.importing.bag_files import SCANS, definition_of, first_line, scans_of, suffix_of
 from twinmatch.importing.column_map import Column, described
-from twinmatch.importing.mapped import Mapped, by_signal, map_samples
-from twinmatch.importing.resampling import Gaps, bridged_up_to, held_means
-from twinmatch.importing.tables import Table
 from twinmatch.sampling.channels import (
     Channel,
+    Followed,
     SamplingError,
     check_path,
     fields_below,
-    follow,
     usual_unit,
 )
-from twinmatch.sampling.sources import (
-    INPUT,
-    OUTPUT,
-    REFERENCE,
-    TIME,
-    FollowedSignal,
-    SignalMap,
-    SignalSource,
-    signals_of,
-)
-from twinmatch.sessions.files import ProgressCallback, RecordingError, part_of
+from twinmatch.sessions.files import ProgressCallback, RecordingError
 from twinmatch.sessions.messages import Message, Topic
 from twinmatch.sessions.metadata import METADATA, counts_listed, files_of, miscounted
 from twinmatch.sessions.scan import Scan
@@ -74,6 +60,8 @@ class Series(NamedTuple):
     """Message type."""
     path: str
     """Path of the number in a message."""
+    place: FloatArray
+    """Place of each message among those read, in the order of recording, shape (N,)."""
     logged: FloatArray
     """Times of recording, s since 1970, shape (N,)."""
     stamped: FloatArray
@@ -161,7 +149,8 @@ class Bag:
             RecordingError: a topic or field is missing, or a topic has no messages or damaged ones.
         """
         checked = [self._check(channel) for channel in channels]
-        rows: list[list[tuple[float, float, float]]] = [[] for _ in checked]
+        rows: list[list[tuple[float, float, float, float]]] = [[] for _ in checked]
+        followed = [Followed(channel) for channel, _ in checked]
         wanted: dict[str, list[int]] = {}
         for k, (channel, _) in enumerate(checked):
             wanted.setdefault(channel.topic, []).append(k)
@@ -173,15 +162,18 @@ class Bag:
                 message = self._decoded(raw)
                 stamped = _stamp(message)
                 for k in wanted.get(raw.topic.name, ()):
-                    rows[k].append((raw.log_time / 1e9, stamped, follow(message, checked[k][0].path)))
-            except TwinmatchError:
+                    number = followed[k].number(message)
+                    if number is not None:  # else it is about other elements, perhaps of another publisher
+                        rows[k].append((done, raw.log_time / 1e9, stamped, number))
+            except TwinmatchError as error:
                 if most is None:
-                    raise
+                    own = isinstance(error, RecordingError)
+                    raise error if own else RecordingError(f"{self.path}: {error}") from None
                 for k in wanted.pop(raw.topic.name):
                     rows[k].clear()
         series = []
         for (channel, kind), held in zip(checked, rows, strict=True):
-            columns = np.array(held, dtype=np.float64).reshape(-1, 3).T
+            columns = np.array(held, dtype=np.float64).reshape(-1, 4).T
             series.append(Series(kind, channel.path, *columns))
         return series
 
@@ -265,140 +257,6 @@ def _stamp(message: Any) -> float:
     stamp = getattr(getattr(message, "header", None), "stamp", None)
     seconds = float("nan") if stamp is None else stamp.sec + stamp.nanosec / 1e9
     return seconds or float("nan")
-
-
-_ASTRAY: Final = 1.0
-"""If headers and the bag's clock differ by more, s, the headers are of another clock."""
-
-
-class _Signal(NamedTuple):
-    time: FloatArray
-    """s since 1970, increasing, shape (N,)."""
-    values: FloatArray
-
-
-def map_bag(
-    path: Path,
-    given: SignalMap,
-    plant: type[Plant],
-    *,
-    longest: float | None = None,
-    gaps: Gaps = "refuse",
-    progress: ProgressCallback | None = None,
-) -> Mapped:
-    """The samples of a plant from a bag.
-
-    The arguments are those of `map_samples`, with the folder of the bag in place of a table, and topics and
-    fields in place of columns; `progress` is called with the number of messages read and their total.
-
-    Raises:
-        RecordingError: as `open_bag`, `Bag.series` and `map_samples`; a signal that is not mapped.
-        PlantError: the plant has several outputs or inputs.
-    """
-    _ = plant.output, plant.drive  # the rows are those of the only output
-    sources = by_signal(plant, given.sources)
-    if TIME in sources:
-        raise RecordingError("--map time: a bag has the times of its messages; leave it out")
-    for name in (OUTPUT, INPUT):
-        if name not in sources:
-            msg = f"{path}: no topic is mapped to {name}; add --map {name}=TOPIC:FIELD (--list shows them)"
-            raise RecordingError(msg)
-    with open_bag(path) as bag:
-        signals, notes = _read(bag, plant, sources, progress)
-        notes = [*bag.notes, *notes]
-    columns, left_out = _rows(signals, longest)
-    if columns[TIME].size < 2:
-        msg = f"{path}: fewer than two readings of {sources[OUTPUT].text} follow the first input; check --map"
-        raise RecordingError(msg)
-    if left_out:
-        notes.append(f"The first {left_out} readings precede the first input or set-point and are left out.")
-    table = Table(path, columns, range(left_out + 1, left_out + 1 + columns[TIME].size), "reading")
-    named = {name: SignalSource((name,)) for name in columns}  # the values are in the plant's units
-    given = SignalMap(named, given.plant, given.period)
-    run = map_samples(table, given, plant, longest=longest, gaps=gaps)
-    return run._replace(sources=sources, notes=[*run.notes, *notes])
-
-
-def _read(
-    bag: Bag, plant: type[Plant], sources: Mapping[str, SignalSource], progress: ProgressCallback | None
-) -> tuple[dict[str, _Signal], list[str]]:
-    """Signals in the plant's units with their times, and notes."""
-    known, followed, recorded = signals_of(plant), {}, {}
-    for number, (name, source) in enumerate(sources.items()):
-        progress_here = part_of(progress, number, len(sources))
-        recorded[name] = held = bag.series(source.channels(name), progress=progress_here)
-        channels = [Channel(c.topic, s.path) for c, s in zip(source.channels(name), held, strict=True)]
-        try:
-            followed[name] = source.follow(name, known[name].unit, channels, [s.kind for s in held])
-        except SamplingError as error:
-            raise RecordingError(f"{bag.path}: {error}") from None
-    offsets = [
-        f"{followed[name].channels[0].topic} by {off:.3g} s"
-        for name, held in recorded.items()
-        if (off := max(map(_clock_offset, held))) > _ASTRAY
-    ]
-    notes = []
-    if offsets:
-        notes.append(
-            f"The headers have another clock ({', '.join(offsets)}); the times of the bag are used instead."
-        )
-    logged = bool(offsets)
-    return {n: _signal_of(bag.path, n, followed[n], held, logged) for n, held in recorded.items()}, notes
-
-
-def _clock_offset(series: Series) -> float:
-    """Median distance of the headers from the bag's clock, s; 0 without headers."""
-    apart = np.abs(series.logged - series.stamped)
-    return float(np.median(apart[np.isfinite(apart)])) if np.isfinite(apart).any() else 0.0
-
-
-def _signal_of(path: Path, name: str, signal: FollowedSignal, series: list[Series], logged: bool) -> _Signal:
-    """A signal in the plant's unit, at the times of its first channel."""
-    rising = [_growing(path, name, one, logged) for one in series]
-    time = rising[0].time
-    values = [rising[0].values, *(np.interp(time, other.time, other.values) for other in rising[1:])]
-    return _Signal(time, signal.value(values))
-
-
-def _growing(path: Path, name: str, series: Series, logged: bool) -> _Signal:
-    time = series.logged if logged else np.where(np.isfinite(series.stamped), series.stamped, series.logged)
-    kept = np.isfinite(series.values)
-    if not kept.any():
-        raise RecordingError(f"{path}: no message of {name} has a number; map another field")
-    time, values = time[kept], series.values[kept]
-    # Messages are sorted by time, since some arrive out of order; of several at one time the last is kept.
-    order = np.argsort(time, kind="stable")
-    time, values = time[order], values[order]
-    last = np.append(np.diff(time) > 0, True)
-    return _Signal(time[last], values[last])
-
-
-def _rows(signals: Mapping[str, _Signal], longest: float | None) -> tuple[dict[str, FloatArray], int]:
-    """Columns of a table by signal, and the number of readings left out before its first row."""
-    output = signals[OUTPUT]
-    starts = [signals[name].time[0] for name in (INPUT, REFERENCE) if name in signals]
-    begin = int(np.searchsorted(output.time, max(starts)))
-    time = output.time[begin:]
-    columns = {TIME: time, OUTPUT: output.values[begin:]}
-    if time.size > 1:  # fewer are refused
-        for name, signal in signals.items():
-            if name == INPUT:
-                columns[name] = _means(signal, time, longest)
-            elif name == REFERENCE:
-                columns[name] = signal.values[np.searchsorted(signal.time, time, side="right") - 1]
-            elif name != OUTPUT:
-                columns[name] = np.interp(time, signal.time, signal.values)
-    return columns, begin
-
-
-def _means(signal: _Signal, time: FloatArray, longest: float | None) -> FloatArray:
-    """Mean of the held signal from each time to the next; before a gap and at the end, over a median step."""
-    steps = np.diff(time)
-    usual = float(np.median(steps))
-    ends = np.append(time[1:], time[-1] + usual)
-    wide = np.flatnonzero(steps > bridged_up_to(time, longest))
-    ends[wide] = time[wide] + usual
-    return held_means(signal.time, signal.values, time, ends, ends - time)
 
 
 _ENOUGH: Final = 2000

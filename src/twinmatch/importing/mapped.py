@@ -99,7 +99,8 @@ def map_samples(
         given: its columns by signal.
         plant: what they are signals of.
         longest: longest step between rows that is interpolated, s; three usual ones if not given.
-        gaps: treatment of longer steps; where they split the table, the samples' indices skip.
+        gaps: treatment of longer steps, and of steps back; where they split the table, the samples' indices
+            skip.
 
     Raises:
         RecordingError: a signal or column is missing, units do not fit, values are outside the plant's
@@ -351,9 +352,14 @@ def _samples(plant: type[Plant], done: Resampled, start: int) -> list[Sample]:
         each = [columns[name] if name in columns else np.full(size, usual[name]) for name in names]
         return list(map(tuple, np.array(each).reshape(len(each), size).T.tolist()))
 
-    stamps = np.empty(size, dtype=np.int64)
+    stamps, late = np.empty(size, dtype=np.int64), 0
     for stretch in done.stretches:
-        begin = start + round(float(done.time[stretch.start] - done.time[0]) * 1e9)
-        stamps[stretch] = [begin + round(k * done.period * 1e9) for k in range(stretch.stop - stretch.start)]
+        first = stretch.start
+        begin = start + round(float(done.time[first] - done.time[0]) * 1e9) + late
+        if first and begin <= stamps[first - 1]:  # after a clock was set back, the session's does not go back
+            missing = int(done.index[first] - done.index[first - 1])
+            behind = int(stamps[first - 1]) + round(missing * done.period * 1e9) - begin
+            begin, late = begin + behind, late + behind
+        stamps[stretch] = [begin + round(k * done.period * 1e9) for k in range(stretch.stop - first)]
     signals = [*map(rows, loop), rows(list(plant.disturbances))]
     return [Sample(*row) for row in zip(done.index.tolist(), stamps.tolist(), *signals, strict=True)]

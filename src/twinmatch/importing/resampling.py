@@ -13,7 +13,7 @@ Readings are not smoothed. If rows are much closer together than the period, mos
 
 A long gap is refused, or the recording is split there: the clock of each stretch starts at its first row,
 because a logger may be restarted at any time, and the sample indices skip the missing periods, so that no
-window spans the gap.
+window spans the gap. So is a place where the logger's clock was set back.
 """
 
 from __future__ import annotations
@@ -42,6 +42,8 @@ _BRIDGED: Final = 3.0
 """Longest step that is interpolated by default, in usual steps: up to two lost rows."""
 _USUAL: Final = 1.5
 """Longer steps, in medians, contain lost rows."""
+_RARELY: Final = 0.1
+"""Largest share of the steps that lead back where a clock was set; more are rows out of order."""
 _DIGITS: Final = 9
 """Significant digits of the period of a regular recording."""
 _JITTER: Final = 0.1
@@ -72,11 +74,11 @@ class Resampled:
     bridged: tuple[int, ...]
     """Rows (from 0) after which others are missing: the step is longer than 1.5 usual ones."""
     gaps: tuple[float, ...]
-    """Lengths of the gaps at which the recording is split, s, in order of time."""
+    """Lengths of the gaps at which the recording is split, s, in their order; negative where time goes back."""
 
     @property
     def stretches(self) -> list[slice]:
-        """The stretches of samples without a gap, in order of time."""
+        """The stretches of samples without a gap, in their order."""
         ends = [0, *(np.flatnonzero(np.diff(self.index) != 1) + 1).tolist(), self.index.size]
         return [slice(*pair) for pair in pairwise(ends)]
 
@@ -104,8 +106,13 @@ class Resampled:
     def _splits(self) -> str:
         if not self.gaps:
             return ""
-        lengths = ", ".join(f"{gap:.4g}" for gap in self.gaps[:3]) + (", …" if len(self.gaps) > 3 else "")
-        return f"; split into {len(self.gaps) + 1} stretches by gaps of {lengths} s"
+        lengths, back = ([gap for gap in self.gaps if (gap < 0) == past] for past in (False, True))
+        causes = [f"{what} of {_list(of)} s" for what, of in (("gaps", lengths), ("steps back", back)) if of]
+        return f"; split into {len(self.gaps) + 1} stretches by {' and '.join(causes)}"
+
+
+def _list(steps: list[float]) -> str:
+    return ", ".join(f"{abs(step):.4g}" for step in steps[:3]) + (", …" if len(steps) > 3 else "")
 
 
 def repeated(rows: NDArray[np.intp], *columns: FloatArray) -> NDArray[np.intp]:
@@ -134,23 +141,24 @@ def resample(
         period: sampling period, s; by default the mean step without lost rows. For irregular rows it is
             rounded as far as half a percent allows, so that two recordings of one logger have the same.
         longest: longest step between rows that is interpolated, s; three usual ones if not given.
-        gaps: treatment of longer steps.
+        gaps: treatment of longer steps, and of steps back.
         place: start of the error message, such as `recording monday.csv`.
         row: returns the place of the i-th row (from 0) in the file, such as `line 12`.
 
     Raises:
-        RecordingError: fewer than two rows, values that are not finite, time that does not advance, a step
-            that is too long, a period that is too short for the rows, or a column without a kind.
+        RecordingError: fewer than two rows, values that are not finite, time that stands still or goes back
+            where that splits nothing or happens all the time, a step that is too long, a period that is too short for the rows, or a column without a kind.
     """
     stamps, values = _check(time, columns, kinds, place, row)
     steps = np.diff(stamps)
-    _refuse_standing(stamps, place, row)
-    usual = _usual_step(steps)
+    _refuse_standing(stamps, place, row, split=gaps == "split")
+    usual = usual_step(steps)
     limit = bridged_up_to(stamps, longest)
-    cuts = np.flatnonzero(steps > limit)
+    within = (steps > 0) & (steps <= limit)
+    cuts = np.flatnonzero(~within)
     if cuts.size and gaps == "refuse":
         _refuse_gap(steps, cuts, limit, place, row)
-    kept = steps[steps <= limit]
+    kept = steps[within]
     stretches = np.split(stamps, cuts + 1)
     if period is None:
         ticks = float(np.sum(np.rint(kept / usual)))  # number of periods, including those of lost rows
@@ -178,7 +186,7 @@ def resample(
         rows=stamps.size,
         steps=(float(kept.min()), usual, float(kept.max())),
         jitter=period * float(np.sqrt(squares / stamps.size)),
-        bridged=tuple(np.flatnonzero((steps > _USUAL * usual) & (steps <= limit)).tolist()),
+        bridged=tuple(np.flatnonzero((steps > _USUAL * usual) & within).tolist()),
         gaps=tuple(steps[cuts].tolist()),
     )
 
@@ -196,7 +204,7 @@ def period_of_ticks(
     _check(time, columns, dict.fromkeys(columns, "reading"), place, row)
     _refuse_standing(time, place, row)
     steps = np.diff(time)
-    usual = _usual_step(steps)
+    usual = usual_step(steps)
     odd = np.flatnonzero(np.abs(steps - usual) > _JITTER * usual)
     if odd.size:
         at = int(odd[0])
@@ -212,12 +220,14 @@ def bridged_up_to(stamps: FloatArray, longest: float | None = None) -> float:
 
     `stamps` are the increasing times of at least two rows, s.
     """
-    return _BRIDGED * _usual_step(np.diff(stamps)) if longest is None else longest
+    return _BRIDGED * usual_step(np.diff(stamps)) if longest is None else longest
 
 
-def _usual_step(steps: FloatArray) -> float:
-    """The lower median, since the shorter of two different steps is the usual one; lost rows bias a mean."""
-    return float(np.quantile(steps, 0.5, method="lower"))
+def usual_step(steps: FloatArray) -> float:
+    """The lower median of the steps forward, since the shorter of two different steps is the usual one; lost
+    rows bias a mean. Infinite if there are none."""
+    forward = steps[steps > 0]
+    return float(np.quantile(forward, 0.5, method="lower")) if forward.size else np.inf
 
 
 def _numbers(clocks: list[FloatArray], period: float) -> NDArray[np.int64]:
@@ -257,13 +267,21 @@ def _check(
     return stamps, values
 
 
-def _refuse_standing(stamps: FloatArray, place: str, row: Callable[[int], str]) -> None:
-    back = np.flatnonzero(np.diff(stamps) <= 0)
+def _refuse_standing(
+    stamps: FloatArray, place: str, row: Callable[[int], str], *, split: bool = False
+) -> None:
+    """Refuse time that does not advance; to `split` where it goes back, that must be rare."""
+    steps = np.diff(stamps)
+    rare = split and (steps < 0).sum() <= _RARELY * steps.size
+    back = np.flatnonzero(steps == 0 if rare else steps <= 0)
     if back.size:
         at = int(back[0])
+        remedy = "sort the rows, and keep one per time"
+        if steps[at] < 0 and not split:
+            remedy = "if a clock was set back there, import it with --gaps split; otherwise sort the rows"
         raise RecordingError(
             f"{place}: time does not advance from {stamps[at]:.12g} s in {row(at)} to "
-            f"{stamps[at + 1]:.12g} s in {row(at + 1)}; sort the rows, and keep one per time"
+            f"{stamps[at + 1]:.12g} s in {row(at + 1)}; {remedy}"
         )
 
 

@@ -18,7 +18,7 @@ from twinmatch.nodes.node import READERS, Missed, Readers, TwinmatchNode
 from twinmatch.nodes.topics import RELIABLE, ForeignTopics
 from twinmatch.parameters.declared import ParameterError, Setting
 from twinmatch.plants import Peltier, find_plant, written_name
-from twinmatch.sampling.channels import SamplingError, follow
+from twinmatch.sampling.channels import Followed, SamplingError
 from twinmatch.sampling.sampler import TIMER, Limits, Sampler
 from twinmatch.sampling.sources import (
     INPUT,
@@ -180,6 +180,8 @@ class SamplerNode(TwinmatchNode):
         channels = [channel for each in self._channels.values() for channel in each]
         self._topics = ForeignTopics(self, channels, self._types, self._on_message)
         self._ready: dict[str, FollowedSignal] = {}
+        self._followed: dict[str, list[Followed]] = {}
+        """How the numbers of a ready signal are found, by its channels."""
         self._fresh: dict[str, dict[int, tuple[float, int]]] = {name: {} for name in self._sources}
         self._begun = time.monotonic()
         self._heard: dict[str, float] = {}
@@ -227,6 +229,7 @@ class SamplerNode(TwinmatchNode):
                     channels = [c._replace(path=self._topics.path(c)) for c in self._channels[name]]
                     unit = signals_of(self._plant)[name].unit
                     self._ready[name] = source.follow(name, unit, channels, kinds)
+                    self._followed[name] = list(map(Followed, channels))
         except TwinmatchError as error:
             self.failed = SamplingError(f"{self.NAME}: {error}")
             return
@@ -250,16 +253,31 @@ class SamplerNode(TwinmatchNode):
         at = min(stamp, now) if stamp else now
         for name, source in self._ready.items():
             fresh = self._fresh[name]
-            for place, channel in enumerate(source.channels):
-                if channel.topic == topic:
-                    fresh[place] = follow(message, channel.path), at
-            if any(c.topic == topic for c in source.channels):
+            numbers = self._numbers(name, source, topic, message)
+            fresh |= {place: (number, at) for place, number in numbers.items()}
+            if numbers:
                 self._heard[name] = time.monotonic()
                 if len(fresh) == len(source.channels):
                     value = source.value([number for number, _ in fresh.values()])
                     self._sampler.take(name, value, min(when for _, when in fresh.values()), now)
                     fresh.clear()
         self._on_check()
+
+    def _numbers(self, name: str, source: FollowedSignal, topic: str, message: Any) -> dict[int, float]:
+        """The numbers of a signal in a message, by their places; none where it does not have the signal's.
+
+        Before the first sample a message that names its elements otherwise than the one before ends the node;
+        later it is left out: the loop that was sampled until then may still run.
+        """
+        each = enumerate(zip(source.channels, self._followed[name], strict=True))
+        try:
+            found = {k: by.number(message) for k, (channel, by) in each if channel.topic == topic}
+        except SamplingError as error:
+            if self._index < 0:
+                self.failed = SamplingError(f"{self.NAME}: {name}: {error}")
+            self.health.flag(f"{name}: names", Level.ERROR, f"{error}; other messages are left out")
+            return {}
+        return {place: number for place, number in found.items() if number is not None}
 
     def _on_check(self) -> None:
         for sample in self._sampler.collect(self._now()):

@@ -1,17 +1,21 @@
 """Channels: numbers in the messages of foreign topics.
 
-A channel is a topic and the path to a number in its messages: `data`, `temperature`, `readings[2].value`. A
-function from a type's name to its fields describes the types, so that messages of ROS and of a bag are
-handled alike.
+A channel is a topic and the path to a number in its messages: `data`, `temperature`, `readings[2].value`.
+Where messages name the elements of their lists, as JointState names its joints, a path may choose one by its
+name: `position[elbow]`. A function from a type's name to its fields describes the types, so that messages of
+ROS and of a bag are handled alike.
 """
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Callable, Iterator, Mapping
-from typing import Any, Final, NamedTuple
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import lru_cache
+from typing import Any, Final, NamedTuple, cast
 
 from twinmatch.errors import TwinmatchError
+from twinmatch.units import measure
 
 NUMBERS: Final = frozenset(
     {"bool", "boolean", "byte", "char", "octet", "float", "float32", "float64", "double", "long double"}
@@ -19,7 +23,9 @@ NUMBERS: Final = frozenset(
 )
 TEXTS: Final = frozenset({"string", "wstring"})
 _TIMES: Final = ("Header", "Time", "Duration")
-_STEP: Final = re.compile(r"\.?(?P<name>[A-Za-z]\w*)|\[(?P<index>\d+)\]")
+_STEP: Final = re.compile(r"\.?(?P<name>[A-Za-z]\w*)|\[(?P<index>\d+)\]|\[(?P<label>[A-Za-z_/][^\[\]]*)\]")
+_NAMES: Final = ("name", "names", "joint_names", "interface_names")
+"""Fields whose texts name the elements of the lists beside them."""
 _DEEP: Final = 4
 """Depth of nested messages to which fields are listed."""
 _MAX_LISTED: Final = 30
@@ -28,6 +34,12 @@ _MAX_LISTED: Final = 30
 
 class SamplingError(TwinmatchError):
     """A field is missing, or the settings allow no sampling."""
+
+
+class Label(str):
+    """The name of an element of a list."""
+
+    __slots__ = ()
 
 
 class Field(NamedTuple):
@@ -74,8 +86,9 @@ def parse_channel(text: str) -> Channel:
     return Channel(topic, path)
 
 
+@lru_cache(maxsize=1024)
 def steps(path: str) -> tuple[str | int, ...]:
-    """The names and indices of a path.
+    """The names of fields, indices and labels of a path.
 
     Raises:
         SamplingError: it is not a field path.
@@ -85,9 +98,10 @@ def steps(path: str) -> tuple[str | int, ...]:
     while at < len(path):
         match = _STEP.match(path, at)
         if match is None or (not taken and path[0] in ".["):
-            msg = f"{path!r} is not a field path; write names and indices, such as readings[2].value"
+            msg = f"{path!r} is not a field path; write names and indices, such as readings[2].value or position[elbow]"
             raise SamplingError(msg)
-        taken.append(match["name"] if match["name"] else int(match["index"]))
+        name, index, label = match.groups()
+        taken.append(name or (Label(label.strip()) if label else int(index)))
         at = match.end()
     return tuple(taken)
 
@@ -101,13 +115,15 @@ def check_path(kind: str, path: str, fields_of: FieldsOf) -> str:
     """
     if not path:
         return _only(kind, fields_of)
-    field = Field(kind)
-    done = ""
+    field, done, named = Field(kind), "", False
     for step in steps(path):
-        if isinstance(step, int):
+        if isinstance(step, int | Label):
             if not field.array:
                 raise SamplingError(f"{kind}: {done} is not a list; leave out [{step}]")
-            if field.length is not None and step >= field.length:
+            if isinstance(step, Label) and not named:
+                msg = f"{kind}: the elements of {done} have no names; choose one by number, such as {done}[0]"
+                raise SamplingError(msg)
+            if isinstance(step, int) and field.length is not None and step >= field.length:
                 raise SamplingError(f"{kind}: {done} has {field.length} values, counted from 0")
             field, done = Field(field.kind), f"{done}[{step}]"
             continue
@@ -117,6 +133,7 @@ def check_path(kind: str, path: str, fields_of: FieldsOf) -> str:
         if step not in known:
             where = f"{kind}: {done} has" if done else f"{kind} has"
             raise SamplingError(f"{where} no field {step!r}; its numbers: {_field_list(kind, fields_of)}")
+        named = named or any(known[n].array and known[n].kind in TEXTS for n in _NAMES if n in known)
         field, done = known[step], f"{done}.{step}" if done else step
     if field.array:
         raise SamplingError(f"{kind}: {done} is a list; choose an element, such as {done}[0]")
@@ -140,26 +157,70 @@ def fields_below(kind: str, fields_of: FieldsOf, deep: int = _DEEP) -> Iterator[
                 yield f"{name}{mark}.{below}"
 
 
-def follow(message: Any, path: str) -> float:
-    """The number at a path in a message; NaN if a list is too short for the index.
+class Followed:
+    """Follows a channel through the messages of its topic.
 
-    Raises:
-        SamplingError: the value is not a number.
+    Whoever publishes may order the elements of a list differently, and several may publish on one topic: an
+    element chosen by its number has to keep the name that the first message gave it.
     """
-    value = message
+
+    def __init__(self, channel: Channel) -> None:
+        """Begin before the first message."""
+        self._channel = channel
+        self._names: tuple[str, ...] = ()
+
+    def number(self, message: Any) -> float | None:
+        """The number in a message; None if it has no element of the name, NaN if a list is too short.
+
+        Raises:
+            SamplingError: the value is not a number, or an index means another element than before.
+        """
+        value, names = _walk(message, self._channel.path)
+        before, self._names = self._names, self._names or names
+        if before and names and names != before:
+            topic, path = self._channel
+            called = iter(before)
+            by_name = "".join(
+                f"[{next(called, step) if isinstance(step, int) else step}]"
+                if isinstance(step, int | Label)
+                else f".{step}"
+                for step in steps(path)
+            )
+            both = f"{'/'.join(before)} in one message and {'/'.join(names)} in another"
+            raise SamplingError(
+                f"{self._channel.text} is {both}; choose it by name: {topic}:{by_name.lstrip('.')}"
+            )
+        if value is None:
+            return None if any(isinstance(step, Label) for step in steps(self._channel.path)) else math.nan
+        if isinstance(value, bytes):  # how ROS gives the type `byte`
+            return float(value[0])
+        try:
+            return float(value)
+        except (TypeError, ValueError):
+            text = f"{self._channel.path} is {str(value)[:40]!r}, which is not a number"
+            raise SamplingError(text) from None
+
+
+def _walk(message: Any, path: str) -> tuple[Any, tuple[str, ...]]:
+    """What is at a path, None if a list has no such element, and the names of elements chosen by number."""
+    value, names, met = message, cast("Sequence[str]", ()), list[str]()
     for step in steps(path):
-        if isinstance(step, int):
-            if step >= len(value):
-                return float("nan")
-            value = value[step]
-        else:
+        if not isinstance(step, int | Label):
+            names = _names_in(value) or names
             value = getattr(value, step)
-    if isinstance(value, bytes):  # how ROS gives the type `byte`
-        return float(value[0])
-    try:
-        return float(value)
-    except (TypeError, ValueError):
-        raise SamplingError(f"{path} is {str(value)[:40]!r}, which is not a number") from None
+            continue
+        chosen = step if isinstance(step, int) else (names.index(step) if step in names else len(value))
+        if chosen >= len(value):
+            return None, tuple(met)
+        if isinstance(step, int) and chosen < len(names):
+            met.append(names[chosen])
+        value = value[chosen]
+    return value, tuple(met)
+
+
+def _names_in(message: Any) -> Sequence[str]:
+    lists = (getattr(message, name, None) for name in _NAMES)
+    return next((held for held in lists if isinstance(held, list) and held), ())
 
 
 def _only(kind: str, fields_of: FieldsOf) -> str:
@@ -192,15 +253,25 @@ _UNITS: Final = {
     },
     "sensor_msgs/msg/Imu": {"angular_velocity": "rad/s", "linear_acceleration": "m/s^2"},
     "sensor_msgs/msg/MagneticField": {"magnetic_field": "T"},
+    "sensor_msgs/msg/JointState": {"position": "rad or m", "velocity": "rad/s or m/s", "effort": "N m or N"},
     "geometry_msgs/msg/Twist": {"linear": "m/s", "angular": "rad/s"},
     "geometry_msgs/msg/TwistStamped": {"twist.linear": "m/s", "twist.angular": "rad/s"},
 }
 """By type and prefix of the path, from the comments in the message definitions."""
 
 
-def usual_unit(kind: str, path: str) -> str:
-    """The unit of a number according to its message definition; empty if it gives none."""
+def usual_unit(kind: str, path: str, wanted: str | None = None) -> str:
+    """The unit of a number according to its message definition; empty if it gives none.
+
+    Of several units, as those of revolving and sliding joints, it is the one that measures the same as the
+    unit `wanted`; empty if none does. Without one it is the first.
+    """
     known = _UNITS.get(kind, {})
-    return next(
-        (unit for begin, unit in known.items() if re.match(rf"{re.escape(begin)}(\.|\[|$)", path)), ""
-    )
+    stated = next((unit for begin, unit in known.items() if re.match(rf"{re.escape(begin)}(\.|\[|$)", path)), "")
+    units = stated.split(" or ")
+    if wanted is None or len(units) == 1:
+        return units[0]
+    asked = measure(wanted)
+    if not asked.known or "%" in wanted:  # to which radians, being plain numbers, could be converted
+        return ""
+    return next((unit for unit in units if measure(unit).dimension == asked.dimension), "")

@@ -16,7 +16,7 @@ or as YAML, which may also give the plant and the sampling period:
 
 A signal is scale · number + offset, converted from the given unit (by default the one in the column's title,
 or that of the message type) to the plant's. Several places give their mean. For topics, a place is
-TOPIC:FIELD. The signals of a plant with several outputs or inputs have the names in its file, and the
+TOPIC:FIELD, such as /joint_states:position[elbow]. The signals of a plant with several outputs or inputs have the names in its file, and the
 set-point of an output `y` is `y_reference`; in the order of the file they are also output.1, output.2, …,
 input.1, … and reference.1, ….
 """
@@ -144,7 +144,7 @@ class SignalSource:
         for channel, kind in zip(channels, kinds, strict=True):
             # A number that the map scales is not in the unit of its message type.
             scaled = (self.scale, self.offset) != (1.0, 0.0)
-            stated = "" if scaled else usual_unit(kind, channel.path)
+            stated = "" if scaled else usual_unit(kind, channel.path, wanted)
             changes.append(self.change(signal, channel.text, wanted, stated, f" (according to {kind})"))
         return FollowedSignal(self, tuple(channels), tuple(changes))
 
