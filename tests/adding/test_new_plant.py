@@ -34,7 +34,7 @@ from twinmatch.offline.judging import judge, judge_samples, terms_from_files
 from twinmatch.plants import Incubator, find_plant
 from twinmatch.sampling.sources import SignalMap, SignalSource, parse_map
 from twinmatch.sessions import RecordingError, Session, samples_of
-from twinmatch.signals import Sample, Window
+from twinmatch.signals import Sample, Window, stretches
 from twinmatch.twin import TwinSettings
 
 
@@ -318,7 +318,7 @@ def driven_lag() -> list[Sample]:
 
 
 def test_the_structure_that_made_the_data_is_recommended() -> None:
-    findings, notes, _ = compare_structures(recorded("with pipe"), Exchanger, DRIVEN)
+    findings, notes, _ = compare_structures(stretches(recorded("with pipe"), 1.0), Exchanger, DRIVEN)
     assert [finding.what for finding in findings] == [
         "the recording supports the structure 'with pipe' rather than 'without'"
     ]
@@ -332,15 +332,15 @@ def test_the_structure_that_made_the_data_is_recommended() -> None:
 
 
 def test_the_simpler_one_is_kept_if_it_suffices() -> None:
-    findings, notes, _ = compare_structures(recorded("without"), Exchanger, DRIVEN)
+    findings, notes, _ = compare_structures(stretches(recorded("without"), 1.0), Exchanger, DRIVEN)
     assert findings == []
     assert "choose: without" in notes[-1]
     assert notes[0] == "each structure fitted to all 600 samples:"
 
 
 def test_there_is_nothing_to_compare_with_one_structure_or_few_samples() -> None:
-    assert compare_structures(recorded("without")[:50], Exchanger, DRIVEN).notes == []
-    one = compare_structures(driven_lag(), Lag, TwinSettings.of(Lag))
+    assert compare_structures(stretches(recorded("without")[:50], 1.0), Exchanger, DRIVEN).notes == []
+    one = compare_structures(stretches(driven_lag(), 1.0), Lag, TwinSettings.of(Lag))
     assert one.findings == []
     assert len(one.notes) == 2
     assert one.least[0] < 1e-6

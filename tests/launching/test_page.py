@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from tests.support import faulty_rig
+from tests.support import faulty_rig, untaught
 from twinmatch.comparing import Verdict
 from twinmatch.health import Monitor
 from twinmatch.importing import open_any
@@ -236,6 +236,25 @@ def test_the_view_keeps_what_it_shows(judged: tuple[list[Sample], list[Verdict]]
     many = [replace(v, sample=v.sample + 10_000 * k) for k in range(20) for v in verdicts]
     assert growth(lambda k: screen.take_verdict(many[k]), len(many) // 2, len(many) // 2) < 20_000
     assert list(screen._events) == events(many)[-MAX_EVENTS:]
+
+
+def test_a_live_run_settles_its_samples_as_the_discriminator_did() -> None:
+    """Samples wait until all verdicts before them have come, which may be late."""
+    found, samples, verdicts = untaught.judged(), untaught.spiked(), list(untaught.judged().verdicts)
+    live = Live(LivePlan(Path("rig.yaml")))
+    live.door = Door.of(untaught.settings())
+    for sample in samples:
+        live.take_sample(sample)
+        if sample.index % 70 == 0:  # and then all at once
+            while verdicts and verdicts[0].sample <= sample.index - 40:
+                live.door.learn(verdicts.pop(0))
+            live.settle(lambda before, now=sample.index - 40: before <= now)
+    assert not live.waiting, "the twin is known"
+    window, stretches = live.longest(1.0)
+    assert (stretches, live.received) == (1, len(samples))
+    assert window.lost == found.stretches[0].lost
+    assert np.array_equal(window.output, found.stretches[0].output)
+    live.samples.close()
 
 
 def test_the_figures_of_the_end_are_those_of_all_samples_and_verdicts(

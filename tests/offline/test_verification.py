@@ -103,6 +103,7 @@ def judged(samples: list[Sample], outcomes: list[Outcome], monkeypatch: pytest.M
         verdicts=verdicts,
         summary=summarise(stretches(samples, 1.0), verdicts, TwinSettings().law),
         stretches=stretches(samples, 1.0),
+        stamps={sample.index: sample.stamp for sample in samples},
     )
     monkeypatch.setattr("twinmatch.offline.verification.judge", lambda *_, **__: found)
 

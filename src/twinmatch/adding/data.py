@@ -29,7 +29,7 @@ from twinmatch.sampling.sources import TIME, SignalMap
 from twinmatch.sessions import Session
 from twinmatch.showing.series import root_mean_square
 from twinmatch.signals import FloatArray, Sample, Window, only, stretches, unbroken
-from twinmatch.twin import MatchReport, StructureScore, TwinSettings, choose_structure, filled_stretches
+from twinmatch.twin import MatchReport, StructureScore, TwinSettings, choose_structure
 
 _SMALL: Final = 3.0
 """Noise declared smaller than measured by more than this factor is a finding: no fit would explain it."""
@@ -85,7 +85,7 @@ def check_data(session: Session, plant: type[Plant], show: Shown = lambda *_: No
     size = len(session.samples)
     show(f"fitting {len(plant.structures)} structures to {size} samples", size, size)
     chosen = next((verdict.structure for verdict in reversed(judgement.verdicts) if verdict.structure), "")
-    compared = compare_structures(session.samples, plant, terms.settings, chosen)
+    compared = compare_structures(judgement.stretches, plant, terms.settings, chosen)
     findings += _of_matches(judgement.matches, faults)
     notes += [*_accepted(judgement.matches), *compared.notes]
     matches = [report.match for report in judgement.matches]
@@ -242,15 +242,15 @@ class Compared(NamedTuple):
 
 
 def compare_structures(
-    samples: Sequence[Sample], plant: type[Plant], settings: TwinSettings, chosen: str = ""
+    held: Sequence[Window], plant: type[Plant], settings: TwinSettings, chosen: str = ""
 ) -> Compared:
-    """Fit every structure of the plant file to a recording as a whole.
+    """Fit every structure of the plant file to a recording as a whole, its stretches without a gap.
 
     The structure that the data support is the one that the twin has `chosen`, as the last verdict says.
     Only of a recording too short for that is it the choice of these fits.
     """
-    windows = _windows(filled_stretches(samples, settings))
-    first, total = settings.start.model.structure_name, len(samples)
+    windows, total = _windows(held), sum(map(len, held))
+    first = settings.start.model.structure_name
     return _compared(
         windows, plant, total, noise=settings.noise, law=settings.law, first=first, chosen=chosen
     )

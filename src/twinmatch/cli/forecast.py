@@ -103,7 +103,7 @@ def _forecasts(options: argparse.Namespace) -> tuple[TwinSettings, list[_Request
     ahead = {k: ahead_of(session, sample, size, **given) for k, sample in samples.items()}
     with Progress() as progress:
         known = prospects(session, terms, samples, candidate=options.candidate, watch=progress.advance)
-    requested, came = {}, filled_stretches(session.samples, settings)
+    requested, came = {}, filled_stretches(session.samples, settings, known[max(samples)].taught)
     for k in samples:
         made = fan(forecast_of(known[k], ahead[k], period), came)
         requested[k] = _Requested(made, known[k], ahead[k].words)

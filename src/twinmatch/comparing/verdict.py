@@ -256,6 +256,11 @@ class Verdict:
     """Scores of every candidate that forecasts, including the leader."""
 
     @property
+    def chosen(self) -> CandidateScore | None:
+        """The nominal candidate."""
+        return next((c for c in self.candidates if c.name == self.nominal), None)
+
+    @property
     def leading(self) -> ForecastScore | None:
         """The leader's score; None without a leader."""
         return next((score for score in self.forecasts if score.name == self.leader), None)

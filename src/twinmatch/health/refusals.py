@@ -55,6 +55,11 @@ class Refusals:
         self._cut = False  # whether the first of these is not usable
         self._earlier: deque[float] = deque(maxlen=_LATE)  # inputs of accepted samples
 
+    @property
+    def taught(self) -> bool:
+        """Whether there is a twin by which movements are judged."""
+        return self._twin is not None
+
     def know(self, parameters: Parameters) -> None:
         """Judge movements by this twin if the plant file declares no typical one."""
         self._twin = self._twin or parameters

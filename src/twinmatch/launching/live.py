@@ -55,6 +55,8 @@ RESTARTS = 12
 """Most restarts of a process within `SPAN`: one that crashes on its input will do so again."""
 SPAN = 600.0
 """s"""
+MAX_WAITING = 100_000
+"""Most samples that wait for verdicts; a discriminator that is so far behind is lost."""
 
 
 @dataclass
@@ -68,6 +70,10 @@ class Live:
     door: Door = field(default_factory=lambda: Door(None, 0, None))
     received: int = 0
     """Number of samples, without stand-ins."""
+    newest: Sample | None = None
+    """The newest of them."""
+    waiting: deque[Sample] = field(default_factory=deque)
+    """Those that the verdicts to come decide how to settle."""
     verdicts: Tally = field(default_factory=Tally)
     sessions: list[Path] = field(default_factory=list)
     """Folders recorded into; more than one if the recorder had to be restarted."""
@@ -76,13 +82,21 @@ class Live:
 
     def take_sample(self, sample: Sample) -> None:
         """Put a sample on the spool; an index at or before the newest one starts a new spool."""
-        spool = self.samples
-        if not spool.continued_by(sample):
+        if self.newest is not None and not sample.continues(self.newest):
+            self.samples.close()
             self.samples, self.received = SampleSpool(), 0
-            spool.close()
+            self.waiting.clear()
         self.received += 1
-        for one in filter(attrgetter("usable"), self.door.take(sample)):
-            self.samples.push(one)
+        self.newest = sample
+        self.waiting.append(sample)
+        self.settle(lambda _: len(self.waiting) > MAX_WAITING)
+
+    def settle(self, judged: Callable[[int], bool]) -> None:
+        """Put samples on the spool as the discriminator settled them: once it has `judged` all before them, as
+        long as its verdicts may still decide how to."""
+        while self.waiting and (not self.door.learning or judged(self.waiting[0].index - 1)):
+            for one in filter(attrgetter("usable"), self.door.take(self.waiting.popleft())):
+                self.samples.push(one)
 
     def longest(self, period: float) -> tuple[Window, int]:
         """The longest stretch between gaps that are too long to be filled, for a sample time (s); their
@@ -117,6 +131,7 @@ def _run_live(live: Live) -> int:
         code = _LiveRun(live, view).run()
     for session in filter(Path.exists, live.sessions):
         view.say(f"recorded: {session}")
+    live.settle(lambda _: True)
     view.say(f"ended: {live.ending}; {live.received} samples, {live.verdicts.verdicts} verdicts")
     if len(live.samples):
         live.summary = conclude(
@@ -223,19 +238,20 @@ class _LiveRun(Supervised):
     def check(self, node: Watch) -> int | None:  # noqa: ARG002
         """Restart processes that may be restarted; over once one is lost, or all samples are judged."""
         live = self._live
-        self.view.advance(len(live.samples))
+        live.settle(lambda sample: self.settled.complete(sample, live.verdicts.verdicts))
+        self.view.advance(live.received)
         if self._over is None:
             self._over, self._over_at = self._lost(), time.monotonic()
         if self._over is None:
             return None
         code, live.ending = self._over
-        last = live.samples.end - 1
-        judged = last < 0 or self.settled.complete(last, live.verdicts.verdicts)
+        judged = live.newest is None or self.settled.complete(live.newest.index, live.verdicts.verdicts)
         return None if code == 0 and not judged and time.monotonic() - self._over_at < SETTLE else code
 
     def take_verdict(self, verdict: Verdict) -> None:
         """Count and show it."""
         self._live.verdicts.push(verdict)
+        self._live.door.learn(verdict)
         self.view.take_verdict(verdict)
 
     def take_health(self, message: DiagnosticArray) -> None:

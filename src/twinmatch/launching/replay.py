@@ -65,7 +65,10 @@ def play(replay: Replay) -> int:
         return EXIT_INTERRUPTED
     if code == 0:
         replay.summary = summarise(
-            filled_stretches(session.samples, settings), replay.verdicts, settings.law, session.notes
+            filled_stretches(session.samples, settings, replay.verdicts),
+            replay.verdicts,
+            settings.law,
+            session.notes,
         )
         for line in closing_lines(replay.summary, replay.verdicts[-1] if replay.verdicts else None):
             view.say(line)

@@ -225,10 +225,9 @@ class DiscriminatorNode(SampleNode):
             self.publish(self._scores, message_of(verdict, self._stamp_of(verdict)))
         if self._made < self._published_before:
             return
-        chosen = next((c for c in verdict.candidates if c.name == verdict.nominal), None)
-        if chosen is None:
+        if verdict.chosen is None:
             return
-        nominal = message_of(chosen)
+        nominal = message_of(verdict.chosen)
         identity = (nominal.name, nominal.first, nominal.last, nominal.parameters)
         if identity != self._nominal:
             self._nominal = identity

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -20,8 +20,8 @@ from twinmatch.parameters.candidates import parse_candidates, read_candidates
 from twinmatch.parameters.twin import at_period, read_settings, recorded_values, settings_from
 from twinmatch.sessions import Session, samples_of
 from twinmatch.sessions.metadata import CANDIDATES, parameters_of
-from twinmatch.signals import Sample, Window
-from twinmatch.twin import MatchReport, Outcome, Twin, TwinSettings, filled_stretches
+from twinmatch.signals import Sample, Window, stretches
+from twinmatch.twin import MatchReport, Outcome, Twin, TwinSettings
 
 SAMPLE = "plant/sample"
 
@@ -112,7 +112,9 @@ class Judgement:
     verdicts: tuple[Verdict, ...]
     summary: SessionSummary
     stretches: tuple[Window, ...]
-    """The samples with stand-ins for lost ones, in the stretches that longer gaps leave."""
+    """The samples as the twin took them, with stand-ins, in the stretches that longer gaps leave."""
+    stamps: Mapping[int, int]
+    """Stamps of the samples and stand-ins, ns, by index."""
 
 
 def judge(
@@ -154,20 +156,23 @@ def judge_samples(
     twin = Twin(settings, given, matching=matching)
     matches: list[MatchReport] = []
     verdicts: list[Verdict] = []
+    settled: list[Sample] = []
     with held_interrupts() as check_interrupt:
         for done, sample in enumerate(samples):
             outcome = twin.push(sample)
             if outcome.match is not None:
                 matches.append(outcome.match)
             verdicts += outcome.verdicts
+            settled += outcome.settled
             if beside is not None:
                 beside(twin, sample, outcome)
             if watch is not None and done % EVERY == 0:
                 watch(done, len(samples))
             check_interrupt()
-        held = filled_stretches(samples, settings)
+        held = stretches([one for one in settled if one.usable], settings.period)
         summary = summarise(held, verdicts, settings.law, notes)
-    return Judgement(name, samples, settings, tuple(matches), tuple(verdicts), summary, held)
+    stamps = {one.index: one.stamp for one in settled}
+    return Judgement(name, samples, settings, tuple(matches), tuple(verdicts), summary, held, stamps)
 
 
 LEVELS = (0.2, 0.6, 0.3)

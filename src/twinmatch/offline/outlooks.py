@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Final, NamedTuple
 
+from twinmatch.comparing import Verdict
 from twinmatch.dynamics import Drive, Output
 from twinmatch.dynamics.pace import time_scale
 from twinmatch.errors import TwinmatchError
@@ -35,6 +36,8 @@ class Prospect(NamedTuple):
     leader: str
     leader_confidence: float
     """How often so far the leader's error was within 3 % of the best candidate's, 0 to 1."""
+    taught: tuple[Verdict, ...]
+    """The first verdict with a nominal candidate, if there was one, by which readings are settled."""
 
     @property
     def leads(self) -> bool:
@@ -59,16 +62,18 @@ def prospects(
         ForecastError: the session has no such sample, or the candidate does not exist at it.
     """
     wanted = samples_at(session, at)
-    samples, by_sample = session.samples, {}
+    samples, by_sample, taught = session.samples, {}, list[Verdict]()
     twin = Twin(terms.settings, terms.given, matching=terms.matching)
     ends = max((place for place, s in enumerate(samples) if s.index in wanted), default=-1) + 1
     with held_interrupts() as check_interrupt:
         for done, sample in enumerate(samples[:ends]):
-            twin.push(sample)
+            taught += [v for v in twin.push(sample).verdicts if v.chosen is not None][: 1 - len(taught)]
             if sample.index in wanted:
                 if not twin.discriminator.forecaster.names:
                     raise _no_candidate(session.name, twin, samples[done:])
-                by_sample[sample.index] = _prospect(twin.discriminator.forecaster, sample.index, candidate)
+                by_sample[sample.index] = _prospect(
+                    twin.discriminator.forecaster, sample.index, candidate, tuple(taught)
+                )
             if watch is not None and done % EVERY == 0:
                 watch(done, ends)
             check_interrupt()
@@ -94,7 +99,9 @@ def samples_at(session: Session, at: Collection[int]) -> dict[int, Sample]:
     return by_index
 
 
-def _prospect(forecaster: Forecaster, sample: int, candidate: str | None) -> Prospect:
+def _prospect(
+    forecaster: Forecaster, sample: int, candidate: str | None, taught: tuple[Verdict, ...]
+) -> Prospect:
     leader = forecaster.leader
     assert leader is not None  # noqa: S101 — there are candidates
     name = leader if candidate is None else candidate
@@ -108,7 +115,7 @@ def _prospect(forecaster: Forecaster, sample: int, candidate: str | None) -> Pro
             "own estimate"
         )
         outlook = replace(outlook, notes=(*outlook.notes, note))
-    return Prospect(outlook, leader, forecaster.confidence)
+    return Prospect(outlook, leader, forecaster.confidence, taught)
 
 
 def _no_candidate(session: str, twin: Twin, rest: Sequence[Sample]) -> ForecastError:

@@ -38,8 +38,7 @@ class ShownTwin(NamedTuple):
 
 def nominal_score(verdict: Verdict | None) -> CandidateScore | None:
     """The nominal candidate of a verdict; None without one."""
-    candidates = verdict.candidates if verdict is not None else ()
-    return next((c for c in candidates if verdict and c.name == verdict.nominal), None)
+    return None if verdict is None else verdict.chosen
 
 
 def shown_twin(verdict: Verdict | None) -> ShownTwin | None:

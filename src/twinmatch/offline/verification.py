@@ -18,7 +18,7 @@ from twinmatch.sessions import Session
 from twinmatch.sessions.files import ProgressCallback
 from twinmatch.sessions.messages import decoded
 from twinmatch.signals import Sample
-from twinmatch.twin import MatchReport, filled
+from twinmatch.twin import MatchReport
 
 SCORES = "twin/model_score"
 MATCHES = "twin/match"
@@ -126,8 +126,7 @@ def holds_verdicts(session: Session) -> int:
 def compare(session: Session, judgement: Judgement) -> Verification:
     """Compare the recorded matches and verdicts with a judgement of the samples, bit for bit."""
     prefix = prefix_of(session)
-    # A verdict may be due at a lost sample.
-    stamps = {one.index: one.stamp for one in filled(session.samples, judgement.settings)}
+    stamps = judgement.stamps  # a verdict may be due at a lost sample
     matches, scores = _once(_records_of(session, prefix + MATCHES)), _records_of(session, prefix + SCORES)
     computed_matches = [_compute(m, stamps[m.sample]) for m in judgement.matches]
     computed_scores = [_compute(v, stamps[v.sample]) for v in judgement.verdicts]

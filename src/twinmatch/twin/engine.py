@@ -38,6 +38,8 @@ class Step(NamedTuple):
     snapshots: tuple[Snapshot, ...] = ()
     """All candidates at every sample that they have taken now, if the discriminator was asked for them; none
     of lost samples."""
+    settled: tuple[Sample, ...] = ()
+    """The samples that it has taken now, and stand-ins, as the door settled them."""
 
 
 class Discriminator:
@@ -127,7 +129,9 @@ class Discriminator:
     def _settle(self, verdicts: list[Verdict]) -> Step:
         """Process the queue until it is empty or a match is needed."""
         snapshots: list[Snapshot] = []
+        settled: list[Sample] = []
         while (sample := self._next()) is not None:
+            settled.append(sample)
             verdicts += self._take(sample)
             if not sample.usable:
                 continue
@@ -138,13 +142,11 @@ class Discriminator:
                 verdicts += self._on_trigger(self._due)
                 if self._request is not None:
                     break
-        return Step(tuple(verdicts), self._request, tuple(snapshots))
+        return Step(tuple(verdicts), self._request, tuple(snapshots), tuple(settled))
 
     def _next(self) -> Sample | None:
         """The next sample of the queue, as the door settles it once all before it have been taken."""
         if not self._entered and self._waiting:
-            if (nominal := self.nominal) is not None:
-                self._door.know(nominal.parameters)
             self._entered.extend(self._door.take(self._waiting.popleft()))
         return self._entered.popleft() if self._entered else None
 
@@ -249,7 +251,9 @@ class Discriminator:
                     scored, match = False, MatchResult(match.word, f"nothing could be identified: {error}")
             if not scored:
                 pool.score_leader()
-            return verdict_of(self._known(trigger.sample, window, match, scored=scored, dismissed=dismissed))
+            known = self._known(trigger.sample, window, match, scored=scored, dismissed=dismissed)
+            self._door.learn(verdict := verdict_of(known))
+            return verdict
 
     def _known(
         self,
@@ -349,6 +353,8 @@ class Outcome(NamedTuple):
 
     match: MatchReport | None
     verdicts: tuple[Verdict, ...]
+    settled: tuple[Sample, ...]
+    """The sample as the door settled it, behind the stand-ins for those lost before it."""
 
 
 class Twin:
@@ -373,9 +379,10 @@ class Twin:
         """Take one sample; return the match and the verdicts that it triggers."""
         step = self.discriminator.push_sample(sample)
         if step.request is None:
-            return Outcome(None, step.verdicts)
+            return Outcome(None, step.verdicts, step.settled)
         report = carry_out(step.request, self._matching)
-        return Outcome(report, step.verdicts + self.discriminator.push_match(report).verdicts)
+        after = self.discriminator.push_match(report)
+        return Outcome(report, step.verdicts + after.verdicts, step.settled + after.settled)
 
 
 def _schedule(settings: TwinSettings) -> Schedule:

@@ -127,6 +127,7 @@ class Mirror:
                 absent if self._pid is None else self._transfer_states(self._closed, new, estimated)
             )
         self._parameters = new
+        self._door.know(new)
 
     def push(self, sample: Sample) -> MirrorState:
         """Take one sample; return the state of the twins at its tick."""

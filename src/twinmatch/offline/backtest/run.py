@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from twinmatch.comparing import BASELINES
+from twinmatch.comparing import BASELINES, Verdict
 from twinmatch.dynamics import SKIPPED, Law, Parameters, Plant
 from twinmatch.forecasting import CONFIDENCE, ArxForecast, Band, Forecast, Outlook
 from twinmatch.offline.backtest.scoring import (
@@ -244,11 +244,9 @@ class Listener:
         scored, period = settings.forecasts, settings.period
         self.horizons = choices.ahead(scored.horizons, period)
         self.common, self.work = _Common(session, settings, self.horizons, choices.peers), work or Beside()
-        self.held = filled_stretches(samples, settings)
-        """The stretches between gaps that are too long to be filled."""
-        every = SPARSER * scored.every if choices.every is None else choices.every
-        self.wanted = frozenset(regular(self.held, every))
-        """Samples at which outlooks are recorded, besides those of the verdicts."""
+        self._every = SPARSER * scored.every if choices.every is None else choices.every
+        self._samples, self._settings, self._taught = samples, settings, bool(settings.plant.typical)
+        self._lay_out()
         self.graded: dict[int, Callable[[], _Graded] | None] = {}
         """The results of each origin; None where there was no candidate."""
         self.twin: Twin | None = None
@@ -256,12 +254,22 @@ class Listener:
     def __call__(self, twin: Twin, sample: Sample, outcome: Outcome) -> None:
         """Take the outcome of one sample."""
         self.twin = twin
+        if not self._taught and any(verdict.chosen for verdict in outcome.verdicts):
+            self._taught = True
+            self._lay_out(outcome.verdicts)
         if not (outcome.verdicts or sample.index in self.wanted):
             return
         for origin in origins(self.held, [sample.index], self.horizons, driven=twin.settings.law is None):
             asked = _outlooks(twin)
             task = self.work.give(_grade, self.common, origin, asked) if LEADER in asked.who else None
             self.graded[sample.index] = task
+
+    def _lay_out(self, verdicts: Sequence[Verdict] = ()) -> None:
+        """Settle the samples, with the twin by which readings are judged once these verdicts name it."""
+        self.held = filled_stretches(self._samples, self._settings, verdicts)
+        """The stretches between gaps that are too long to be filled."""
+        self.wanted = frozenset(regular(self.held, self._every))
+        """Samples at which outlooks are recorded, besides those of the verdicts."""
 
     def spoilt(self, first: int, last: int) -> bool:
         """Whether the monitor found a fault of the plant between two samples."""

@@ -179,6 +179,8 @@ class DashboardState:
         self.verdict: Verdict | None = None
         self.tally = Tally()
         """What the verdicts of this session come down to."""
+        self.taught: list[Verdict] = []
+        """The first of them with a nominal candidate, if there was one."""
         self.verdicts = 0
         """Changes of the two above, counted."""
         self.sentence = ""
@@ -258,6 +260,8 @@ class DashboardState:
             for event in events_since(self.verdict, verdict):
                 self._log(event)
             self.tally.push(verdict)
+            if not self.taught and verdict.chosen is not None:
+                self.taught.append(verdict)
             self.verdict = verdict
             self.verdicts += 1
 
@@ -319,7 +323,7 @@ class DashboardState:
             self.twin.clear()
         self.verdict, self.verdicts, self.sentence = None, self.verdicts + 1, ""
         self.forecast, self.what_if, self.forecast_changes = None, None, self.forecast_changes + 1
-        self.tally = Tally()
+        self.tally, self.taught = Tally(), []
         self._intervals.clear()
         why = f"the previous one lasted {duration:g} s"
         self._note(EventKind.NODE, Mark.NOTE, "a new session began", why)
@@ -351,7 +355,7 @@ def update_sentence(state: DashboardState, settings: TwinSettings) -> None:
     Takes a few milliseconds; call it for a new verdict, not for every sample. `settings` are the twin's.
     """
     with state.lock:
-        verdict, period, tally = state.verdict, state.period, copy(state.tally)
+        verdict, period, tally, taught = state.verdict, state.period, copy(state.tally), list(state.taught)
         columns, _ = state.plant.since(0)
     rows = zip(*(columns[n].tolist() for n in ("index", "reference", "output", "input")), strict=True)
     samples = [Sample(int(k), int(k), r, y, u) for k, r, y, u in rows if not math.isnan(r)]  # NaN: a gap
@@ -360,7 +364,7 @@ def update_sentence(state: DashboardState, settings: TwinSettings) -> None:
         law = settings.law and settings.law.at_period(period)
         own = replace(settings, period=period, law=law)
         with suppress(TwinmatchError):  # so few samples that there is no window
-            held = filled_stretches(samples, own)
+            held = filled_stretches(samples, own, taught)
             longest = max(held, key=len)
             summed_up = sentence(conclude(tally, lambda: (longest, len(held)), law, period=period))
     with state.lock:
