@@ -1,4 +1,4 @@
-"""Bags and tables whose clock, or whose inputs, are not what they seem: nothing is mixed, held or lost unsaid."""
+"""Bags and tables whose clock, or whose inputs, are not what they seem: nothing is mixed, held or lost."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def test_a_clock_that_is_set_back_splits_a_bag_or_is_refused(
     for at, reading in ticks():
         made += loop(at if at < half else at - back, reading)
     source = bag_of(tmp_path / "bag", made, storage)
-    with pytest.raises(RecordingError, match="in reading 60 to .* in reading 62; if a clock was set back"):
+    with pytest.raises(RecordingError, match=r"in reading 60 to .* in reading 62; if a clock was set back"):
         mapped(source, plant)
     run = mapped(source, plant, gaps="split")
     # The first reading after it comes before the first command by the same clock.
@@ -140,20 +140,26 @@ def test_a_table_whose_clock_goes_back_is_split_or_refused_too(
     table.write_text("\n".join(["time,output,input", *rows]), "utf-8")
     given = parse_map(["time=time", "output=output", "input=input"])
     if gaps == "refuse":
-        with pytest.raises(RecordingError, match="from 29.5 s in line 61 to 23 s in line 62; if a clock was set"):
+        with pytest.raises(
+            RecordingError, match=r"from 29.5 s in line 61 to 23 s in line 62; if a clock was set"
+        ):
             map_samples(read_table(table), given, plant)
         return
     run = map_samples(read_table(table), given, plant, gaps=gaps)
     assert [len(part) for part in stretches(run)] == [60, 60]
     assert readings(run) == [round(value, 6) for _, value in ticks()]
-    assert all(b.stamp - a.stamp in (round(STEP * 1e9), round(2 * STEP * 1e9)) for a, b in pairwise(run.samples))
+    assert all(
+        b.stamp - a.stamp in (round(STEP * 1e9), round(2 * STEP * 1e9)) for a, b in pairwise(run.samples)
+    )
 
 
 def test_rows_in_no_order_are_not_stretches(tmp_path: Path, plant: type[Plant]) -> None:
     table, order = tmp_path / "log.csv", np.random.default_rng(3).permutation(60)
     table.write_text("\n".join(["time,output,input", *(f"{k},{k},{k}" for k in order)]), "utf-8")
     with pytest.raises(RecordingError, match="sort the rows, and keep one per time"):
-        map_samples(read_table(table), parse_map(["time=time", "output=output", "input=input"]), plant, gaps="split")
+        map_samples(
+            read_table(table), parse_map(["time=time", "output=output", "input=input"]), plant, gaps="split"
+        )
 
 
 @pytest.mark.parametrize(("begin", "end"), [(20.0, 40.0), (40.0, 1e9)])
@@ -166,7 +172,9 @@ def test_a_hole_in_the_messages_of_an_input_is_a_gap(
         both = loop(at, reading)
         made += both[:1] if begin < at < end else both
     source = bag_of(tmp_path / "bag", made)
-    words = rf"input \(/heater\) has no message for .* s from reading {round(begin / STEP) + 3} on: .*--bridge"
+    words = (
+        rf"input \(/heater\) has no message for .* s from reading {round(begin / STEP) + 3} on: .*--bridge"
+    )
     with pytest.raises(RecordingError, match=words):
         mapped(source, plant)
     run = mapped(source, plant, gaps="split")
@@ -240,7 +248,9 @@ def test_the_clock_that_all_stamps_share_counts(tmp_path: Path, plant: type[Plan
         made += loop(at + 5.0 - START, reading, recorded=2 * at)
     run = mapped(bag_of(tmp_path / "bag", made), plant)
     assert (len(run.samples), run.period) == (ROWS, STEP)
-    assert any("share a clock of their own, which counts" in n and "0.5 times as fast" in n for n in run.notes)
+    assert any(
+        "share a clock of their own, which counts" in n and "0.5 times as fast" in n for n in run.notes
+    )
     # A command 10 ms after its reading by the bag's clock is 5 ms after it by the simulator's.
     assert run.samples[10].input == pytest.approx(0.01 * 20.9 + 0.99 * 21.0, abs=1e-4)
 

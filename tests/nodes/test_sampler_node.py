@@ -13,6 +13,7 @@ import pytest
 from rclpy.duration import Duration
 from rclpy.time import Time
 from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
 from tests.support.foreign_rig import CAPACITY, GAIN, TOPICS, Oven
@@ -110,14 +111,15 @@ def test_each_tick_of_the_rig_is_a_sample_of_the_same_three_numbers(
     assert [info.node_name for info in publishers] == ["oven_rig"]
 
 
-def in_step(beside: Beside, ticks: int) -> list[tuple[float, float, float]]:
-    """Run the rig in this process by plant time, which passes once a tick was sampled: what it did.
+def passed_on(
+    beside: Beside, sampler: Inside, kinds: dict[str, Any], ticks: Iterator[list[tuple[str, Any]]]
+) -> None:
+    """Publish what is sent at each tick by plant time, which passes once the tick was sampled.
 
-    However long this machine takes, no message is late.
+    However long this machine takes, no message is late. `kinds` are the types of the topics.
     """
-    listener, oven = beside.listener, Oven(PERIOD, HOLD)
-    sampler = beside.sampler(use_sim_time="true")
-    publishers = [listener.node.create_publisher(Float64, topic, 10) for topic in TOPICS]
+    listener = beside.listener
+    publishers = {topic: listener.node.create_publisher(kind, topic, 10) for topic, kind in kinds.items()}
     clock = listener.node.create_publisher(Clock, "/clock", NEWEST)
     node = sampler.nodes[0]
 
@@ -127,18 +129,77 @@ def in_step(beside: Beside, ticks: int) -> list[tuple[float, float, float]]:
         listener.spin_until(lambda: node.get_clock().now().nanoseconds == now.nanoseconds, "the plant time")
 
     listener.spin_until(clock.get_subscription_count, "the reader of the clock")
-    listener.spin_until(lambda: all(p.get_subscription_count() for p in publishers), "the readers of the rig")
+    listener.spin_until(
+        lambda: all(p.get_subscription_count() for p in publishers.values()), "the readers of the rig"
+    )
     listener.spin_until(lambda: listener.node.count_publishers("plant/sample"), "the sampler")
-    done = []
-    for tick in range(ticks):
+    for tick, sent in enumerate(ticks):
         pass_to(1000.0 + PERIOD * tick)
-        done.append(oven.step())
-        for publisher, value in zip(publishers, done[-1], strict=True):
-            publisher.publish(Float64(data=value))
-            assert publisher.wait_for_all_acked(Duration(seconds=PATIENCE))
+        for topic, message in sent:
+            publishers[topic].publish(message)
+            assert publishers[topic].wait_for_all_acked(Duration(seconds=PATIENCE))
         pass_to(1000.0 + PERIOD * (tick + 0.2))
-        listener.spin_until(lambda: len(beside.samples) == len(done), beside.said)
+        listener.spin_until(lambda tick=tick: len(beside.samples) == tick + 1, beside.said)
+
+
+def in_step(beside: Beside, ticks: int) -> list[tuple[float, float, float]]:
+    """Run the rig in this process by plant time: what it did."""
+    oven = Oven(PERIOD, HOLD)
+    done = [oven.step() for _ in range(ticks)]
+    sent = ([(t, Float64(data=v)) for t, v in zip(TOPICS, values, strict=True)] for values in done)
+    passed_on(beside, beside.sampler(use_sim_time="true"), dict.fromkeys(TOPICS, Float64), sent)
     return done
+
+
+def joints(**positions: float) -> JointState:
+    values = list(positions.values())
+    return JointState(name=list(positions), position=values, effort=values)
+
+
+def test_joints_are_sampled_by_name_in_any_order_and_beside_other_publishers(beside: Beside) -> None:
+    """By index, every other sample would be the gripper's."""
+    sent = (
+        [
+            ("/joints", joints(gripper=-5.0)),
+            (
+                "/joints",
+                joints(**dict(sorted({"elbow": 20.0 + k, "wrist": -7.0}.items(), reverse=k % 2 == 0))),
+            ),
+        ]
+        for k in range(20)
+    )
+    by_name = {"output": "/joints:position[elbow]", "input": "/joints:effort[elbow]", "reference": ""}
+    passed_on(beside, beside.sampler(**by_name, use_sim_time="true"), {"/joints": JointState}, sent)
+    assert [(output, given) for _, output, given in taken(beside.samples)] == [
+        (20.0 + k, 20.0 + k) for k in range(20)
+    ]
+
+
+def test_an_index_that_means_another_joint_is_reported_and_not_sampled(beside: Beside) -> None:
+    by_index = {"output": "/joints:position[0]", "input": "/joints:effort[0]", "reference": ""}
+    sampler = beside.sampler(**by_index, use_sim_time="true")
+    sent = (
+        [("/joints", joints(elbow=20.0 + k)), *([("/joints", joints(gripper=-5.0))] if k else [])]
+        for k in range(10)
+    )
+    passed_on(beside, sampler, {"/joints": JointState}, sent)
+    beside.wait_for_word(
+        "/joints:position[0] is elbow in one message and gripper in another; choose it by name: "
+        "/joints:position[elbow]; other messages are left out"
+    )
+    assert [output for _, output, _ in taken(beside.samples)] == [20.0 + k for k in range(10)]
+
+
+def test_an_index_that_means_another_joint_at_the_start_ends_the_sampler(beside: Beside) -> None:
+    """Which of them is meant, only the user knows."""
+    by_index = {"output": "/joints:position[0]", "input": "/joints:effort[0]", "reference": ""}
+    sampler = beside.sampler(**by_index)
+    publisher = beside.listener.node.create_publisher(JointState, "/joints", 10)
+    beside.listener.spin_until(publisher.get_subscription_count, "the sampler")
+    for message in (joints(elbow=20.0), joints(gripper=-5.0)):
+        publisher.publish(message)
+    assert sampler.wait() == 2
+    assert "is elbow in one message and gripper in another; choose it by name" in sampler.text
 
 
 def test_samples_of_a_rig_in_step_lead_to_its_own_numbers(beside: Beside, plant: Path) -> None:

@@ -73,5 +73,8 @@ def test_the_twin_beside_the_plant_is_not_compared_with_a_refused_reading() -> N
     assert found.summary.parameters is not None
     mirror.parameters = found.summary.parameters
     states = [mirror.push(sample) for sample in untaught.spiked()[: SPIKE + 1]]
-    assert (states[-1].sample.seen, states[-1].sample.refused) == (False, (untaught.clean()[SPIKE].output + 40.0,))
+    assert (states[-1].sample.seen, states[-1].sample.refused) == (
+        False,
+        (untaught.clean()[SPIKE].output + 40.0,),
+    )
     assert states[-1].driven_rms_y == states[-2].driven_rms_y

@@ -1,4 +1,4 @@
-"""A plant whose file declares no typical twin, as those that `new-plant` writes: it is learned from the samples."""
+"""A plant whose file declares no typical twin, as those of `new-plant`: it is learned from the samples."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from twinmatch.signals import Sample, Window
 from twinmatch.twin import TwinSettings
 
 SPIKE = 450
-"""Index of a reading that is 40 °C too high: within the sensor's span, and far behind the first nominal twin."""
+"""Index of a reading 40 °C too high: within the sensor's span, and far behind the first nominal twin."""
 TAUGHT = 160
 """Sample of the first verdict with a nominal twin."""
 
@@ -37,7 +37,7 @@ def settings() -> TwinSettings:
 
 @lru_cache(maxsize=1)
 def clean() -> tuple[Sample, ...]:
-    """Steps of the heater under which the time constant is 50 s; readings with the noise of the plant file."""
+    """Steps of the heater; the time constant is 50 s, and readings have the noise of the plant file."""
     true = settings().plant.model().parameters(capacity=50.0)
     u = np.repeat([20.0, 60.0, 30.0, 80.0, 10.0, 50.0, 25.0, 70.0], 80)
     run = simulate_driven(true, u, states=begin(true, 30.0))

@@ -39,7 +39,7 @@ _ASTRAY: Final = 1.0
 _RATE: Final = 0.01
 """Clocks whose rates differ by more, relatively, do not go alike."""
 _BACK: Final = 3.0
-"""Steps back in time by so many usual steps are those of a clock; within them, messages arrive out of order."""
+"""Steps back in time by so many usual steps are those of a clock; shorter ones are messages out of order."""
 _APART: Final = 1e7
 """Time between two stretches while they are put one after another, s; no hole is half as long."""
 _FEWEST: Final = 10
@@ -100,7 +100,9 @@ def map_bag(
     given = SignalMap(named, given.plant, given.period)
     run = map_samples(table, given, plant, longest=longest, gaps=gaps)
     read = {name: held[0].values.size for name, held in recorded.items()}
-    return run._replace(sources=sources, notes=[*run.notes, *counted, *notes, _account(read, used, [*lost, *more])])
+    return run._replace(
+        sources=sources, notes=[*run.notes, *counted, *notes, _account(read, used, [*lost, *more])]
+    )
 
 
 def _read(
@@ -136,7 +138,7 @@ def _one_clock(recorded: Mapping[str, Sequence[Series]]) -> tuple[dict[str, list
             stand_ins, rate = said, float(np.ptp(stamps) / max(np.ptp(at), 1e-9))
             pace = f", {rate:.3g} times as fast" if abs(rate - 1) > _RATE else ""
             notes.append(
-                f"The headers share a clock of their own, which counts: {off:.3g} s from that of the bag{pace}."
+                f"The headers share a clock of their own, which counts: {off:.3g} s from the bag's{pace}."
             )
         else:
             notes.append(
@@ -197,7 +199,7 @@ class _Stretches(NamedTuple):
 
     @classmethod
     def of(cls, messages: Sequence[tuple[FloatArray, FloatArray]], rows: FloatArray) -> _Stretches:
-        """Find them in places and times of the messages of each channel; `rows` are the times of the readings.
+        """Find them in places and times of the messages of each channel; `rows` are the readings' times.
 
         A clock that is set back shows in each topic between two of its messages. As few moments are taken as
         explain all of them.
@@ -245,7 +247,10 @@ def _growing(
     order = np.argsort(time[kept], kind="stable")
     rising = _Signal(time[kept][order], values[kept][order])
     last = np.append(np.diff(rising.time) > 0, True)
-    lost = ((values.size - int(kept.sum()), "without a number"), (int((~last).sum()), "at the time of another"))
+    lost = (
+        (values.size - int(kept.sum()), "without a number"),
+        (int((~last).sum()), "at a time of another"),
+    )
     return _Signal(rising.time[last], rising.values[last]), [(count, why) for count, why in lost if count]
 
 
@@ -274,8 +279,8 @@ def _known(
             if gaps == "refuse" and inside.any() and last - begin < _APART / 2:
                 raise RecordingError(
                     f"{path}: {text} has no message for {last - begin:.4g} s from reading "
-                    f"{int(np.flatnonzero(inside)[0]) + 1} on: split the recording there (--gaps split), or hold "
-                    f"its last value (--bridge {math.ceil(last - begin) + 1})"
+                    f"{int(np.flatnonzero(inside)[0]) + 1} on: split the recording there (--gaps split), or "
+                    f"hold its last value (--bridge {math.ceil(last - begin) + 1})"
                 )
         lost.append((int(unknown.sum()), f"in holes of {text}"))
         known &= ~unknown
@@ -330,6 +335,8 @@ def _account(read: Mapping[str, int], used: int, lost: Sequence[tuple[int, str]]
     """What became of the messages that were read, in a sentence."""
     others = ", ".join(f"{count} of {name}" for name, count in read.items() if name != OUTPUT)
     left = ", ".join(f"{count} {why}" for count, why in lost if count)
-    return f"Of {read[OUTPUT]} messages of the output, {used} are used" + (
-        f" (left out: {left})" if left else ""
-    ) + f"; read beside them: {others}."
+    return (
+        f"Of {read[OUTPUT]} messages of the output, {used} are used"
+        + (f" (left out: {left})" if left else "")
+        + f"; read beside them: {others}."
+    )

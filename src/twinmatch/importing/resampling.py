@@ -74,7 +74,7 @@ class Resampled:
     bridged: tuple[int, ...]
     """Rows (from 0) after which others are missing: the step is longer than 1.5 usual ones."""
     gaps: tuple[float, ...]
-    """Lengths of the gaps at which the recording is split, s, in their order; negative where time goes back."""
+    """Lengths of the gaps at which the recording is split, s, in order; negative where time goes back."""
 
     @property
     def stretches(self) -> list[slice]:
@@ -146,8 +146,9 @@ def resample(
         row: returns the place of the i-th row (from 0) in the file, such as `line 12`.
 
     Raises:
-        RecordingError: fewer than two rows, values that are not finite, time that stands still or goes back
-            where that splits nothing or happens all the time, a step that is too long, a period that is too short for the rows, or a column without a kind.
+        RecordingError: fewer than two rows, values that are not finite, time that stands still, or goes back
+            where that is refused or happens often, a step that is too long, a period that is too short for
+            the rows, or a column without a kind.
     """
     stamps, values = _check(time, columns, kinds, place, row)
     steps = np.diff(stamps)

@@ -92,8 +92,8 @@ class Live:
         self.settle(lambda _: len(self.waiting) > MAX_WAITING)
 
     def settle(self, judged: Callable[[int], bool]) -> None:
-        """Put samples on the spool as the discriminator settled them: once it has `judged` all before them, as
-        long as its verdicts may still decide how to."""
+        """Put samples on the spool as the discriminator settled them: once it has `judged` all before them,
+        as long as its verdicts may still decide how to."""
         while self.waiting and (not self.door.learning or judged(self.waiting[0].index - 1)):
             for one in filter(attrgetter("usable"), self.door.take(self.waiting.popleft())):
                 self.samples.push(one)

@@ -17,12 +17,13 @@ from twinmatch.launching.processes import LaunchError
 from twinmatch.links.kit_link import require_package, require_port
 from twinmatch.nodes.sampler import sources_of, understood
 from twinmatch.nodes.step import PATIENCE
-from twinmatch.parameters.declared import Values, check, render, sections_of
+from twinmatch.parameters.declared import Setting, Values, check, render, sections_of
 from twinmatch.parameters.twin import at_period, read_settings, table_of, values_of
 from twinmatch.plants import find_plant, written_name
 from twinmatch.sampling.sources import REFERENCE, SignalMap
 
 SAMPLER = "sampler"
+_SIM_TIME = Setting("use_sim_time", False, "Whether the time is that of /clock.")
 
 
 def ros_arguments(values: Mapping[str, object], *files: object) -> list[str]:
@@ -173,8 +174,13 @@ class LivePlan:
             values["recorder:continues"] = continues
         return ros_arguments({**values, **self._time()}, self.config)
 
+    @property
+    def simulated(self) -> bool:
+        """Whether the nodes have the time of /clock."""
+        return self.virtual is not None
+
     def _time(self) -> dict[str, str]:
-        return {} if self.virtual is None else {"use_sim_time": "true"}
+        return {"use_sim_time": "true"} if self.simulated else {}
 
 
 @dataclass(frozen=True)
@@ -183,6 +189,13 @@ class AttachPlan(LivePlan):
 
     sampler: Path = Path()
     """Parameter file of the sampler."""
+    sim_time: bool = False
+    """Whether the rig is a simulated one whose time is on /clock."""
+
+    @property
+    def simulated(self) -> bool:
+        """Whether that is so."""
+        return self.sim_time
 
     @property
     def driver(self) -> str:
@@ -196,7 +209,7 @@ class AttachPlan(LivePlan):
 
     def rig_arguments(self, addresses: Mapping[str, str]) -> list[str]:  # noqa: ARG002
         """ROS arguments of the sampler."""
-        return ros_arguments({}, self.sampler)
+        return ros_arguments(self._time(), self.sampler)
 
     def wait_for(self, readers: str) -> list[str]:
         """As for a rig, but longer: a rig that runs on its own is not held up while a twin is compiled."""
@@ -217,7 +230,8 @@ def attach_plan(
     Args:
         folder: where the files are written.
         said: plant, sampling period and map of the command line; they override the file.
-        config: parameter file with a section `sampler`, and perhaps `recorder`.
+        config: parameter file with a section `sampler`, and perhaps `recorder`; `use_sim_time` of the sampler
+            is that of all nodes.
         twin_config: parameter file of the twin; plant and sampling period default to those of the sampler.
         candidates: file of initial candidates.
         session: folder to record into.
@@ -225,7 +239,7 @@ def attach_plan(
     Raises:
         TwinmatchError: something does not exist, or parameters contradict each other.
     """
-    values = _sampler_values(config, said)
+    values, sim_time = _sampler_values(config, said)
     plant = find_plant(values["plant"])
     driven = REFERENCE not in sources_of(SAMPLER, values)
     as_written = read_settings(twin_config, written_name(plant), driven=driven)
@@ -247,10 +261,12 @@ def attach_plan(
         candidates=candidates,
         plant=plant.name,
         sampler=sampler,
+        sim_time=sim_time,
     )
 
 
-def _sampler_values(config: Path | None, said: SignalMap) -> Values:
+def _sampler_values(config: Path | None, said: SignalMap) -> tuple[Values, bool]:
+    """The sampler's parameters, and whether it has the time of /clock."""
     given = sections_of(config, SAMPLER) if config is not None else {}
     if said.plant:
         given["plant"] = said.plant
@@ -262,4 +278,4 @@ def _sampler_values(config: Path | None, said: SignalMap) -> Values:
         given[f"map.{signal}"] = source.text
     values = check(place, understood(place, given), given)
     sources_of(place, values)
-    return values
+    return values, bool(_SIM_TIME.accept(given.get(_SIM_TIME.name, False), place))

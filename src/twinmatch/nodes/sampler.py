@@ -213,6 +213,9 @@ class SamplerNode(TwinmatchNode):
             trouble = self._silence(name, now) or sampler.troubles.get(name, "")
             text = self._explain(name, trouble)
             self.health.flag_if(bool(text), name, level, text)
+        timeless = self.get_parameter("use_sim_time").value and not self._now()
+        text = "use_sim_time is set, but there is no time on /clock; start what publishes it"
+        self.health.flag_if(bool(timeless), "clock", level, text)
         pace = sampler.troubles.get("pace", "")
         self.health.flag_if(bool(pace), "pace", level, pace)
         self.health.set("missed ticks", sampler.grid.missed)
@@ -310,7 +313,9 @@ class SamplerNode(TwinmatchNode):
                 f"{trouble} {unit}: no samples; if {text} has another unit, append '; unit=' to its map entry"
             )
         if "s old" in trouble:
-            return f"{trouble}: no samples; the stamps of {text} lag behind this machine's clock"
+            lag = f"{trouble}: no samples; the stamps of {text} lag behind this machine's clock"
+            simulated = self.get_parameter("use_sim_time").value
+            return lag if simulated else f"{lag}; if they are in simulated time, set use_sim_time"
         return f"{name}: {trouble}; no samples" if trouble else ""
 
     def _late(self, now: float) -> bool:

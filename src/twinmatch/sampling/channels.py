@@ -98,8 +98,8 @@ def steps(path: str) -> tuple[str | int, ...]:
     while at < len(path):
         match = _STEP.match(path, at)
         if match is None or (not taken and path[0] in ".["):
-            msg = f"{path!r} is not a field path; write names and indices, such as readings[2].value or position[elbow]"
-            raise SamplingError(msg)
+            form = "write names and indices, such as readings[2].value or position[elbow]"
+            raise SamplingError(f"{path!r} is not a field path; {form}")
         name, index, label = match.groups()
         taken.append(name or (Label(label.strip()) if label else int(index)))
         at = match.end()
@@ -267,7 +267,9 @@ def usual_unit(kind: str, path: str, wanted: str | None = None) -> str:
     unit `wanted`; empty if none does. Without one it is the first.
     """
     known = _UNITS.get(kind, {})
-    stated = next((unit for begin, unit in known.items() if re.match(rf"{re.escape(begin)}(\.|\[|$)", path)), "")
+    stated = next(
+        (unit for begin, unit in known.items() if re.match(rf"{re.escape(begin)}(\.|\[|$)", path)), ""
+    )
     units = stated.split(" or ")
     if wanted is None or len(units) == 1:
         return units[0]

@@ -16,9 +16,9 @@ or as YAML, which may also give the plant and the sampling period:
 
 A signal is scale · number + offset, converted from the given unit (by default the one in the column's title,
 or that of the message type) to the plant's. Several places give their mean. For topics, a place is
-TOPIC:FIELD, such as /joint_states:position[elbow]. The signals of a plant with several outputs or inputs have the names in its file, and the
-set-point of an output `y` is `y_reference`; in the order of the file they are also output.1, output.2, …,
-input.1, … and reference.1, ….
+TOPIC:FIELD, such as /joint_states:position[elbow]. The signals of a plant with several outputs or inputs have
+the names in its file, and the set-point of an output `y` is `y_reference`; in the order of the file they are
+also output.1, output.2, …, input.1, … and reference.1, ….
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 not usable; `Sample.seen`, `refused` and `usable`, and a window's `seen`, say so to everybody.
 
 Behind this door samples follow one another, or a longer gap has ended the stretch. A plant file that declares
-no typical twin leaves it to the first nominal one to say how far a reading may move. A door learns it from the
-verdicts, which say from which sample on, so that every door settles a stream alike, live and in replay.
+no typical twin leaves it to the first nominal one to say how far a reading may move. A door learns it from
+the verdicts, which say from which sample on, so that every door settles a stream alike, live and in replay.
 """
 
 from __future__ import annotations

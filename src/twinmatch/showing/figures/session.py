@@ -49,7 +49,9 @@ def draw_session(samples: Sequence[Sample], verdicts: Sequence[Verdict], setting
     Where the loop is not known, there is only the driven twin, which has the plant's input.
     """
     shown = shown_twin(verdicts[-1] if verdicts else None)
-    parts = compare(filled_stretches(samples, settings, verdicts), shown.parameters, settings) if shown else ()
+    parts = (
+        compare(filled_stretches(samples, settings, verdicts), shown.parameters, settings) if shown else ()
+    )
     closed = settings.law is not None
     rows = (4 if closed else 3) if parts else 2
     figure = new_figure(10, 1.75 * rows)
@@ -204,7 +206,9 @@ def draw_verdict(
     for number, window in enumerate(stretches(samples, settings.period)):
         draw_outputs(upper, window, closed=settings.law is not None, named=number == 0, lw=1.2)
         draw_inputs(control, window, 0.9)
-    parts = compare(filled_stretches(samples, settings, verdicts), shown.parameters, settings) if shown else ()
+    parts = (
+        compare(filled_stretches(samples, settings, verdicts), shown.parameters, settings) if shown else ()
+    )
     for number, part in enumerate(parts):
         label = f"twin of {shown.name}" if shown and number == 0 else "_"
         output = part.driven if part.closed is None else part.closed.output
