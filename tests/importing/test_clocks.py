@@ -121,7 +121,7 @@ def test_two_runs_of_a_simulator_that_was_reset_stay_two(tmp_path: Path, plant: 
     assert [(len(part), part[1] > 40.0) for part in stretches(run)] == [(ROWS, False), (ROWS - 1, True)]
 
 
-def test_messages_that_arrive_late_are_no_set_back_clock(tmp_path: Path, plant: type[Plant]) -> None:
+def test_messages_that_arrive_late_do_not_set_the_clock_back(tmp_path: Path, plant: type[Plant]) -> None:
     made = list(SETPOINT)
     for at, reading in ticks():
         made += loop(at, reading)

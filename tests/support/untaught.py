@@ -49,7 +49,9 @@ def clean() -> tuple[Sample, ...]:
 def spiked(lost: Container[int] = ()) -> list[Sample]:
     """The same with one spike, and without the lost samples."""
     return [
-        replace(s, outputs=s.output + 40.0) if s.index == SPIKE else s for s in clean() if s.index not in lost
+        replace(s, outputs=(s.output + 40.0,)) if s.index == SPIKE else s
+        for s in clean()
+        if s.index not in lost
     ]
 
 

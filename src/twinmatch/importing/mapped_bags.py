@@ -170,7 +170,7 @@ def _signals(
     followed: Mapping[str, FollowedSignal],
     times: Mapping[str, list[FloatArray]],
 ) -> tuple[dict[str, _Signal], list[tuple[int, str]], _Stretches]:
-    """Signals in the plant's units; how many messages of the output gave no number of theirs, in words; and
+    """Signals in the plant's units; how many messages of the output are not used, in words; and
     the stretches, which are put one after another."""
     held = {name: list(zip(recorded[name], times[name], strict=True)) for name in recorded}
     every = [(one.place, time) for each in held.values() for one, time in each]

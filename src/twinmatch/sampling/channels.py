@@ -160,8 +160,8 @@ def fields_below(kind: str, fields_of: FieldsOf, deep: int = _DEEP) -> Iterator[
 class Followed:
     """Follows a channel through the messages of its topic.
 
-    Whoever publishes may order the elements of a list differently, and several may publish on one topic: an
-    element chosen by its number has to keep the name that the first message gave it.
+    A publisher may change the order of a list's elements, and several may publish on one topic: an element
+    chosen by its number has to keep the name that the first message gave it.
     """
 
     def __init__(self, channel: Channel) -> None:
