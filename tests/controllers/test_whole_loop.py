@@ -204,3 +204,75 @@ def test_what_it_refuses() -> None:
         as_linear(TwoLevel(0.0, 1.0, 0.5, 0.5))
     with pytest.raises(PlantError, match=r"sampled every 1 s, the law every 2 s"):
         WholeLoop(linearised(PLANT, POINT, 1.0), TWO).margins()
+
+
+def drawn_loops(number: int) -> list[WholeLoop]:
+    """Stable loops of one and two channels, drawn: plants that fall over or oscillate among them, gains of
+    either sign, with and without integrators."""
+    rng, found = np.random.default_rng(11), []
+    while len(found) < number:
+        n, m = int(rng.integers(1, 4)), int(rng.integers(1, 3))
+        a = rng.normal(size=(n, n))
+        a *= rng.uniform(0.5, 1.1) / np.abs(np.linalg.eigvals(a)).max()
+        plant = Linear(a, rng.normal(size=(n, m)), rng.normal(size=(m, n)), 1.0, REST)
+        gains = rng.normal(size=m) * 10.0 ** rng.uniform(-2, 0, m)
+        pids = [
+            FilteredPid(proportional=k, integral=k * rng.uniform(0.0, 0.3) * rng.integers(2), **WIDE)
+            for k in gains
+        ]
+        loop = WholeLoop(plant, pid_law(pids, 1.0))
+        if loop.eigenvalue < 0.999:
+            found.append(loop)
+    return found
+
+
+def sizes_at(loop: WholeLoop, channel: int, factors: np.ndarray) -> np.ndarray:
+    """The largest eigenvalue with a command that acts so many times as strongly, one after the other."""
+    plant, law = loop.plant, loop.law
+    direct = law.D @ plant.C
+    acting = np.tile(plant.B, (factors.size, 1, 1))
+    acting[:, :, channel] *= factors[:, None]
+    fixed = np.broadcast_to(np.hstack([law.B @ plant.C + law.G @ direct, law.A + law.G @ law.C]),
+                            (factors.size, len(law.A), len(law.A) + len(plant.A)))  # fmt: skip
+    whole = np.concatenate([np.concatenate([plant.A + acting @ direct, acting @ law.C], axis=2), fixed], axis=1)
+    return np.abs(np.linalg.eigvals(whole)).max(axis=1)
+
+
+def test_the_gain_margins_are_those_that_a_search_finds() -> None:
+    """Eigenvalues for 120 gains of each channel, up to 1000 times and down to a thousandth: all stable
+    between the margins, unstable just beyond; every way to be lost is among the drawn loops."""
+    factors, near, lost = np.geomspace(1e-3, 1e3, 120), 1e-4, set()
+    for loop in drawn_loops(40):
+        for channel, found in enumerate(loop.margins()):
+            between = factors[(factors > found.gain_down * (1 + near)) & (factors < found.gain_up * (1 - near))]
+            assert sizes_at(loop, channel, between).max() < 1.0
+            for end, beyond in ((found.gain_down, 1 - near), (found.gain_up, 1 + near)):
+                if 1e-3 < end < 1e3:
+                    assert sizes_at(loop, channel, np.array([end * beyond]))[0] > 1.0
+                    acting = loop.plant.B.copy()
+                    acting[:, channel] *= end
+                    at = np.linalg.eigvals(loop._replace(plant=loop.plant._replace(B=acting)).matrix)
+                    lost.add(round(float(np.abs(np.angle(at[np.argmax(np.abs(at))])) * 2 / np.pi)))
+    assert lost >= {0, 2}  # through an eigenvalue at +1, at −1; a pair may be anywhere
+
+
+@pytest.mark.parametrize(
+    ("plant", "gains", "change"),
+    [
+        (([[0.55]], [[1.1]], [[1.0]], 0.1), [0.6], 1.2),  # falls over unless 1.1·0.6·k > 0.55
+        (([[-1 / 115, 0], [1 / 12, -1 / 12]], [[2.2 / 115], [0]], [[0, 1.0]], 1.0), [-0.25], 1 / 0.55),
+        ((-np.eye(2) / 65, [[0.3 / 65, 0.85 / 65], [0.85 / 65, 0.3 / 65]], np.eye(2), 1.0), [0.9, 0.9],
+         1.27 / (0.9 * (0.85**2 * 0.9 - 0.3 * 1.27))),
+    ],
+    ids=["unstable plant", "wrong sign", "crossed"],
+)  # fmt: skip
+def test_a_loop_that_is_lost_without_swinging(
+    plant: tuple[np.ndarray, np.ndarray, np.ndarray, float], gains: list[float], change: float
+) -> None:
+    """A gain at which the loop has an eigenvalue at +1, where plant and law are at rest: in closed form."""
+    a, b, c, period = (np.array(each, dtype=float) for each in plant)
+    d = np.zeros((len(c), b.shape[1]))
+    held_a, held_b, *_ = cont2discrete((a, b, c, d), float(period))
+    law = pid_law([FilteredPid(proportional=k, **WIDE) for k in gains], float(period))
+    found = WholeLoop(Linear(held_a, held_b, c, float(period), REST), law).margins()
+    assert found[0].gain_change == pytest.approx(change, rel=1e-9)

@@ -2,10 +2,11 @@
 
 The plant's states and the law's move together once a sample: plant, observer, integrators, filters and dead
 times are all in one matrix. If its largest eigenvalue is 1 or more in size, small deviations do not decay;
-this is decided as computed, without a tolerance. For the distance from there the loop is opened at one
-command with all others closed. Its response T(z) from that command, as the plant receives it, to the one that
-the law gives shows every gain k (k·T = 1) and every dead time θ (T·e^(−jωθ) = 1) at which an eigenvalue is on
-the unit circle, and 1/(1 − T) is the sensitivity.
+this is decided as computed, without a tolerance. For the distance from there let L(z) be the closed loop's
+response from a load at one command to the command that the law gives. Opened there, with all others closed,
+the loop answers with T = L/(1 + L). An eigenvalue is on the unit circle for every gain k with k·T = 1, which
+is k = 1 + 1/L, at the frequencies where L is real, 0 and the Nyquist frequency among them; and for every dead
+time θ with T·e^(−jωθ) = 1. The sensitivity is 1/(1 − T) = 1 + L. L is finite, also where T is not.
 """
 
 from __future__ import annotations
@@ -27,7 +28,10 @@ _GRID: Final = 400
 _AROUND: Final = np.linspace(-3.0, 3.0, 25)
 """Places of further frequencies around a resonance, in half widths of its peak."""
 
-_Response = Callable[[FloatArray], NDArray[np.complex128]]
+LEAST_GAIN: Final = 1e-6
+"""Factor on a gain below which the loop counts as opened: an integrating plant is lost at 0 itself."""
+
+_Response = Callable[[float], complex]
 
 
 class ChannelMargins(NamedTuple):
@@ -89,17 +93,12 @@ class WholeLoop(NamedTuple):
         plant = self.plant
         return np.vstack([plant.B, np.zeros((len(self.law.A), plant.B.shape[1]))])
 
-    def opened(self, channel: int) -> _Response:
-        """T(e^jω) as a function of frequencies in radians per sample: opened at one command."""
-        row, entry = self._commands[channel], self._load[:, channel]
-        matrix = self.matrix - np.outer(entry, row)
-
-        def response(angles: FloatArray) -> NDArray[np.complex128]:
-            shifted = np.exp(1j * angles)[:, None, None] * np.eye(len(matrix)) - matrix
-            states = np.linalg.solve(shifted, np.broadcast_to(entry[:, None], (angles.size, entry.size, 1)))
-            return np.asarray(states[:, :, 0] @ row, dtype=np.complex128)
-
-        return response
+    def _responses(self, angles: FloatArray) -> NDArray[np.complex128]:
+        """How the law's commands answer loads at the plant's inputs, all loops closed, at frequencies in
+        radians per sample; shape (f, m, m)."""
+        shifted = np.exp(1j * angles)[:, None, None] * np.eye(len(self.matrix)) - self.matrix
+        states = np.linalg.solve(shifted, np.broadcast_to(self._load, (angles.size, *self._load.shape)))
+        return np.asarray(self._commands @ states, dtype=np.complex128)
 
     def margins(self) -> tuple[ChannelMargins, ...]:
         """Those of every command, all others closed.
@@ -116,7 +115,12 @@ class WholeLoop(NamedTuple):
         if not self.stable:
             return tuple(UNSTABLE for _ in channels)
         grid = _frequencies(np.linalg.eigvals(self.matrix))
-        return tuple(_margins(self.opened(k), grid, self.plant.period) for k in channels)
+        values = self._responses(grid)
+
+        def at(channel: int) -> _Response:
+            return lambda angle: complex(self._responses(np.array([angle]))[0, channel, channel])
+
+        return tuple(_margins(at(k), grid, values[:, k, k], self.plant.period) for k in channels)
 
     def sensitivity(self) -> float:
         """Maximum sensitivity of the loop, over all commands together: the largest singular value of
@@ -125,39 +129,41 @@ class WholeLoop(NamedTuple):
         eigenvalues = np.linalg.eigvals(matrix) if np.isfinite(matrix).all() else np.array([np.inf])
         if not np.abs(eigenvalues).max() < 1.0:
             return math.inf
-        angles = _frequencies(eigenvalues)
-        shifted = np.exp(1j * angles)[:, None, None] * np.eye(len(matrix)) - matrix
-        states = np.linalg.solve(shifted, np.broadcast_to(self._load, (angles.size, *self._load.shape)))
-        whole = np.eye(self._load.shape[1]) + self._commands @ states
+        whole = np.eye(self._load.shape[1]) + self._responses(_frequencies(eigenvalues))
         return float(np.linalg.norm(whole, 2, axis=(1, 2)).max())
 
 
 def _frequencies(eigenvalues: NDArray[Any]) -> FloatArray:
-    """A grid over all frequencies, finer around the resonances of these eigenvalues; radians per sample."""
-    grid = [np.geomspace(_SLOWEST, np.pi, _GRID)]
+    """A grid over all frequencies with both ends, finer around the resonances of these eigenvalues; radians
+    per sample."""
+    grid = [np.zeros(1), np.geomspace(_SLOWEST, np.pi, _GRID)]
     for value in eigenvalues[eigenvalues.imag > 0]:
         width = max(abs(1.0 - abs(value)), 1e-6)
         grid.append(np.angle(value) + width * _AROUND)
     every = np.unique(np.concatenate(grid))
-    return np.asarray(every[(every > 0) & (every <= np.pi)], dtype=np.float64)
+    return np.asarray(every[(every >= 0) & (every <= np.pi)], dtype=np.float64)
 
 
-def _margins(response: _Response, grid: FloatArray, period: float) -> ChannelMargins:
-    """From the crossings of the response with the positive real axis and with the unit circle."""
-    values = response(grid)
+def _margins(
+    closed: _Response, grid: FloatArray, values: NDArray[np.complex128], period: float
+) -> ChannelMargins:
+    """From the frequencies at which the closed loop's response is real, both ends among them, and those at
+    which the opened one's has size 1."""
+    real = [closed(w) for w in _crossings(grid, values.imag, lambda w: closed(w).imag)]
+    ends = complex(values[0].real), complex(values[-1].real)
+    gains = [1.0 + 1.0 / at.real for at in (*real, *ends) if at.real != 0.0]
 
-    def at(angle: float) -> complex:
-        return complex(response(np.array([angle]))[0])
+    def size(at: Any) -> Any:
+        return np.abs(at) - np.abs(1.0 + at)
 
-    real = [at(w) for w in _crossings(grid, values.imag, lambda w: at(w).imag)]
-    gains = [1.0 / t.real for t in [*real, complex(values[-1].real)] if t.real > 0.0]
-    crossed = _crossings(grid, np.log(np.abs(values)), lambda w: math.log(abs(at(w))))
-    delays = [(float(np.angle(at(w))) % (2 * np.pi)) / w for w in crossed]
+    crossed = _crossings(grid, size(values), lambda w: float(size(closed(w))))
+    found = [(w, closed(w)) for w in crossed]
+    delays = [(float(np.angle(at / (1.0 + at))) % (2 * np.pi)) / w for w, at in found]
     return ChannelMargins(
-        max((k for k in gains if k < 1.0), default=0.0),
+        max((k for k in gains if LEAST_GAIN < k < 1.0), default=0.0),
         min((k for k in gains if k > 1.0), default=math.inf),
         min(delays, default=math.inf) * period,
-        _sensitivity(at, grid, values),
+        _sensitivity(closed, grid, values),
     )
 
 
@@ -168,8 +174,10 @@ def _crossings(grid: FloatArray, values: FloatArray, exact: Callable[[float], fl
     return [float(brentq(exact, grid[k], grid[k + 1], xtol=1e-14)) for k in places]
 
 
-def _sensitivity(at: Callable[[float], complex], grid: FloatArray, values: NDArray[np.complex128]) -> float:
-    k = int(np.argmin(np.abs(1.0 - values)))
+def _sensitivity(closed: _Response, grid: FloatArray, values: NDArray[np.complex128]) -> float:
+    k = int(np.argmax(np.abs(1.0 + values)))
     ends = grid[max(k - 1, 0)], grid[min(k + 1, grid.size - 1)]
-    near = minimize_scalar(lambda w: abs(1.0 - at(w)), bounds=ends, method="bounded", options={"xatol": 1e-9})
-    return 1.0 / min(float(near.fun), float(np.abs(1.0 - values[k])))
+    near = minimize_scalar(
+        lambda w: -abs(1.0 + closed(w)), bounds=ends, method="bounded", options={"xatol": 1e-9}
+    )
+    return max(-float(near.fun), float(np.abs(1.0 + values[k])))
