@@ -273,8 +273,9 @@ class Loop:
         return ""
 
     def _continue(self, reference: float) -> None:
-        """Set the controller's state so that its output continues from the current one."""
+        """Set the controller's state so that its output continues from the current one; without integral
+        action it cannot, since the difference would stay for good."""
         gains, error = self._gains, reference - self._output
-        integral = self.input - gains.proportional * error
+        integral = self.input - gains.proportional * error if gains.integral else float(self._pid.state[0])
         self._pid.state = np.array([integral, -self._output if gains.on_measurement else error])
         self._restart = False

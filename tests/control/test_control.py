@@ -309,3 +309,15 @@ def test_the_controller_continues_from_the_output_that_stands(pwm, reference, te
 def test_an_age_has_to_be_positive(age):
     with pytest.raises(ControlError, match=r"max_age is .*; it must be positive"):
         Loop(Peltier, max_age=age)
+
+
+def test_a_proportional_law_keeps_nothing_of_a_limit_or_a_stop():
+    """Without integral action nothing would undo what back-calculation or a restart adds to the command."""
+    gains = replace(Peltier.loop, proportional=10.0, integral=0.0, derivative=0.0, back_calculation=1.0)
+    loop = Loop(Peltier, gains)
+    given = {}
+    for k in (0, 1, 2, 3, 9, 10):  # the set-point is far at first; ticks 4 to 8 are missed
+        loop.measure(20.0, k * 10**9)
+        sample = loop.tick(k * 10**9, lambda t: 90.0 if t < 2 else 22.0)
+        given[k] = sample.input
+    assert given == {0: 255.0, 1: 255.0, 2: 20.0, 3: 20.0, 9: 20.0, 10: 20.0}

@@ -96,7 +96,7 @@ class PidGains(Law):
     derivative: float
     """u per y/s."""
     back_calculation: float
-    """Back-calculation gain Kb, by which the integral tracks the limited u, 1/s."""
+    """Back-calculation gain Kb, by which the integral tracks the limited u, 1/s; none without integral gain."""
     low: float
     """Least u."""
     high: float
@@ -129,8 +129,13 @@ class PidGains(Law):
         """The same numbers for compiled code."""
         return np.array([
             PID, self.period, 1, self.low, self.high, self.proportional, self.integral, self.derivative,
-            self.back_calculation, self.on_measurement,
+            self.tracking, self.on_measurement,
         ], dtype=np.float64)  # fmt: skip
+
+    @property
+    def tracking(self) -> float:
+        """The back-calculation gain that acts, 1/s: without integral action nothing would undo what it adds."""
+        return self.back_calculation if self.integral else 0.0
 
     def state(self, window: Window) -> FloatArray:
         """Its state after the window's second sample, shape (2,)."""
@@ -181,7 +186,7 @@ def controller_state(window: Window, gains: PidGains) -> PidState:
         raise PlantError(msg)
     error = window.reference - window.output
     moved = -window.output if gains.on_measurement else error
-    kept = 1.0 - gains.back_calculation * gains.period
+    kept = 1.0 - gains.tracking * gains.period
     free = next((k for k in range(1, len(window)) if not gains.saturates(float(window.input[k]))), None)
 
     def consistent(k: int) -> float:
@@ -204,7 +209,7 @@ def _consistent_integral(gains: PidGains, error: float, change: float, u: float)
 
 def _next_integral(gains: PidGains, integral: float, consistent: float, error: float) -> float:
     # u − v = consistent − integral; with Kb·Ts = 1 the integral before the sample drops out.
-    excess = gains.back_calculation * gains.period * (consistent - integral)
+    excess = gains.tracking * gains.period * (consistent - integral)
     return integral + excess + gains.period * gains.integral * error
 
 
