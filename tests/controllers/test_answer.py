@@ -24,7 +24,7 @@ from twinmatch.controllers import (
     pid_law,
     try_controller,
 )
-from twinmatch.controllers.responses import run_law, step_figures
+from twinmatch.controllers.responses import run_law, step_figures, taken_by
 from twinmatch.dynamics import (
     LinearLaw,
     Parameters,
@@ -49,8 +49,8 @@ def lag(name: str = "found", spread: float = 0.1, **values: float) -> TriedTwin:
 
 
 def tried(members: list[TriedTwin], law: LinearLaw | TwoLevel, **changes: object) -> ControllerAnswer:
-    question = {"law": law, "references": STEPS, "holding": HOLDING, "draws": 50} | changes
-    question["before"] = np.array([3.0])
+    question = {"law": law, "references": STEPS, "holding": HOLDING, "draws": 50, "before": np.array([3.0])}
+    question |= changes
     return try_controller(members, ControllerQuestion(**question))  # type: ignore[arg-type]
 
 
@@ -106,12 +106,92 @@ def test_it_hangs_on_the_exchange_and_on_the_heater_that_shows_it() -> None:
     assert (answer.question.parameter, answer.question.drive) == ("second_gain", "second_power")
 
 
-def test_leaving_the_safe_range_fails(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Lag, "outputs", {"y": replace(Lag.y, safe=(-1.0, 5.2))})
+@pytest.mark.parametrize("declared", [{"safe": (-1.0, 5.2)}, {"span": (-1.0, 5.2)}])
+def test_leaving_the_safe_range_or_without_one_the_span_fails(
+    declared: dict[str, tuple[float, float]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Lag, "outputs", {"y": replace(Lag.y, **declared)})
     wild = pid_law([FilteredPid(proportional=1.0, integral=0.6, **LIMITS)], 1.0)
     answer = tried([lag(spread=0.001)], wild)
     assert answer.decision is ControllerDecision.FAILS
-    assert "; -1 to 5.2 m is safe" in answer.sentence
+    assert answer.sentence == "fails on found: y leaves -1 to 5.2 m"
+    said = "y has no declared safe range, so -1 to 5.2 m counts, its span" in " ".join(answer.notes)
+    assert said is ("safe" not in declared)
+
+
+def plain(pid: FilteredPid, references: np.ndarray, load: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """The lag of these tests under a PI, step by step, from rest at the first set-point; its drive takes -10
+    to 10 V, whatever the law's limits. Outputs, and commands as the plant receives them, without the load."""
+    kept, gain = math.exp(-1.0 / LAG["lag"]), LAG["gain"]
+    y, integral, rows = references[0], references[0] / gain, []
+    for r in references:
+        wanted = pid.proportional * (r - y) + integral
+        given = min(max(wanted, pid.low), pid.high)
+        integral += pid.integral * (r - y) + pid.back_calculation * (given - wanted)
+        rows.append((y, min(max(given, -10.0), 10.0)))
+        y = kept * y + (1.0 - kept) * gain * (rows[-1][1] + load)
+    outputs, commands = np.array(rows).T
+    return outputs, commands
+
+
+FAR = np.repeat([3.0, 17.0, 3.0], 60)
+
+
+@pytest.mark.parametrize(("back", "sound"), [(0.5, True), (-0.5, False)])
+def test_a_law_that_does_not_come_back_from_its_limit_fails(back: float, sound: bool) -> None:
+    """Both loops have the same eigenvalues; one winds up where it should unwind."""
+    pid = FilteredPid(proportional=2.0, integral=0.2, back_calculation=back, **LIMITS)
+    outputs, commands = plain(pid, FAR)
+    assert bool(abs(outputs[-1] - 3.0) < 0.1) is sound
+    assert bool((np.abs(commands) == 10.0).mean() > 0.5) is not sound
+    answer = tried([lag(spread=0.01)], pid_law([pid], 1.0), references=FAR[:, None])
+    assert answer.stability[0].sound
+    assert answer.decision is (ControllerDecision.SAFE if sound else ControllerDecision.FAILS)
+    assert ("u is at a limit for the greater part of the time" in answer.sentence) is not sound
+
+
+@pytest.mark.parametrize(("level", "off", "on"), [(3.0, 0.0, 1.0), (-3.0, 1.0, 5.0)])
+def test_two_levels_that_never_switch_fail(level: float, off: float, on: float) -> None:
+    """Its hottest is 2 m/V · 1 V, below 3 m; its coldest 2 m, above -3 m."""
+    law = TwoLevel(off, on, 0.4, 0.4)
+    member = TriedTwin("found", LAG, ("lag",), np.array([[1e-6]]))
+    answer = tried([member], law, references=np.full((200, 1), level), before=np.array([level]))
+    assert answer.decision is ControllerDecision.FAILS
+    assert answer.sentence == "fails on found: it does not switch any more"
+
+
+def test_limits_wider_than_the_drives_are_the_drives_without_the_laws_knowledge() -> None:
+    """Back-calculation sees the law's limit of 12 V, and the plant gets 10 V; a load comes behind both."""
+    pid = FilteredPid(proportional=2.0, integral=0.2, back_calculation=0.5, low=-1000.0, high=12.0)
+    law = taken_by(Lag, pid_law([pid], 1.0))
+    start = linearised(LAG, 3.0, 1.0)
+    for load in (0.0, 0.7):
+        outputs, commands = plain(pid, FAR, load)
+        assert commands.max() == 10.0
+        run = run_law(LAG, law, FAR[:, None], start, before=FAR[:1], load=np.array([load]))
+        np.testing.assert_allclose(run.outputs[:, 0], outputs, atol=1e-5)  # Runge–Kutta, one step a sample
+        np.testing.assert_allclose(run.inputs[:, 0], commands, atol=1e-5)
+    answer = tried([lag(spread=0.001)], pid_law([pid], 1.0), references=FAR[:, None])
+    note = (
+        "the law's limits of u, -1000 to 12 V, are wider than the drive's, -10 to 10: the drive limits its "
+    )
+    assert any(each.startswith(note) for each in answer.notes)
+    cost = answer.courses.figures[CourseFigure("mean squared error", "y", "m²")].median
+    assert cost == pytest.approx(np.mean((plain(pid, FAR)[0] - FAR) ** 2), rel=0.02)
+
+
+@pytest.mark.parametrize("gains", [(1.0, 0.2), (0.5, 0.05), (2.0, 0.0)])
+def test_a_load_comes_upon_a_plant_at_rest(gains: tuple[float, float]) -> None:
+    """Although the law that ran is too slow to bring it there; the plant's course is computed step by step. A
+    law without integral action is not at its set-point before: only what the load changes counts."""
+    pid = FilteredPid(proportional=gains[0], integral=gains[1], **LIMITS)
+    slow = Holding(pid_law([FilteredPid(proportional=0.01, integral=0.001, **LIMITS)], 1.0), 1.0, 60)
+    exact = TriedTwin("exact", LAG)
+    answer = tried([exact], pid_law([pid], 1.0), holding=slow)
+    level = np.full(60, 3.0)
+    moved = np.abs(plain(pid, level, 2.0)[0] - plain(pid, level)[0]).max()
+    found = answer.courses.figures[CourseFigure("excursion after a load", "y", "m")]
+    assert found.median == pytest.approx(moved, rel=1e-6)
 
 
 def test_the_course_under_a_load_is_that_of_the_plant_driven_with_it() -> None:
@@ -173,8 +253,8 @@ def test_bands_are_of_the_draws_and_beside_the_law_that_ran() -> None:
 def test_a_twin_that_cannot_be_held_is_left_out_with_the_reason() -> None:
     answer = tried([lag(), lag("dull", gain=0.2)], PI)
     assert answer.members == ("found",)
-    assert answer.notes == (
-        "dull is left out: Lag, lag: it is not held at 5 m within the limits of its drives",
+    assert answer.notes[0] == (
+        "dull is left out: Lag, lag: it is not held at 5 m within the limits of its drives"
     )
     with pytest.raises(ControllerError, match=r"none of the twins can be held there; dull is left out"):
         tried([lag("dull", gain=0.2)], PI)

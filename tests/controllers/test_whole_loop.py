@@ -236,7 +236,9 @@ def sizes_at(loop: WholeLoop, channel: int, factors: np.ndarray) -> np.ndarray:
     acting[:, :, channel] *= factors[:, None]
     fixed = np.broadcast_to(np.hstack([law.B @ plant.C + law.G @ direct, law.A + law.G @ law.C]),
                             (factors.size, len(law.A), len(law.A) + len(plant.A)))  # fmt: skip
-    whole = np.concatenate([np.concatenate([plant.A + acting @ direct, acting @ law.C], axis=2), fixed], axis=1)
+    whole = np.concatenate(
+        [np.concatenate([plant.A + acting @ direct, acting @ law.C], axis=2), fixed], axis=1
+    )
     return np.abs(np.linalg.eigvals(whole)).max(axis=1)
 
 
@@ -246,7 +248,9 @@ def test_the_gain_margins_are_those_that_a_search_finds() -> None:
     factors, near, lost = np.geomspace(1e-3, 1e3, 120), 1e-4, set()
     for loop in drawn_loops(40):
         for channel, found in enumerate(loop.margins()):
-            between = factors[(factors > found.gain_down * (1 + near)) & (factors < found.gain_up * (1 - near))]
+            between = factors[
+                (factors > found.gain_down * (1 + near)) & (factors < found.gain_up * (1 - near))
+            ]
             assert sizes_at(loop, channel, between).max() < 1.0
             for end, beyond in ((found.gain_down, 1 - near), (found.gain_up, 1 + near)):
                 if 1e-3 < end < 1e3:

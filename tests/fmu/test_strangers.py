@@ -18,21 +18,21 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.support.fmus import RATE, build_python_fmu, write_map
+from tests.support.fmus import RATE, build_c_fmu, build_python_fmu, write_map
 from twinmatch.cli import main
 from twinmatch.dynamics import Model, PlantError, StructureLostError, begin, simulate_driven
-from twinmatch.fmu import FmuError, adopt_fmus, archive
+from twinmatch.fmu import FmuError, adopt_fmus, archive, structure
 from twinmatch.plants import Peltier
 
 
 @pytest.fixture
 def run_of(adopted: Callable[..., Model], tmp_path: Path) -> Callable[[str], Callable[[], None]]:
-    """Something that runs an FMU with a flaw for a minute."""
+    """Something that runs an FMU with a flaw for eight minutes."""
 
     def of(culprit: str, **changes: object) -> Callable[[], None]:
         fmu = build_python_fmu(tmp_path, f"F{abs(hash(culprit))}", culprit=culprit, steps=2)
         parameters = adopted(fmu, culprit, **changes).parameters()
-        return lambda: str(simulate_driven(parameters, np.zeros(60), states=begin(parameters, 30.0)).output)
+        return lambda: str(simulate_driven(parameters, np.zeros(480), states=begin(parameters, 30.0)).output)
 
     return of
 
@@ -89,6 +89,66 @@ def test_one_that_remembers_more_than_its_map_says_is_refused(adopted, tmp_path:
     fmu = build_python_fmu(tmp_path, "Lagging", output="self.inner", after=after, steps=4)
     with pytest.raises(FmuError, match="it has internal states that its map does not name"):
         adopted(fmu)
+
+
+SWITCHED = RATE.replace("self.pwm / 255.0", "self.pwm * (1 - self.inner) / 255.0")
+WALLED = RATE.replace("(plate - self.ambient)", "(plate - self.ambient - self.inner)")
+
+
+@pytest.mark.parametrize(
+    ("rate", "after"),
+    [
+        (SWITCHED, "self.inner = float(self.plate > 335 or (self.inner and self.plate > 325))"),
+        (WALLED, "self.inner += size / 2000 * (self.plate - self.ambient - self.inner)"),
+    ],
+    ids=["a cut-out with hysteresis", "a wall of 2000 s"],
+)
+def test_a_memory_that_shows_late_is_found(adopted, tmp_path: Path, rate: str, after: str) -> None:
+    fmu = build_python_fmu(tmp_path, "Mindful", rate=rate, after=after, steps=4)
+    with pytest.raises(FmuError, match="it has internal states that its map does not name"):
+        adopted(fmu)
+
+
+def test_a_restart_forgets_what_ran_before(adopted, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A cut-out that no state shows is refused; unrefused, equal states and drives give equal courses."""
+    fmu = build_c_fmu(tmp_path, cut_out=True)
+    with pytest.raises(FmuError, match="it has internal states that its map does not name"):
+        adopted(fmu)
+    monkeypatch.setattr(structure, "check_restart", lambda _: None)
+    parameters, drive = adopted(fmu).parameters(), np.full(20, 120.0)
+    states = begin(parameters, 57.0)  # below where it switches off, above where it switches on again
+    first = simulate_driven(parameters, drive, states=states).output
+    hot = simulate_driven(parameters, drive, states=begin(parameters, 70.0)).output
+    assert hot[1] < hot[0]
+    np.testing.assert_array_equal(simulate_driven(parameters, drive, states=states).output, first)
+
+
+def test_what_is_discrete_is_refused_and_what_is_not_a_real_scalar_is_listed(
+    exchange_fmu: Path, third_fmu: Path, tmp_path: Path, adopted, capsys
+) -> None:
+    own = (
+        '<ScalarVariable name="off" valueReference="50" causality="local"><Boolean/></ScalarVariable>'
+        '<ScalarVariable name="stages" valueReference="51" causality="parameter" variability="fixed">'
+        '<Integer start="3"/></ScalarVariable>'
+        '<ScalarVariable name="maker" valueReference="52" causality="output"><String/></ScalarVariable>'
+    )
+    fmu = _described(exchange_fmu, tmp_path, ("</ModelVariables>", f"{own}</ModelVariables>"))
+    with pytest.raises(FmuError, match=r"its discrete variables \(off\) may remember earlier events"):
+        adopted(fmu)
+    assert main(["fmu", str(fmu)]) == 0
+    told = capsys.readouterr().out
+    assert "not real and scalar, so not for a map:\n  off: Boolean, local\n" in told.replace(", discrete", "")
+    assert "  stages: Integer, parameter, fixed\n" in told
+    assert "  maker: String, output" in told
+    assert "It cannot be used: its discrete variables (off) " in told
+    own = (
+        '<Float64 name="profile" valueReference="50" causality="parameter" variability="fixed" start="1 2 3">'
+        '<Dimension start="3"/></Float64>'
+    )
+    (tmp_path / "third").mkdir()
+    fmu = _described(third_fmu, tmp_path / "third", ("</ModelVariables>", f"{own}</ModelVariables>"))
+    assert main(["fmu", str(fmu)]) == 0
+    assert "  profile: Float64[3], parameter, fixed\n" in capsys.readouterr().out
 
 
 @pytest.mark.usefixtures("own_programs")
@@ -271,12 +331,8 @@ def test_a_variable_that_does_not_fit_is_reported(
 def test_a_description_that_is_wrong_is_reported(
     exchange_fmu: Path, tmp_path: Path, adopted, change: tuple[str, str], words: str
 ) -> None:
-    with zipfile.ZipFile(exchange_fmu) as opened:
-        xml = opened.read("modelDescription.xml").decode()
-    assert change[0] in xml
-    fmu = _changed(exchange_fmu, tmp_path, more={"modelDescription.xml": xml.replace(*change).encode()})
     with pytest.raises(FmuError, match=words):
-        adopted(fmu)
+        adopted(_described(exchange_fmu, tmp_path, change))
 
 
 def test_an_invalid_or_missing_library_is_reported(exchange_fmu: Path, tmp_path: Path, adopted) -> None:
@@ -307,6 +363,14 @@ def test_a_file_that_changed_is_not_run(exchange_fmu: Path, tmp_path: Path, adop
         opened.writestr("resources/more", b"x")
     with pytest.raises(PlantError, match="has changed since it was added to the plant"):
         begin(model.parameters(), 30.0) is not None and source.start()
+
+
+def _described(fmu: Path, folder: Path, change: tuple[str, str]) -> Path:
+    """The FMU with something else in its description."""
+    with zipfile.ZipFile(fmu) as opened:
+        xml = opened.read("modelDescription.xml").decode()
+    assert change[0] in xml
+    return _changed(fmu, folder, more={"modelDescription.xml": xml.replace(*change).encode()})
 
 
 def _changed(fmu: Path, folder: Path, rename=lambda name: name, more: dict[str, bytes] | None = None) -> Path:

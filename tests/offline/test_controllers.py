@@ -149,7 +149,9 @@ def test_mistakes_in_profiles_are_named(session: Session) -> None:
 
 def test_a_law_in_python(tmp_path: Path) -> None:
     path = tmp_path / "law.py"
-    path.write_text("from twinmatch.dynamics import PidGains\nloop = PidGains(2, 1, 0, 0, -5, 5)\n")
+    path.write_text(
+        "from twinmatch.dynamics import PidGains\nloop = PidGains(2, 1, 0, 0, -5, 5, period=0.5)\n"
+    )
     assert read_law(path, Lag, 0.5) == PidGains(2, 1, 0, 0, -5, 5, period=0.5)
     assert isinstance(read_law(law_file(tmp_path), Lag, 1.0), LinearLaw)
 
@@ -163,7 +165,9 @@ def test_a_law_in_python(tmp_path: Path) -> None:
         ("none.py", "x = 1", "none.py: has no law; write one such as loop = PidGains"),
         ("wrong.py", "loop = oops", "wrong.py, line 1: "),
         ("slow.py", "from twinmatch.dynamics import PidGains\nloop = PidGains(2, 1, 0, 0, -5, 5, period=3.0)",
-         "slow.py: the law runs every 3 s, the samples come every 1 s"),
+         "slow.py: the law runs every 3 s, the samples come every 1 s; give a law with period=1"),
+        ("twice.json", '{"kind": "pid", "proportional": 1, "proportional": 9}',
+         "twice.json: proportional: is given twice; give it once"),
     ],
 )  # fmt: skip
 def test_mistakes_in_files_of_laws_are_one_line(
@@ -176,6 +180,16 @@ def test_mistakes_in_files_of_laws_are_one_line(
         read_law(path, Lag, 1.0)
     assert words in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_a_law_in_python_runs_at_its_own_period_or_not_at_all(tmp_path: Path) -> None:
+    """One second is what is meant where nothing is said, so it is not taken for another period either."""
+    path = tmp_path / "law.py"
+    path.write_text("from twinmatch.dynamics import PidGains\nloop = PidGains(2, 1, 0, 0, -5, 5)\n")
+    with pytest.raises(
+        ControllerError, match=r"runs every 1 s, the samples come every 0\.1 s; give a law with"
+    ):
+        read_law(path, Lag, 0.1)
 
 
 def test_a_real_kit_with_two_heaters_from_its_open_loop_alone(tmp_path: Path) -> None:

@@ -85,18 +85,18 @@ class {name}(Fmi2Slave):
 
 CULPRITS = {
     "": "pass",
-    "hangs": "if time_now > 20: time.sleep(3600)",
-    "spins": "while time_now > 20: pass",
-    "crashes": "if time_now > 20: os.kill(os.getpid(), signal.SIGSEGV)",
-    "ends": "if time_now > 20: os._exit(3)",
-    "says nothing": "if time_now > 20: self.plate = float('nan')",
-    "refuses": "if time_now > 20: return False",
-    "eats": "self.hoard = bytearray(1 << 33) if time_now > 20 else b''",
+    "hangs": "if time_now > 400: time.sleep(3600)",
+    "spins": "while time_now > 400: pass",
+    "crashes": "if time_now > 400: os.kill(os.getpid(), signal.SIGSEGV)",
+    "ends": "if time_now > 400: os._exit(3)",
+    "says nothing": "if time_now > 400: self.plate = float('nan')",
+    "refuses": "if time_now > 400: return False",
+    "eats": "self.hoard = bytearray(1 << 33) if time_now > 400 else b''",
     "leaves a program": "import subprocess; self.left = subprocess.Popen("
-    "['sleep', '600.125'], start_new_session=True) if time_now > 20 else 0",
+    "['sleep', '600.125'], start_new_session=True) if time_now > 400 else 0",
     "prints": "print('what an FMU prints is not an answer'); os.write(1, b'garbage' * 100)",
 }
-"""What an FMU may do wrong from the twentieth second of a run on."""
+"""What an FMU may do wrong late in a run, after all that is tried when it is adopted."""
 
 
 def python_slave(
@@ -207,14 +207,23 @@ _XML_3 = """<?xml version="1.0" encoding="UTF-8"?>
 """
 
 
-def build_c_fmu(folder: Path, *, events: bool = False, joule: bool = True) -> Path:
+def build_c_fmu(folder: Path, *, events: bool = False, joule: bool = True, cut_out: bool = False) -> Path:
     """A model-exchange FMU (FMI 2) of the same equations, compiled.
 
-    The current limit may be an event, and Joule's heat may have been forgotten.
+    The current limit may be an event, Joule's heat may have been forgotten, and a cut-out with hysteresis, of
+    which its description says nothing, may switch it off.
     """
     import fmpy.fmi2
 
     code = _source("plate.c")
+    if cut_out:
+        code = code.replace("double pwm, plate;", "double pwm, plate, off;").replace(
+            "m->pwm = 0;", "m->pwm = m->off = 0;"
+        )
+        code = code.replace(
+            "double most =", "m->off = m->plate > 335 || (m->off && m->plate > 325); double most ="
+        )
+        code = code.replace("m->pwm / 255.0", "m->pwm * (1 - m->off) / 255.0")
     if not joule:
         code = code.replace("- current * current * m->p[resistance] / 2", "")
     lines = [

@@ -9,11 +9,21 @@ from enum import Enum
 from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twinmatch.controllers.guarantee import Guarantee, guarantee_of
 from twinmatch.controllers.members import Holding, TriedTwin
 from twinmatch.controllers.pids import as_linear
-from twinmatch.controllers.responses import LOAD, CourseFigure, Run, quantities_of, run_law
+from twinmatch.controllers.responses import (
+    LOAD,
+    CourseFigure,
+    Run,
+    conduct_of,
+    counted_range,
+    quantities_of,
+    run_law,
+    taken_by,
+)
 from twinmatch.controllers.stability import (
     MAX_UNSTABLE,
     MemberStability,
@@ -100,6 +110,8 @@ class Courses:
     """The figures of every draw, shape (draws,)."""
     owner: FloatArray
     """Number of the twin of every draw, shape (draws,)."""
+    misconduct: Mapping[str, NDArray[np.bool_]]
+    """What a safe course never does, in words, and whether each draw does it, shape (draws,)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,6 +166,7 @@ def try_controller(
     number = max(question.draws // len(members), MIN_DRAWS)
     drawn = [member.drawn(number, question.seed + k) for k, member in enumerate(members)]
     laws = [question.law] if question.holding.law is None else [question.law, question.holding.law]
+    reservations = _reservations(plant, question.law)
     progress = _Progress(watch, (1 + len(laws)) * sum(map(len, drawn)))
     stability, kept, notes = _stabilities(list(zip(members, drawn, strict=True)), points, question, progress)
     owners = [(members[k], drawn[k]) for k in kept]
@@ -175,9 +188,32 @@ def try_controller(
         question.references,
         courses[0],
         courses[1] if len(courses) > 1 else None,
-        tuple(notes),
+        (*notes, *reservations),
         guarantee,
     )
+
+
+def _reservations(plant: type[Plant], law: Law) -> list[str]:
+    """What an answer had to assume, in words."""
+    notes = []
+    for name, output in plant.outputs.items():
+        if not np.isfinite(output.safe).all():
+            low, high = counted_range(output)
+            notes.append(
+                f"{name} has no declared safe range, so {low:g} to {high:g} {output.unit} counts, its span; "
+                "declare `safe` in the plant file"
+            )
+    if isinstance(law, TwoLevel):
+        return notes
+    linear = as_linear(law)
+    for (name, drive), low, high in zip(plant.drives.items(), linear.low, linear.high, strict=True):
+        if low < drive.limits[0] or high > drive.limits[1]:
+            notes.append(
+                f"the law's limits of {name}, {low:g} to {high:g} {drive.unit}, are wider than the drive's, "
+                f"{drive.limits[0]:g} to {drive.limits[1]:g}: the drive limits its commands, and the law "
+                "does not know of it"
+            )
+    return notes
 
 
 class _Progress:
@@ -225,7 +261,9 @@ def _courses(
     """What a law does on all draws of all twins."""
     if law is not question.law:
         question = replace(question, state=None)
-    acting = law if isinstance(law, TwoLevel) else as_linear(law)
+    acting = taken_by(
+        owners[0][0].parameters.model.plant, law if isinstance(law, TwoLevel) else as_linear(law)
+    )
     rng, runs, owner = np.random.default_rng(question.seed), [], []
     for k, (member, drawn) in enumerate(owners):
         for parameters in drawn:
@@ -237,14 +275,21 @@ def _courses(
             owner.append(k)
     if not runs:
         raise ControllerError("controller: no draw can be held where the profile begins")
-    values = {q: np.array([found[q] for _, found in runs]) for q in runs[0][1]}
+    values = {q: np.array([course.figures[q] for course in runs]) for q in runs[0].figures}
     return Courses(
         {q: Spread.of(row.tolist()) for q, row in values.items()},
-        _band([run.outputs for run, _ in runs]),
-        _band([run.inputs for run, _ in runs]),
+        _band([course.run.outputs for course in runs]),
+        _band([course.run.inputs for course in runs]),
         values,
         np.array(owner, dtype=np.float64),
+        {words: np.array([course.conduct[words] for course in runs]) for words in runs[0].conduct},
     )
+
+
+class _Course(NamedTuple):
+    run: Run
+    figures: dict[CourseFigure, float]
+    conduct: dict[str, bool]
 
 
 def _course(
@@ -253,24 +298,32 @@ def _course(
     law: Law,
     question: ControllerQuestion,
     rng: np.random.Generator,
-) -> tuple[Run, dict[CourseFigure, float]]:
-    """One draw over the profile with noisy readings, and without noise after a load at each input."""
-    model, holding, references = parameters.model, question.holding, question.references
+) -> _Course:
+    """One draw over the profile with noisy readings; without noise beyond it, and after loads."""
+    model, holding, size = parameters.model, question.holding, len(question.references)
+    references = np.vstack([question.references, np.tile(question.references[-1], (holding.samples, 1))])
     at_rest = holding.linear(parameters, question.before.tolist(), member.disturbances)
     start, before, row = at_rest, question.before, member.disturbances
     if member.states is not None and member.inputs is not None:
         start = at_rest._replace(rest=Rest(member.states, member.inputs))
+    noise, slow = np.zeros((len(references), len(model.noise))), member.wandering(size, rng)
     deviations = model.noise if member.noise is None else member.noise
-    noise = deviations * rng.standard_normal((len(references), deviations.size))
-    run = run_law(
-        parameters, law, references, start, before=before, state=question.state, noise=noise, disturbances=row
+    noise[:size] = deviations * rng.standard_normal((size, deviations.size))
+    if slow is not None:
+        slow = np.vstack([slow, np.tile(slow[-1], (holding.samples, 1))])
+    whole = run_law(
+        parameters, law, references, start, before=before, state=question.state, noise=noise, slow=slow,
+        disturbances=row,
+    )  # fmt: skip
+    level, m = np.tile(question.before, (holding.samples, 1)), len(model.plant.drives)
+    ranges = np.array([high - low for low, high in (drive.limits for drive in model.plant.drives.values())])
+    still, *loads = (
+        run_law(parameters, law, level, at_rest, before=before, load=load, disturbances=row)
+        for load in (np.zeros(m), *(LOAD * np.diag(ranges)))
     )
-    level, loads = np.tile(question.before, (holding.samples, 1)), []
-    for i, drive in enumerate(model.plant.drives.values()):
-        load = np.zeros(len(model.plant.drives))
-        load[i] = LOAD * (drive.limits[1] - drive.limits[0])
-        loads.append(run_law(parameters, law, level, at_rest, before=before, load=load, disturbances=row))
-    return run, quantities_of(run, loads, parameters, law)
+    run = Run(*(rows[:size] for rows in whole))
+    conduct = conduct_of(whole, size, law, model.plant)
+    return _Course(run, quantities_of(run, still, loads, parameters, law), conduct)
 
 
 def _band(rows: Sequence[FloatArray]) -> FloatArray:
@@ -293,8 +346,9 @@ def _decide(
         where = levels_words(plant, first.point)
         why = f"its loop is unstable at {where}: largest eigenvalue {first.eigenvalue:.4f}"
         return ControllerDecision.FAILS, _fails(len(failing), names, first.member.name, why), None
-    if leaving := _leaves_range(plant, names, courses):
-        return ControllerDecision.FAILS, leaving, None
+    conduct = _misconduct(names, courses)
+    if conduct is not None and conduct[0] is ControllerDecision.FAILS:
+        return *conduct, None
     unsure = [one for one in stability if not one.sound]
     draws = sum(one.eigenvalues.size for one in stability)
     if unsure:
@@ -305,20 +359,19 @@ def _decide(
             return ControllerDecision.UNDECIDED, words, None
         asked = open_question(first, question.before.tolist(), question.holding)
         return ControllerDecision.UNDECIDED, f"{words}; {open_words(first.member.parameters, asked)}", asked
+    if conduct is not None:
+        return *conduct, None
     of = f"{len(names)} of {len(names)} twins"
-    if not stability:
-        return (
-            ControllerDecision.SAFE,
-            f"safe for all that the data allow: within the safe range on {of}",
-            None,
+    words = f"within the safe range, and switching, on {of}"
+    if stability:
+        worst = max(stability, key=lambda one: one.eigenvalue)
+        every = [margin for one in stability for margin in one.margins]
+        gain, delay = min(m.gain_change for m in every), min(m.delay for m in every)
+        words = (
+            f"stable on {of} and in {draws} draws of their parameters, largest eigenvalue "
+            f"{worst.eigenvalue:.4f}, until a gain changes {gain:.2f} times or a dead time grows by "
+            f"{delay:.3g} s"
         )
-    worst = max(stability, key=lambda one: one.eigenvalue)
-    every = [margin for one in stability for margin in one.margins]
-    gain, delay = min(m.gain_change for m in every), min(m.delay for m in every)
-    words = (
-        f"stable on {of} and in {draws} draws of their parameters, largest eigenvalue "
-        f"{worst.eigenvalue:.4f}, until a gain changes {gain:.2f} times or a dead time grows by {delay:.3g} s"
-    )
     return ControllerDecision.SAFE, f"safe for all that the data allow: {words}", None
 
 
@@ -327,22 +380,19 @@ def _fails(number: int, names: Sequence[str], first: str, why: str) -> str:
     return f"fails {on}: {why}"
 
 
-def _leaves_range(plant: type[Plant], names: Sequence[str], courses: Courses) -> str:
-    """A sentence if an output leaves the range that is safe for the plant; empty otherwise."""
-    for name, output in plant.outputs.items():
-        low, high = output.safe
-        lowest, highest = (
-            courses.values[CourseFigure(end, name, output.unit)] for end in ("lowest", "highest")
-        )
-        outside = (lowest < low) | (highest > high) | ~np.isfinite(highest - lowest)
-        share = [float(np.mean(outside[courses.owner == k])) for k in range(len(names))]
-        failing = [k for k, part in enumerate(share) if part > MAX_UNSTABLE]
+def _misconduct(names: Sequence[str], courses: Courses) -> tuple[ControllerDecision, str] | None:
+    """A decision and its sentence if courses do what safe ones never do: on a twin whatever the data leave
+    open, or in some draws."""
+    often = None
+    for words, each in courses.misconduct.items():
+        share = {k: float(np.mean(each[courses.owner == k])) for k in np.unique(courses.owner).astype(int)}
+        failing = [k for k in sorted(share) if share[k] >= 1.0 - MAX_UNSTABLE]
         if failing:
-            first = max(failing, key=share.__getitem__)
-            ends = f"{np.nanmin(lowest):.4g} to {np.nanmax(highest):.4g}"
-            why = f"{name} takes values from {ends} {output.unit}; {low:g} to {high:g} {output.unit} is safe"
-            return _fails(len(failing), names, names[first], why)
-    return ""
+            return ControllerDecision.FAILS, _fails(len(failing), names, names[failing[0]], words)
+        if often is None and max(share.values()) > MAX_UNSTABLE:
+            said = f"undecided: in {int(each.sum())} of {each.size} draws {words}"
+            often = ControllerDecision.UNDECIDED, said
+    return often
 
 
 def levels_words(plant: type[Plant], point: Sequence[float]) -> str:

@@ -21,7 +21,7 @@ from twinmatch.signals import FloatArray
 _ABOUT: Final = {"kind", "outputs", "inputs", "units", "period"}
 _REGULATOR: Final = {"A", "B", "C", "Bd", "Cd", "K", "Re", "u0", "y0", "Qs", "Rs"}
 _NEEDED: Final = _REGULATOR - {"Re"}
-_MATRICES: Final = {each.name for each in fields(LinearLaw)} - {"period"}
+_MATRICES: Final = {each.name for each in fields(LinearLaw)} - {"period", "drives"}
 
 
 def law_from(document: Any, plant: type[Plant], period: float) -> Law:

@@ -13,6 +13,7 @@ from twinmatch.dynamics import (
     Linear,
     Parameters,
     PlantError,
+    Rest,
     TwoLevel,
     begin,
     linearised_at,
@@ -22,6 +23,8 @@ from twinmatch.dynamics import (
 from twinmatch.dynamics.laws import LOW
 from twinmatch.signals import FloatArray
 
+_HELD: Final = 3.0
+"""Distance from a level up to which a plant is held there, in the noise of its outputs."""
 _ATTEMPTS: Final = 20
 """Draws for each that is wanted, at most: with a wide covariance most may be impossible."""
 
@@ -44,6 +47,9 @@ class TriedTwin:
     """Standard deviations of the readings, shape (o,); None: those of the plant file."""
     disturbances: FloatArray | None = None
     """The measured disturbances, shape (d,), which stay as they are; None: the defaults of the plant file."""
+    unexplained: FloatArray | None = None
+    """How far recorded readings were from this twin's under the same commands, shape (N, o): its own errors,
+    an unknown load, a drifting room; None: nothing is known of these."""
 
     def drawn(self, number: int, seed: int) -> list[Parameters]:
         """Parameters that the recording does not tell from these: draws from their normal distribution,
@@ -64,10 +70,21 @@ class TriedTwin:
                 break
         return drawn
 
+    def wandering(self, size: int, rng: np.random.Generator) -> FloatArray | None:
+        """What stays unexplained over another time, shape (size, o): a part of the recorded course from a
+        random sample on, to and fro, of either sign; zero at first, since the law has settled until then."""
+        if self.unexplained is None:
+            return None
+        there_and_back = np.concatenate([self.unexplained, self.unexplained[::-1]])
+        at = (rng.integers(len(there_and_back)) + np.arange(size)) % len(there_and_back)
+        path: FloatArray = rng.choice([-1.0, 1.0]) * (there_and_back[at] - there_and_back[at[0]])
+        return path
+
 
 @dataclass(frozen=True, eq=False)
 class Holding:
-    """How a plant comes to an operating point: held by the law that ran, for some samples, or at rest."""
+    """How a plant comes to an operating point: held by the law that ran, for some samples, or at rest where
+    that law does not bring it there."""
 
     law: Law | None
     """The law that ran; None: it is not known. Two levels hold nothing at rest."""
@@ -93,20 +110,10 @@ class Holding:
         Raises:
             PlantError: it is not held there within the limits of the drives.
         """
-        if self.law is None or self._switches:
-            states, inputs = rest_at(parameters, levels, disturbances)
-        else:
-            row = np.array(levels, dtype=np.float64)
-            steady = parameters.model.disturbance_row(disturbances)
-            run = simulate_closed_loop(
-                parameters,
-                np.tile(row, (self.samples, 1)),
-                states=begin(parameters, row, disturbances=steady),
-                law=self.law,
-                disturbances=np.tile(steady, (self.samples, 1)),
-            )
-            states, inputs = run.states[-2], run.inputs[-1]
-        model = parameters.model
+        model, held = parameters.model, None
+        if self.law is not None and not self._switches:
+            held = self._held(parameters, np.array(levels, dtype=np.float64), disturbances)
+        states, inputs = held or rest_at(parameters, levels, disturbances)
         low, high = self._limits(parameters)
         finite = bool(np.isfinite(states).all() and np.isfinite(inputs).all())
         if not finite or not ((low < inputs) & (inputs < high)).all():
@@ -114,3 +121,19 @@ class Holding:
             where = ", ".join(f"{level:g} {output.unit}" for level, output in outputs)
             raise PlantError(f"{model.title}: it is not held at {where} within the limits of its drives")
         return linearised_at(parameters, states, inputs, self.period, disturbances)
+
+    def _held(self, parameters: Parameters, row: FloatArray, disturbances: FloatArray | None) -> Rest | None:
+        """Where the law that ran holds it; None if that is within limits, but not near these outputs."""
+        model = parameters.model
+        steady = model.disturbance_row(disturbances)
+        run = simulate_closed_loop(
+            parameters,
+            np.tile(row, (self.samples, 1)),
+            states=begin(parameters, row, disturbances=steady),
+            law=self.law,
+            disturbances=np.tile(steady, (self.samples, 1)),
+        )
+        found, limits = Rest(run.states[-2], run.inputs[-1]), self._limits(parameters)
+        near = np.abs(run.outputs[-1] - row) <= _HELD * model.noise
+        limited = (found.inputs <= limits[0]) | (found.inputs >= limits[1])
+        return found if near.all() or limited.any() else None

@@ -14,7 +14,10 @@ from twinmatch.dynamics import (
     Law,
     Linear,
     LinearLaw,
+    Output,
     Parameters,
+    Plant,
+    PlantError,
     SensorRealisation,
     TwoLevel,
     simulate_closed_loop,
@@ -24,6 +27,10 @@ from twinmatch.signals import FloatArray
 
 SETTLED: Final = 0.05
 """Share of a set-point's step within which the output has settled; at least three times its noise."""
+_SEEN: Final = 3.0
+"""Movement that counts, in the noise of an output."""
+_GREATER: Final = 0.5
+"""Share of the time that is its greater part."""
 LOAD: Final = 0.1
 """Load at an input, as a share of the drive's range."""
 
@@ -51,7 +58,66 @@ def loaded(law: Law, load: FloatArray) -> Law:
         low=law.low + load,
         high=law.high + load,
         shift=law.shift - law.G @ load,
+        drives=None if law.drives is None else law.drives + load,
     )
+
+
+def taken_by(plant: type[Plant], law: Law) -> Law:
+    """The same law where a drive takes less than its limits, of which it does not know.
+
+    Raises:
+        PlantError: a drive takes none of its commands.
+    """
+    low, high = np.array([drive.limits for drive in plant.drives.values()]).T
+    if isinstance(law, TwoLevel):
+        off, on = np.clip((law.off, law.on), low[0], high[0]).tolist()
+        return replace(law, off=off, on=on)
+    assert isinstance(law, LinearLaw)  # noqa: S101 (callers convert)
+    taken = np.array([np.maximum(law.low, low), np.minimum(law.high, high)])
+    if not (taken[0] < taken[1]).all():
+        raise PlantError("the law's limits leave nothing of what the drives take; give limits within theirs")
+    return law if np.array_equal(taken, [law.low, law.high]) else replace(law, drives=taken)
+
+
+def limits_of(law: Law) -> FloatArray:
+    """Least and greatest commands that reach the plant, shape (2, m)."""
+    if isinstance(law, LinearLaw) and law.drives is not None:
+        return law.drives
+    return law.code[LOW : LOW + 2 * law.n_inputs].reshape(2, -1)
+
+
+def counted_range(output: Output) -> tuple[float, float]:
+    """The range that an output must not leave: what is declared safe, its span where nothing is."""
+    low, high = (
+        safe if math.isfinite(safe) else end for safe, end in zip(output.safe, output.span, strict=True)
+    )
+    return low, high
+
+
+def conduct_of(run: Run, size: int, law: Law, plant: type[Plant]) -> dict[str, bool]:
+    """What a safe course never does, in words, and whether this one does.
+
+    The run is over a profile of `size` samples and, without noise, longer at its last set-points.
+    """
+    found: dict[str, bool] = {}
+    end = size + 2 * (len(run.outputs) - size) // 3
+    steps = np.abs(np.diff(run.references, axis=0)).max(axis=0, initial=0.0)
+    for j, (name, output) in enumerate(plant.outputs.items()):
+        y, (low, high) = run.outputs[:, j], counted_range(output)
+        found[f"{name} leaves {low:g} to {high:g} {output.unit}"] = not ((low <= y) & (y <= high)).all()
+        if isinstance(law, LinearLaw):
+            step = steps[j] or LOAD * np.ptp(output.set_points or output.span)
+            moves = not np.ptp(y[end:]) <= max(SETTLED * step, _SEEN * output.noise)
+            found[f"{name} does not settle after the profile"] = moves
+    if isinstance(law, TwoLevel):
+        u, away = run.inputs[:, 0], np.abs(run.outputs[:, 0] - run.references[:, 0])
+        gone = np.ptp(u[size:]) == 0 and away[-1] > away[size]
+        return found | {"it does not switch any more": bool(gone or np.ptp(u) == 0)}
+    limited = (run.inputs <= limits_of(law)[0]) | (run.inputs >= limits_of(law)[1])
+    for i, name in enumerate(plant.drives):
+        most = np.mean(limited[:, i]) > _GREATER or limited[end:, i].all()
+        found[f"{name} is at a limit for the greater part of the time"] = bool(most)
+    return found
 
 
 def state_holding(law: Law, references: FloatArray, outputs: FloatArray, inputs: FloatArray) -> FloatArray:
@@ -82,18 +148,20 @@ def run_law(
     load: FloatArray | None = None,
     disturbances: FloatArray | None = None,
     noise: FloatArray | None = None,
+    slow: FloatArray | None = None,
 ) -> Run:
     """Run a law over set-points, shape (N, r), from where the plant is held, or from other states on.
 
     The law takes over without a bump at the set-points `before`, shape (r,), the readings and the commands of
     that moment, or begins in its own `state`, shape (q,). `load` acts from the first sample on, shape (m,);
-    `noise` is that of readings, shape (N, o).
+    `noise` is that of readings, shape (N, o), and `slow` is how far the outputs are from the twin's.
     """
     begun, inputs = start.rest.states if states is None else states, start.rest.inputs
     model, size = parameters.model, len(references)
     row = model.disturbance_row(disturbances)
     at: FloatArray = model.kernels.outputs_at(parameters.vector, begun, inputs, row)[0]
-    given = np.zeros((size, at.size)) if noise is None else noise
+    still = np.zeros((size, at.size))
+    shaken, apart = (still if each is None else each for each in (noise, slow))
     run = simulate_closed_loop(
         parameters,
         references,
@@ -101,9 +169,9 @@ def run_law(
         law=law if load is None else loaded(law, load),
         controller=state_holding(law, before, at, inputs) if state is None else state,
         disturbances=np.tile(row, (size, 1)),
-        sensor=SensorRealisation(given, np.zeros(size, dtype=np.bool_), 0.0),
+        sensor=SensorRealisation(shaken + apart, np.zeros(size, dtype=np.bool_), 0.0),
     )
-    return Run(references, run.outputs - given, run.inputs if load is None else run.inputs - load)
+    return Run(references, run.outputs - shaken, run.inputs if load is None else run.inputs - load)
 
 
 class StepFigures(NamedTuple):
@@ -122,7 +190,7 @@ def step_figures(reference: FloatArray, output: FloatArray, noise: float, period
     for first, last in pairwise([*places, reference.size]):
         step = reference[first] - reference[first - 1]
         error = (output[first:last] - reference[first]) * math.copysign(1.0, step)
-        away = np.flatnonzero(~(np.abs(error) <= max(SETTLED * abs(step), 3.0 * noise)))
+        away = np.flatnonzero(~(np.abs(error) <= max(SETTLED * abs(step), _SEEN * noise)))
         beyond.append(max(float(error.max()), 0.0))
         ended = away.size and away[-1] == error.size - 1
         times.append(math.inf if ended else period * (away[-1] + 1 if away.size else 0))
@@ -140,9 +208,9 @@ class CourseFigure:
 
 
 def quantities_of(
-    run: Run, loads: Sequence[Run], model_of: Parameters, law: Law
+    run: Run, still: Run, loads: Sequence[Run], model_of: Parameters, law: Law
 ) -> dict[CourseFigure, float]:
-    """All figures of a course over a profile, and of those after a load at each input."""
+    """All figures of a course over a profile, and of those after a load at each input, beside one without."""
     plant, period = model_of.model.plant, law.period
     found: dict[CourseFigure, float] = {}
     off = run.outputs - run.references
@@ -158,7 +226,7 @@ def quantities_of(
             found[CourseFigure("highest", name, output.unit)] = float(run.outputs[:, j].max())
             for drive, load in zip(plant.drives, loads, strict=True):
                 from_ = "" if len(plant.drives) == 1 else f" at {drive}"
-                worst = float(np.abs(load.outputs[:, j] - load.references[:, j]).max())
+                worst = float(np.abs(load.outputs[:, j] - still.outputs[:, j]).max())
                 found[CourseFigure(f"excursion after a load{from_}", name, output.unit)] = worst
         units = {output.unit for output in plant.outputs.values()}
         if len(plant.outputs) > 1 and len(units) == 1:
@@ -167,7 +235,7 @@ def quantities_of(
         if isinstance(law, TwoLevel):
             return found | _cycle(run, next(iter(plant.outputs.values())).unit, period)
         for i, (name, declared) in enumerate(plant.drives.items()):
-            u, low, high = run.inputs[:, i], *law.code[LOW + i :: law.n_inputs][:2]
+            u, (low, high) = run.inputs[:, i], limits_of(law)[:, i]
             moved = float(np.abs(np.diff(u)).sum()) * 60.0 / (period * max(u.size - 1, 1))
             found[CourseFigure("travel a minute", name, declared.unit)] = moved
             limited = float(np.mean((u <= low) | (u >= high)))

@@ -24,7 +24,8 @@ NOTHING, BY_TIME, BY_READING = range(3)
 LawCode = FloatArray
 """A law for compiled code: its kind, its period (s), the number m of its commands, their least values, their
 greatest values, and its gains: those of PID and two levels as named below, or the matrix of a linear law,
-whose rows give u and then the next state from z, y, r, 1 and u."""
+whose rows give u and then the next state from z, y, r, 1 and u. Behind the matrix may be the least and the
+greatest values that the drives take; the law's own u is then limited once more, without its knowledge."""
 KIND, PERIOD, N_COMMANDS, LOW = range(4)
 HIGH, PROPORTIONAL, INTEGRAL, DERIVATIVE, BACK, ON_MEASUREMENT = range(4, 10)
 BELOW, ABOVE, MIN_ON, MIN_OFF, MAX_ON = range(5, 10)
@@ -87,6 +88,9 @@ def law_step(
                 for j in range(m):
                     total += law[row + q + p + r + 1 + j] * u[j]
                 after[i - m] = total
+        taken = LOW + 2 * m + (m + q) * width
+        for i in range(m if law.size > taken else 0):
+            u[i] = min(max(u[i], law[taken + i]), law[taken + m + i])
 
 
 @compiled(inside=True)

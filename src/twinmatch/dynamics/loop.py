@@ -96,7 +96,7 @@ class PidGains(Law):
     derivative: float
     """u per y/s."""
     back_calculation: float
-    """Back-calculation gain Kb, by which the integral tracks the limited u, 1/s; none without integral gain."""
+    """Back-calculation gain Kb, by which the integral tracks the limited u, 1/s; see `tracking`."""
     low: float
     """Least u."""
     high: float
@@ -134,7 +134,7 @@ class PidGains(Law):
 
     @property
     def tracking(self) -> float:
-        """The back-calculation gain that acts, 1/s: without integral action nothing would undo what it adds."""
+        """The back-calculation gain that acts, 1/s: without integral gain nothing would undo what it adds."""
         return self.back_calculation if self.integral else 0.0
 
     def state(self, window: Window) -> FloatArray:
@@ -333,9 +333,12 @@ class LinearLaw(Law):
     """Greatest commands, shape (m,)."""
     period: float = 1.0
     """Sample time, s."""
+    drives: FloatArray | None = None
+    """Least and greatest commands that the drives take, shape (2, m), of which the law does not know; None:
+    they take all. Simulations count with them, derivatives do not."""
 
     def __post_init__(self) -> None:
-        for each in fields(self)[:-1]:
+        for each in fields(self)[:-2]:
             object.__setattr__(self, each.name, np.array(getattr(self, each.name), dtype=np.float64))
         if self.C.ndim != 2 or self.D.ndim != 2 or self.E.ndim != 2:
             raise PlantError("linear law: C, D and E must be matrices with a row for each command")
@@ -391,7 +394,8 @@ class LinearLaw(Law):
             [self.C, self.D, self.E, self.offset[:, None], np.zeros((m, m))],
             [self.A, self.B, self.F, self.shift[:, None], self.G],
         ])  # fmt: skip
-        return np.concatenate([[LINEAR, self.period, m], self.low, self.high, numbers.ravel()])
+        taken = np.zeros(0) if self.drives is None else self.drives.ravel()
+        return np.concatenate([[LINEAR, self.period, m], self.low, self.high, numbers.ravel(), taken])
 
     def state(self, window: Window) -> FloatArray:
         """Its state after the window's second sample, shape (q,): the one with which it gives the recorded

@@ -10,7 +10,7 @@ import re
 import stat
 import zipfile
 import zlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any, Final
@@ -30,6 +30,7 @@ MODEL_EXCHANGE: Final = "model exchange"
 MAX_VARIABLES: Final = 100_000
 
 _REAL: Final = ("Real", "Float64")
+_WORDS: Final = ("String", "Binary")
 _CELSIUS: Final = ("°C", "degC")
 _MAX_LISTED: Final = 60
 """Most variables listed per kind."""
@@ -131,6 +132,10 @@ class Described:
     step: float | None
     """Suggested step size, s."""
     platforms: tuple[str, ...]
+    discrete: tuple[str, ...]
+    """Names of the variables that change at events only, other than inputs and parameters."""
+    foreign: tuple[str, ...]
+    """What is not a real scalar, in words: arrays, integers, strings."""
     variables: tuple[Variable, ...]
 
     def called(self, name: str) -> Variable | None:
@@ -199,9 +204,9 @@ def read_description(folder: Path, names: Iterable[str]) -> Described:
         states=len(description.derivatives),
         step=float(usual.stepSize) if usual is not None and usual.stepSize else None,
         platforms=_platforms(names),
-        variables=tuple(
-            _variable(v, order) for v in description.modelVariables if v.type in _REAL and not v.dimensions
-        ),
+        discrete=tuple(v.name for v in description.modelVariables if _changes_at_events(v)),
+        foreign=tuple(_foreign(v) for v in description.modelVariables if not _real_scalar(v)),
+        variables=tuple(_variable(v, order) for v in description.modelVariables if _real_scalar(v)),
     )
 
 
@@ -212,6 +217,24 @@ def _version(file: Path) -> str:
     except (ElementTree.ParseError, ValueError, LookupError, StopIteration) as error:
         raise ValueError(f"its modelDescription.xml is not valid XML: {error}") from error
     return str(root.get("fmiVersion", ""))
+
+
+def _real_scalar(declared: Any) -> bool:
+    return declared.type in _REAL and not declared.dimensions
+
+
+def _changes_at_events(declared: Any) -> bool:
+    """Whether it may be a memory of events: what is not real is so unless it says otherwise."""
+    usual = "" if declared.type in (*_REAL, *_WORDS) else "discrete"
+    return declared.causality in {None, "local", "output"} and (declared.variability or usual) == "discrete"
+
+
+def _foreign(declared: Any) -> str:
+    """Name, type with dimensions, causality and variability."""
+    sizes = (each.start or getattr(each.variable, "name", "?") for each in declared.dimensions or ())
+    kind = declared.type + "".join(f"[{size}]" for size in sizes)
+    about = ", ".join(filter(None, (declared.causality or "local", declared.variability)))
+    return " ".join(f"{declared.name}: {kind}, {about}".split())
 
 
 def _variable(declared: Any, order: list[str]) -> Variable:
@@ -262,11 +285,15 @@ def overview(described: Described) -> list[str]:
         ("parameters", described.of("parameter")),
         ("others that can be set before a run", _others(described)),
     ):
-        lines.append(f"{title}: {'none' if not variables else ''}".rstrip())
-        lines += [f"  {_line(variable)}" for variable in variables[:_MAX_LISTED]]
-        if len(variables) > _MAX_LISTED:
-            lines.append(f"  and {len(variables) - _MAX_LISTED} more")
+        lines += _listed(title, [_line(variable) for variable in variables])
+    if described.foreign:
+        lines += _listed("not real and scalar, so not for a map", described.foreign)
     return [*lines, _verdict(described)]
+
+
+def _listed(title: str, rows: Sequence[str]) -> list[str]:
+    more = [f"  and {len(rows) - _MAX_LISTED} more"] if len(rows) > _MAX_LISTED else []
+    return [f"{title}: {'' if rows else 'none'}".rstrip(), *(f"  {row}" for row in rows[:_MAX_LISTED]), *more]
 
 
 def draft(file: Path, described: Described, plant: type[Plant]) -> str:
@@ -302,11 +329,22 @@ def draft(file: Path, described: Described, plant: type[Plant]) -> str:
 def _verdict(described: Described) -> str:
     if not described.kinds:
         return "It cannot be used: it supports neither co-simulation nor model exchange."
+    if described.discrete:
+        return f"It cannot be used: {remembering(described)}."
     if MODEL_EXCHANGE in described.kinds:
         return "It can be matched and used for forecasts if the map names all continuous states."
     return (
         "It can be matched and used for forecasts if the map names all internal states, and all of them can "
         "be set before a run."
+    )
+
+
+def remembering(described: Described) -> str:
+    """What it remembers from event to event, which no state shows, in words."""
+    names, more = ", ".join(described.discrete[:3]), " and others" if len(described.discrete) > 3 else ""
+    return (
+        f"its discrete variables ({names}{more}) may remember earlier events, and cannot be set to what an "
+        "observer estimates; export it without them"
     )
 
 

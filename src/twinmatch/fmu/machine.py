@@ -204,17 +204,15 @@ def _initialise(machine: Machine) -> None:
 def bring(machine: Machine, z: FloatArray, d: FloatArray) -> None:
     """Bring it to parameters, states and drive, and to disturbances; a drive of NaN: as it is.
 
-    A run continues where nothing but the inputs has changed; otherwise another one begins.
+    A run continues where nothing but the inputs has changed; otherwise another one begins, with a new
+    initialisation: what the FMU remembers beside its states would be that of the run before.
     """
     head, held = machine.head[0], machine.held
     m, n = head.n_parameters, head.n_states
-    same, there = head.begun != 0, True
+    there = head.begun != 0
     for i in range(m + n):
-        if held[i] != z[i]:
-            there = False
-            same = same and i >= m
+        there = there and held[i] == z[i]
         held[i] = z[i]
-    there = there and same
     if not there:
         head.run_time = 0.0
     changed = not there
@@ -224,7 +222,7 @@ def bring(machine: Machine, z: FloatArray, d: FloatArray) -> None:
             value = held[i] if there else head.rest
         changed = changed or held[i] != value
         held[i] = value
-    if not (same if head.exchange else there):
+    if not there:
         _initialise(machine)
     elif changed and not head.exchange:
         _set(machine, head.inputs, m + n, head.n_inputs)

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from twinmatch.dynamics import Parameter, Plant, PlantError, State
-from twinmatch.fmu.archive import CO_SIMULATION, MODEL_EXCHANGE, Described, FmuError
+from twinmatch.fmu.archive import CO_SIMULATION, MODEL_EXCHANGE, Described, FmuError, remembering
 from twinmatch.plants import find_plant
 from twinmatch.sessions.documents import DocumentError, read_yaml
 
@@ -301,6 +301,8 @@ def loading(of: FmuMap, described: Described) -> tuple[dict[str, Any], str]:
     if kind not in described.kinds:
         ways = " and ".join(described.kinds) or "neither model exchange nor co-simulation"
         raise FmuError(f"it supports {ways}" + (f", not {kind}" if kind else ""))
+    if described.discrete:
+        raise FmuError(remembering(described))
     plant, links = of.plant, of.links
     inputs = [links[plant.drive.name], *(links[name] for name in plant.disturbances if name in links)]
     states = [links[name] for name in of.known_states]

@@ -28,6 +28,7 @@ from twinmatch.dynamics import (
     simulate_driven,
 )
 from twinmatch.dynamics.descent import Search, update_search
+from twinmatch.dynamics.pace import plant_scale
 from twinmatch.dynamics.runs import LeastSquares
 from twinmatch.dynamics.store import KERNELS
 from twinmatch.fmu.archive import (
@@ -49,42 +50,54 @@ _FINITE: Final = {"advance", "run", "run_with_tangents", "foresee"}
 """Kernels whose results are refused unless all are finite."""
 _ANSWERED: Final = {f"{kind.__module__}:{kind.__name__}": kind for kind in (runs.Start, runs.Tangents)}
 """Classes of values that an answer may have."""
-SAMPLES = 8
+TESTED: Final = 300.0
+"""Time over which memory is looked for, s, on a plant with a time constant of 100 s."""
+_SHORT: Final = 8
+"""Samples with drives that stay away from their limits, in the test."""
 _STATE = 1e-4
 """Tolerance of a state, in units of its span: a restarted solver chooses other steps."""
 
 
 def check_restart(model: Model) -> None:
-    """Simulate a few samples in one run, and again restarting at each from its states; both must agree.
+    """Simulate several time constants in one run, and again with restarts from its states: at every sample
+    for that sample, and at each quarter for all that follows; all must agree.
 
     Forecasts start from states that an observer has estimated. An FMU with internal states that its map does
-    not name, such as a filter, would then give wrong forecasts.
+    not name, such as a filter, a switch with hysteresis or a slow wall, would then give wrong forecasts.
 
     Raises:
         FmuError: they disagree, or the FMU has no finite values.
     """
-    plant, kernels = model.plant, model.kernels
-    low, high = plant.drive.limits
-    drive = np.repeat([0.5 * (plant.drive.rest + high), 0.5 * (plant.drive.rest + low)], SAMPLES // 2)
-    parameters = model.parameters()
-    period = sample_time(plant)
+    plant, parameters, period = model.plant, model.parameters(), sample_time(model.plant)
+    size, (low, high) = round(TESTED * plant_scale(plant, period) / period), plant.drive.limits
+    ends = 0.5 * (plant.drive.rest + np.array([high, low]))
+    drive = np.concatenate([np.repeat(ends, _SHORT // 2), np.repeat([high, low], size // 2)])
     y = float(np.mean(plant.output.set_points or plant.output.span))
     run = simulate_driven(parameters, drive, states=begin(parameters, y), period=period)
-    spans = np.array([state.span[1] - state.span[0] for state in model.declared_states])
     for k, u in enumerate(drive.tolist()):
         given = np.array([u]), model.disturbances, period, run.steps
-        after = kernels.advance(parameters.vector, run.states[k], *given)
-        seen = read(parameters, run.states[k])
-        off = np.abs(after - run.states[k + 1]) / spans if spans.size else np.zeros(1)
-        if abs(seen - run.output[k]) > plant.output.noise or off.max() > _STATE:
-            what = f"its output {seen:g} instead of {run.output[k]:g}"
-            if off.max() > _STATE:
-                name = model.states[int(np.argmax(off))]
-                what = f"{name} {after[np.argmax(off)]:g} instead of {run.states[k + 1][np.argmax(off)]:g}"
-            raise FmuError(
-                f"{model.title}: restarted from its states, the FMU has {what}; it has internal states that "
-                "its map does not name: name all, or export it as model exchange"
-            )
+        after = model.kernels.advance(parameters.vector, run.states[k], *given)
+        _require_same(model, read(parameters, run.states[k]), run.output[k], after, run.states[k + 1])
+    for k in (drive.size // 4, drive.size // 2, 3 * drive.size // 4):
+        again = simulate_driven(parameters, drive[k:], states=run.states[k], period=period)
+        for j in range(drive.size - k):
+            here = again.output[j], run.output[k + j], again.states[j], run.states[k + j]
+            _require_same(model, *here)
+
+
+def _require_same(model: Model, seen: float, expected: float, states: FloatArray, wanted: FloatArray) -> None:
+    spans = np.array([state.span[1] - state.span[0] for state in model.declared_states])
+    off = np.abs(states - wanted) / spans if spans.size else np.zeros(1)
+    if abs(seen - expected) <= model.plant.output.noise and off.max() <= _STATE:
+        return
+    what = f"its output {seen:g} instead of {expected:g}"
+    if off.max() > _STATE:
+        worst = int(np.argmax(off))
+        what = f"{model.states[worst]} {states[worst]:g} instead of {wanted[worst]:g}"
+    raise FmuError(
+        f"{model.title}: restarted from its states, the FMU has {what}; it has internal states that "
+        "its map does not name: name all, or export it without them"
+    )
 
 
 def _insensitive(model: Model) -> frozenset[int]:

@@ -12,7 +12,7 @@ import numpy as np
 
 from twinmatch.comparing import LEVEL_WORDS, TrustLevel, Verdict
 from twinmatch.controllers import ControllerError, Holding, TriedTwin, law_from
-from twinmatch.dynamics import Law, Plant, advance
+from twinmatch.dynamics import SKIPPED, Law, Plant, advance, simulate_window
 from twinmatch.dynamics.pace import plant_scale
 from twinmatch.errors import TwinmatchError
 from twinmatch.fitting import fit_session, in_parts
@@ -55,7 +55,8 @@ def read_law(path: Path, plant: type[Plant], period: float) -> Law:
     try:
         if path.suffix == ".py":
             return _at_period(load_law(str(path)), plant, period)
-        return law_from(json.loads(read_bounded(path, MAX_BYTES)), plant, period)
+        document = json.loads(read_bounded(path, MAX_BYTES), object_pairs_hook=_without_repetition)
+        return law_from(document, plant, period)
     except OSError as error:
         raise ControllerError(f"{path}: cannot be read ({error.strerror}); give a .json or .py") from error
     except TwinmatchError as error:
@@ -63,6 +64,16 @@ def read_law(path: Path, plant: type[Plant], period: float) -> Law:
         raise ControllerError(str(error) if known else f"{path}: {error}") from error
     except (ValueError, RecursionError) as error:
         raise ControllerError(f"{path}: is not JSON ({error}); give an object of keys and values") from error
+
+
+def _without_repetition(pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
+    """An object of a document, in which every key is given once: of two, JSON would take the last."""
+    found: dict[str, Any] = {}
+    for key, value in pairs:
+        if key in found:
+            raise ControllerError(f"{key}: is given twice; give it once")
+        found[key] = value
+    return found
 
 
 def resting_point(path: Path) -> FloatArray | None:
@@ -81,12 +92,12 @@ def _at_period(law: Law, plant: type[Plant], period: float) -> Law:
             f"is a law for {sizes[0]} outputs and {sizes[1]} inputs; plant {plant.name} has {of[0]} and "
             f"{of[1]}"
         )
-    if law.period not in (1.0, period):
+    if law.period != period:
         raise ControllerError(
-            f"the law runs every {law.period:g} s, the samples come every {period:g} s; give a law for that "
-            "period"
+            f"the law runs every {law.period:g} s, the samples come every {period:g} s; give a law with "
+            f"period={period:g}"
         )
-    return law.at_period(period)
+    return law
 
 
 class Ground(NamedTuple):
@@ -121,6 +132,20 @@ class Ground(NamedTuple):
         found = MEDIAN_TO_SIGMA * np.median(np.abs(bends), axis=0) / np.sqrt(6.0)
         declared = np.array([output.noise for output in self.plant.outputs.values()])
         return np.where(found > 0.0, found, declared)
+
+    def seen_by(self, twin: TriedTwin) -> TriedTwin:
+        """The twin with the noise of the recorded readings and what it does not explain of them; without the
+        second where it does not follow the recording by its commands alone, as of an unstable plant."""
+        parts, noise = [], self.noise
+        for window in stretches(self.session.samples, self.session.period):
+            if len(window) > SKIPPED:
+                parts.append(simulate_window(twin.parameters, window, law=None).outputs)
+                parts[-1] = window.outputs[SKIPPED:] - parts[-1]
+        found = np.concatenate(parts)
+        moved = np.ptp([sample.outputs for sample in self.session.samples], axis=0)
+        if not (np.abs(found) <= moved).all():
+            return replace(twin, noise=noise)
+        return replace(twin, noise=noise, unexplained=found)
 
     def unvisited(self, references: FloatArray) -> tuple[str, ...]:
         """A note for each output whose set-points, shape (N, r), are beyond its readings."""
@@ -171,7 +196,7 @@ def members_from(ground: Ground, *, watch: Watch | None = None) -> tuple[TriedTw
 
     judged = judge(session, ground.terms, watch=watch, beside=beside)
     _require_trusted(session.name, judged.verdicts[-1] if judged.verdicts else None)
-    return tuple(replace(member, noise=ground.noise) for member in members)
+    return tuple(map(ground.seen_by, members))
 
 
 def _fitted(ground: Ground, watch: Watch | None) -> tuple[TriedTwin, ...]:
@@ -197,8 +222,7 @@ def _fitted(ground: Ground, watch: Watch | None) -> tuple[TriedTwin, ...]:
             watch(k + 1, total)
         if fit.converged:
             free, name = model.structure.free, f"{model.structure_name}, {window.first} to {window.last}"
-            found = TriedTwin(name, fit.parameters, free, fit.covariance, noise=ground.noise)
-            members.append(found)
+            members.append(ground.seen_by(TriedTwin(name, fit.parameters, free, fit.covariance)))
     return tuple(members)
 
 
@@ -218,12 +242,13 @@ def remembered(
     if not found and apart is None and not memory.comparisons(name, rig):
         raise ControllerError(f"{path}: remembers nothing of plant {ground.plant.name}; leave --memory out")
     return tuple(
-        TriedTwin(
-            each.name if each.name.startswith(CENTRE) else f"{CENTRE}: {each.name}",
-            each.parameters,
-            each.free,
-            each.known_covariance if each.name.startswith(CENTRE) else None,
-            noise=ground.noise,
+        ground.seen_by(
+            TriedTwin(
+                each.name if each.name.startswith(CENTRE) else f"{CENTRE}: {each.name}",
+                each.parameters,
+                each.free,
+                each.known_covariance if each.name.startswith(CENTRE) else None,
+            )
         )
         for each in found
     )
