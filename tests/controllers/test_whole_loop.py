@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from scipy.signal import cont2discrete, lfilter
 
 from tests.support.exchanging import Heaters
+from twinmatch.comparing import StateSpace, best_scaling, matrix_nu_gap, nu_gap
 from twinmatch.controllers import UNSTABLE, FilteredPid, WholeLoop, as_linear, pid_law
 from twinmatch.dynamics import (
     Linear,
@@ -282,3 +283,18 @@ def test_a_loop_that_is_lost_without_swinging(
     law = pid_law([FilteredPid(proportional=k, **WIDE) for k in gains], float(period))
     found = WholeLoop(Linear(held_a, held_b, c, float(period), REST), law).margins()
     assert found[0].gain_change == pytest.approx(change, rel=1e-9)
+
+
+def test_the_gaps_of_pure_double_integrators_are_those_of_their_polynomials() -> None:
+    """Poles that are all at 1, which eigenvalues round apart: k·h²/2·(z + 1)/(z − 1)², for two values of k."""
+    h, gains = 0.05, (10.0, 10.5)
+    step = np.array([[1.0, h], [0.0, 1.0]])
+    plants = [Linear(step, k * np.array([[h * h / 2], [h]]), np.eye(2)[:1], h, REST) for k in gains]
+    exact = [control.tf([k * h * h / 2] * 2, [1.0, -2.0, 1.0], h) for k in gains]
+    law = pid_law([FilteredPid(proportional=3, integral=3, derivative=1.2, filter=0.1, **WIDE)], h)
+    spaces, controller = [StateSpace.of(each) for each in plants], StateSpace.of(law)
+    assert matrix_nu_gap(*spaces) == pytest.approx(nu_gap(*exact), abs=1e-6)
+    for unit in (1.0, 50.0):  # the search for units tries them far apart
+        found = best_scaling(spaces[0], spaces, controller, outputs=np.array([unit]), inputs=np.ones(1))
+        scaled = [each * float(found.inputs[0] / found.outputs[0]) for each in exact]
+        assert found.gap == pytest.approx(nu_gap(*scaled), abs=1e-6)

@@ -209,7 +209,7 @@ def _largest(
 def frequencies_of(poles: Matrix) -> FloatArray:
     """Both ends of the axis, and from a decade below the slowest pole to a decade above the fastest."""
     sizes = np.abs(poles)
-    sizes = sizes[sizes > ON_AXIS * sizes.max(initial=0.0)]
+    sizes = sizes[sizes > ON_AXIS * max(sizes.max(initial=0.0), 1.0)]  # several at 0 are rounded apart
     if not sizes.size:
         sizes = np.ones(1)
     low, high = np.log10(sizes.min()) - 1, np.log10(sizes.max()) + 1
@@ -239,7 +239,7 @@ def _polish(values: Callable[[FloatArray], FloatArray], best: float, place: floa
 def beside(frequencies: FloatArray, poles: Matrix) -> FloatArray:
     """The frequencies, moved away from poles on the axis."""
     sizes = np.abs(poles)
-    limit = ON_AXIS * sizes.max(initial=0.0)
+    limit = ON_AXIS * max(sizes.max(initial=0.0), 1.0)
     others = sizes[sizes > limit]
     off = BESIDE * float(others.min(initial=1.0) if others.size else 1.0)
     moved = frequencies.copy()

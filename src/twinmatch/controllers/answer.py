@@ -11,6 +11,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from twinmatch.comparing import DiscriminationError
 from twinmatch.controllers.guarantee import Guarantee, guarantee_of
 from twinmatch.controllers.members import Holding, TriedTwin
 from twinmatch.controllers.pids import as_linear
@@ -175,7 +176,10 @@ def try_controller(
     decision, sentence, asked = _decide(plant, names, stability, courses[0], question)
     period, guarantee = question.holding.period, None
     if stability and all(one.eigenvalue < 1.0 for one in stability):
-        guarantee = guarantee_of(plant, stability, as_linear(question.law))
+        try:
+            guarantee = guarantee_of(plant, stability, as_linear(question.law))
+        except (DiscriminationError, np.linalg.LinAlgError) as error:
+            reservations.append(f"nothing is guaranteed: the gaps between the plants have no value ({error})")
     return ControllerAnswer(
         plant,
         decision,

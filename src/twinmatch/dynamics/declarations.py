@@ -129,8 +129,8 @@ class Output(Declaration):
     set_points: tuple[float, float] | None = None
     """Range of useful set-points, within which steps are suggested; default: `span`."""
     safe: tuple[float, float] = (-math.inf, math.inf)
-    """Values that are safe for the plant: a controller refuses other set-points, and none that takes the output
-    beyond them is called safe."""
+    """Values that are safe for the plant: a controller refuses other set-points, and no law that takes the
+    output beyond them is called safe."""
     absolute: float = 0.0
     """Offset from a reading to the absolute quantity: 273.15 for °C."""
     sensor: str = "sensor"
