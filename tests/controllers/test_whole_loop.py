@@ -286,7 +286,7 @@ def test_a_loop_that_is_lost_without_swinging(
 
 
 def test_the_gaps_of_pure_double_integrators_are_those_of_their_polynomials() -> None:
-    """Poles that are all at 1, which eigenvalues round apart: k·h²/2·(z + 1)/(z − 1)², for two values of k."""
+    """Poles that are all at 1, rounded apart by eigenvalues: k·h²/2·(z + 1)/(z − 1)², for two values of k."""
     h, gains = 0.05, (10.0, 10.5)
     step = np.array([[1.0, h], [0.0, 1.0]])
     plants = [Linear(step, k * np.array([[h * h / 2], [h]]), np.eye(2)[:1], h, REST) for k in gains]
