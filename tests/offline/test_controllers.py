@@ -167,7 +167,7 @@ def test_a_law_in_python(tmp_path: Path) -> None:
         ("slow.py", "from twinmatch.dynamics import PidGains\nloop = PidGains(2, 1, 0, 0, -5, 5, period=3.0)",
          "slow.py: the law runs every 3 s, the samples come every 1 s; give a law with period=1"),
         ("twice.json", '{"kind": "pid", "proportional": 1, "proportional": 9}',
-         "twice.json: proportional: is given twice; give it once"),
+         "twice.json: 'proportional' is given twice; give it once"),
     ],
 )  # fmt: skip
 def test_mistakes_in_files_of_laws_are_one_line(

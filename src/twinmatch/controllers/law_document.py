@@ -10,18 +10,42 @@ from collections.abc import Mapping
 from dataclasses import MISSING, fields
 from typing import Any, Final
 
+import msgspec
 import numpy as np
 from scipy.linalg import solve_discrete_are
 
 from twinmatch.controllers.answer import ControllerError
 from twinmatch.controllers.pids import FilteredPid, pid_law
+from twinmatch.decoding import decoded, document_type, given_keys
 from twinmatch.dynamics import Law, LinearLaw, PidGains, Plant, TwoLevel
 from twinmatch.signals import FloatArray
 
-_ABOUT: Final = {"kind", "outputs", "inputs", "units", "period"}
-_REGULATOR: Final = {"A", "B", "C", "Bd", "Cd", "K", "Re", "u0", "y0", "Qs", "Rs"}
-_NEEDED: Final = _REGULATOR - {"Re"}
-_MATRICES: Final = {each.name for each in fields(LinearLaw)} - {"period", "drives"}
+_Numbers = float | list[float | list[float]]
+
+
+class _About(msgspec.Struct):
+    """What any law may say of its signals, and of how often it runs."""
+
+    outputs: list[str] | None = None
+    inputs: list[str] | None = None
+    units: dict[str, str] = {}  # noqa: RUF012 — copied for each
+    period: float | None = None
+
+
+_ABOUT: Final = {"kind", *_About.__struct_fields__}
+_REGULATOR: Final = ("A", "B", "C", "Bd", "Cd", "K", "u0", "y0", "Qs", "Rs")
+_MATRICES: Final = [each.name for each in fields(LinearLaw) if each.name not in {"period", "drives"}]
+_LEVELS: Final = [each for each in fields(TwoLevel) if each.name != "period"]
+_GAINS: Final = [each.name for each in fields(FilteredPid) if each.name != "proportional"]
+_VECTORS: Final = {"offset", "shift", "low", "high", "u0", "y0"}
+_Pid: Final = document_type(["proportional"], _GAINS)
+_Loops: Final = document_type(["loops"], kind=list[dict[str, Any]])
+_TwoLevel: Final = document_type(
+    (each.name for each in _LEVELS if each.default is MISSING),
+    (each.name for each in _LEVELS if each.default is not MISSING),
+)
+_StateSpace: Final = document_type(_MATRICES[:5], _MATRICES[5:], _Numbers)
+_Regulator: Final = document_type(_REGULATOR, ("Re", "low", "high"), _Numbers)
 
 
 def law_from(document: Any, plant: type[Plant], period: float) -> Law:
@@ -30,22 +54,17 @@ def law_from(document: Any, plant: type[Plant], period: float) -> Law:
     Without limits in the document, they are those of the plant's drives.
 
     Raises:
-        ControllerError: a key is unknown or missing, a value is not a number, or the document is for other
+        ControllerError: a key is unknown or missing, a value has another type, or the document is for other
             signals, units or another period.
         PlantError: the law itself is not possible.
     """
     if not isinstance(document, Mapping):
         raise ControllerError("is not an object of keys and values; give one with the key kind")
-    kind = document.get("kind", "regulator" if document.keys() >= _NEEDED else None)
+    kind = document.get("kind", "regulator" if document.keys() >= {*_REGULATOR} else None)
     makers = {"pid": _pid, "two-level": _two_level, "state-space": _state_space, "regulator": _regulator}
-    if kind not in makers:
-        raise ControllerError(f"kind: {kind!r} is not a kind of law; give one of {', '.join(makers)}")
-    _check_signals(document, plant)
-    if "period" in document and _number("period", document["period"]) != period:
-        raise ControllerError(
-            f"period: the law runs every {document['period']:g} s, the samples come every {period:g} s; "
-            "give a law for that period"
-        )
+    if not isinstance(kind, str) or kind not in makers:
+        raise ControllerError(f"kind: {kind!r:.80} is not a kind of law; give one of {', '.join(makers)}")
+    _check_about(_read(_About, document), plant, period)
     given = {key: value for key, value in document.items() if key not in _ABOUT}
     law = makers[kind](given, plant, period)
     sizes, of = (law.n_outputs, law.n_inputs), (len(plant.outputs), len(plant.drives))
@@ -65,43 +84,53 @@ def pid_document(gains: PidGains) -> dict[str, Any]:
     return {"kind": "pid", "period": gains.period} | known
 
 
-def _check_signals(document: Mapping[str, Any], plant: type[Plant]) -> None:
-    for key, declared in (("outputs", plant.outputs), ("inputs", plant.drives)):
-        if key in document and list(document[key]) != list(declared):
+def _check_about(about: _About, plant: type[Plant], period: float) -> None:
+    for key, named, declared in (
+        ("outputs", about.outputs, plant.outputs),
+        ("inputs", about.inputs, plant.drives),
+    ):
+        if named is not None and named != list(declared):
             raise ControllerError(
-                f"{key}: {', '.join(map(str, document[key]))} is not the order of plant {plant.name}; "
+                f"{key}: {', '.join(named):.200} is not the order of plant {plant.name}; "
                 f"write the law for {', '.join(declared)}"
             )
     units = {name: each.unit for name, each in (*plant.outputs.items(), *plant.drives.items())}
-    for name, unit in dict(document.get("units", {})).items():
+    for name, unit in about.units.items():
         if name not in units:
             raise ControllerError(
-                f"units: plant {plant.name} has no signal {name!r}; it has {', '.join(units)}"
+                f"units: plant {plant.name} has no signal {name!r:.80}; it has {', '.join(units)}"
             )
         if unit != units[name]:
             raise ControllerError(
-                f"units: {name} is in {unit}, the plant's is in {units[name]}; convert the law"
+                f"units: {name} is in {unit:.80}, the plant's is in {units[name]}; convert the law"
             )
+    if about.period not in (None, period):
+        raise ControllerError(
+            f"period: the law runs every {about.period:g} s, the samples come every {period:g} s; "
+            "give a law for that period"
+        )
 
 
-def _checked(given: Mapping[str, Any], known: set[str], needed: set[str]) -> None:
-    if unknown := sorted(given.keys() - known):
-        raise ControllerError(f"{unknown[0]}: is not a known key; there are {', '.join(sorted(known))}")
-    if missing := sorted(needed - given.keys()):
-        raise ControllerError(f"{missing[0]}: is missing; give {', '.join(sorted(needed))}")
+def _read(kind: type[msgspec.Struct], tree: Any, place: str = "") -> Any:
+    return decoded(tree, kind, place, ControllerError)
 
 
-def _number(key: str, value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise ControllerError(f"{key}: {value!r} is not a number")
-    return float(value)
-
-
-def _array(key: str, value: Any) -> FloatArray:
-    try:
-        return np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise ControllerError(f"{key}: is not a matrix of numbers with rows of one length") from None
+def _arrays(kind: type[msgspec.Struct], given: Mapping[str, Any]) -> dict[str, FloatArray]:
+    """The matrices and vectors of a document, without those that it leaves out."""
+    arrays = {}
+    for key, value in given_keys(_read(kind, given)).items():
+        vector = key in _VECTORS
+        try:
+            array = np.array(value, dtype=np.float64)
+        except ValueError:
+            array = np.zeros(())
+        if not array.ndim or (array.ndim != 2 and not vector):
+            what = "a list" if vector else "a matrix"
+            raise ControllerError(f"{key}: is not {what} of numbers with rows of one length; give one")
+        if key not in ("low", "high") and not np.isfinite(array).all():
+            raise ControllerError(f"{key}: has a number that is not finite; give finite ones")
+        arrays[key] = array.ravel() if vector else array
+    return arrays
 
 
 def _limits(plant: type[Plant], number: int) -> FloatArray:
@@ -113,29 +142,21 @@ def _limits(plant: type[Plant], number: int) -> FloatArray:
 
 def _pid(given: Mapping[str, Any], plant: type[Plant], period: float) -> Law:
     """One PID, whose gains are in the document itself, or one per output in the list `loops`."""
-    rows = given.get("loops", [given])
-    if "loops" in given:
-        _checked(given, {"loops"}, set())
-        if not (isinstance(rows, list) and all(isinstance(row, Mapping) for row in rows)):
-            raise ControllerError("loops: is not a list of PIDs; give an object of gains for each output")
+    rows = _read(_Loops, given).loops if "loops" in given else [given]
     if len(rows) != len(plant.outputs):
         raise ControllerError(
             f"loops: {len(rows)} PIDs for {len(plant.outputs)} outputs; give one for each of "
             f"{', '.join(plant.outputs)}"
         )
-    known = {each.name for each in fields(FilteredPid)}
     pids = []
-    for row, low, high in zip(rows, *_limits(plant, len(rows)), strict=True):
-        _checked(row, known, {"proportional"})
-        numbers = {"low": low, "high": high} | {key: _number(key, value) for key, value in row.items()}
-        pids.append(FilteredPid(**numbers))
+    for k, (row, low, high) in enumerate(zip(rows, *_limits(plant, len(rows)), strict=True)):
+        gains = given_keys(_read(_Pid, row, f"loops[{k}]" if "loops" in given else ""))
+        pids.append(FilteredPid(**({"low": low, "high": high} | gains)))
     return pid_law(pids, period)
 
 
 def _two_level(given: Mapping[str, Any], plant: type[Plant], period: float) -> Law:
-    known = {each.name for each in fields(TwoLevel)} - {"period"}
-    _checked(given, known, {each.name for each in fields(TwoLevel) if each.default is MISSING})
-    law = TwoLevel(**{key: _number(key, value) for key, value in given.items()}, period=period)
+    law = TwoLevel(**given_keys(_read(_TwoLevel, given)), period=period)
     low, high = _limits(plant, 1)[:, 0]
     if law.off < low or law.on > high:
         raise ControllerError(f"off, on: {law.off:g} and {law.on:g} are not within {low:g} to {high:g}")
@@ -144,10 +165,7 @@ def _two_level(given: Mapping[str, Any], plant: type[Plant], period: float) -> L
 
 def _state_space(given: Mapping[str, Any], plant: type[Plant], period: float) -> Law:
     """A linear law; matrices that are left out are zero."""
-    _checked(given, _MATRICES, {"A", "B", "C", "D", "E"})
-    arrays = {key: _array(key, value) for key, value in given.items()}
-    if any(arrays[key].ndim != 2 for key in "CE"):
-        raise ControllerError("C, E: give matrices with a row for each input")
+    arrays = _arrays(_StateSpace, given)
     (m, q), r = arrays["C"].shape, arrays["E"].shape[1]
     low, high = _limits(plant, m)
     usual = {"F": np.zeros((q, r)), "G": np.zeros((q, m)), "offset": np.zeros(m), "shift": np.zeros(q)}
@@ -160,10 +178,9 @@ def _regulator(given: Mapping[str, Any], plant: type[Plant], period: float) -> L
     It aims at the states and commands at which the model is at rest on its set-points under the estimated
     disturbances: x⁺ = A·x + B·u + Bd·d, y = C·x + Cd·d; weights Qs of the outputs and Rs of the commands.
     """
-    _checked(given, _REGULATOR | {"low", "high"}, _NEEDED)
-    m = {key: _array(key, value) for key, value in given.items()}
+    m = _arrays(_Regulator, given)
     a, b, c, bd, cd, k = (m[key] for key in ("A", "B", "C", "Bd", "Cd", "K"))
-    u0, y0 = m["u0"].ravel(), m["y0"].ravel()
+    u0, y0 = m["u0"], m["y0"]
     try:
         n, nd, entries = len(a), bd.shape[1], b.shape[1]
         weight = solve_discrete_are(a, b, c.T @ m["Qs"] @ c, m["Rs"])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -23,12 +22,10 @@ from twinmatch.offline.judging import Terms, Watch, judge, terms_from_files
 from twinmatch.plants import Peltier, plant_named
 from twinmatch.plants.files import load_law
 from twinmatch.sessions import Session
-from twinmatch.sessions.files import read_bounded
+from twinmatch.sessions.documents import parse_json, read_text
 from twinmatch.signals import MEDIAN_TO_SIGMA, FloatArray, Sample, stretches
 from twinmatch.twin import Outcome, Twin
 
-MAX_BYTES = 1 << 20
-"""Largest file of a law, bytes."""
 SHARE = 0.1
 """Step of the usual profile, as a share of the range of the set-points."""
 HOLD = 240
@@ -55,33 +52,17 @@ def read_law(path: Path, plant: type[Plant], period: float) -> Law:
     try:
         if path.suffix == ".py":
             return _at_period(load_law(str(path)), plant, period)
-        document = json.loads(read_bounded(path, MAX_BYTES), object_pairs_hook=_without_repetition)
-        return law_from(document, plant, period)
-    except OSError as error:
-        raise ControllerError(f"{path}: cannot be read ({error.strerror}); give a .json or .py") from error
+        return law_from(parse_json(read_text(path), str(path)), plant, period)
     except TwinmatchError as error:
         known = str(error).startswith(str(path))
         raise ControllerError(str(error) if known else f"{path}: {error}") from error
-    except (ValueError, RecursionError) as error:
-        raise ControllerError(f"{path}: is not JSON ({error}); give an object of keys and values") from error
-
-
-def _without_repetition(pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
-    """An object of a document, in which every key is given once: of two, JSON would take the last."""
-    found: dict[str, Any] = {}
-    for key, value in pairs:
-        if key in found:
-            raise ControllerError(f"{key}: is given twice; give it once")
-        found[key] = value
-    return found
 
 
 def resting_point(path: Path) -> FloatArray | None:
     """The outputs y0 around which the regulator in a document was made, shape (o,); None without them."""
     try:
-        document = json.loads(read_bounded(path, MAX_BYTES))
-        return np.array(document["y0"], dtype=np.float64).ravel()
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return np.array(parse_json(read_text(path), str(path))["y0"], dtype=np.float64).ravel()
+    except (ValueError, LookupError, TypeError):
         return None
 
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import math
 import reprlib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, ClassVar, Final
 
@@ -93,11 +94,25 @@ def parse_json(text: str, place: str) -> Any:
         DocumentError: the text is not JSON, or exceeds a limit.
     """
     try:
-        return json.loads(text, parse_int=lambda digits: _whole(digits, place))
+        return json.loads(
+            text,
+            parse_int=lambda digits: _whole(digits, place),
+            object_pairs_hook=lambda pairs: _without_repetition(pairs, place),
+        )
     except RecursionError:
         raise DocumentError(f"{place}: is nested too deeply") from None
     except json.JSONDecodeError as error:
         raise DocumentError(f"{place}: is not valid JSON: {error}") from None
+
+
+def _without_repetition(pairs: Sequence[tuple[str, Any]], place: str) -> dict[str, Any]:
+    """An object in which every key is given once: of two, Python would take the last."""
+    found: dict[str, Any] = {}
+    for key, value in pairs:
+        if key in found:
+            raise DocumentError(f"{place}: {shown(key)} is given twice; give it once")
+        found[key] = value
+    return found
 
 
 def shown(value: object) -> str:

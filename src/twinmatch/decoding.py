@@ -1,0 +1,81 @@
+"""Documents from outside become values of declared types, in one way: what does not fit is refused with its
+field and the reason. `sessions.documents` makes trees of their texts.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from typing import Any, Final, TypeVar
+
+import msgspec
+
+from twinmatch.errors import TwinmatchError
+
+Decoded = TypeVar("Decoded")
+NOT_GIVEN: Final = msgspec.UNSET
+"""Value of an optional key that a document leaves out."""
+LONGEST: Final = 200
+"""Longest reason in a message, characters: it may repeat the document's own keys."""
+_WORDS: Final = {
+    "float": "a number", "int": "a whole number", "str": "text", "bool": "true or false", "null": "nothing",
+    "array": "a list", "object": "names with values", "bytes": "bytes",
+}  # fmt: skip
+_EXPECTED: Final = re.compile(r"Expected `(?P<wanted>[^`]+)`(?P<more>[^,]*)(, got `?(?P<got>.+?)`?)?$")
+_FIELD: Final = re.compile(r"Object (?P<what>missing required|contains unknown) field `(?P<name>.*)`$", re.DOTALL)
+_PLACE: Final = re.compile(r"(?P<why>.*?) - at (`key` in )?`\$\.?(?P<place>.*)`$", re.DOTALL)
+
+
+def document_type(
+    needed: Iterable[str], others: Iterable[str] = (), kind: Any = float
+) -> type[msgspec.Struct]:
+    """The type of a document with these keys only, whose values are all of a kind; `others` may be left out."""
+    optional = [(name, kind | msgspec.UnsetType, NOT_GIVEN) for name in others]
+    fields = [*((name, kind) for name in needed), *optional]
+    return msgspec.defstruct("Document", fields, forbid_unknown_fields=True, kw_only=True)
+
+
+def decoded(
+    tree: Any, kind: type[Decoded], place: str = "", refusal: type[TwinmatchError] = TwinmatchError
+) -> Decoded:
+    """A tree of lists, mappings and scalars as a declared type.
+
+    Raises:
+        TwinmatchError: it does not fit; it is a `refusal`, and its message begins with `place` and the field.
+    """
+    try:
+        return msgspec.convert(tree, kind, from_attributes=False)
+    except msgspec.ValidationError as error:
+        raise refusal(_words(str(error), place, kind)) from None
+
+
+def decoded_json(
+    text: str | bytes, kind: type[Decoded], place: str = "", refusal: type[TwinmatchError] = TwinmatchError
+) -> Decoded:
+    """A JSON text as a declared type; errors as those of `decoded`."""
+    try:
+        return msgspec.json.decode(text, type=kind)
+    except (msgspec.DecodeError, UnicodeError, RecursionError) as error:
+        raise refusal(_words(str(error), place, kind)) from None
+
+
+def given_keys(document: msgspec.Struct) -> dict[str, Any]:
+    """The keys of a document that were given, with their values."""
+    return {name: v for name, v in msgspec.structs.asdict(document).items() if v is not NOT_GIVEN}
+
+
+def _words(error: str, place: str, kind: Any) -> str:
+    """The library's message in words, after the place and the field in it."""
+    found = _PLACE.match(error)
+    why, at = (found["why"], found["place"]) if found else (error, "")
+    if field := _FIELD.match(why):
+        at = ".".join(filter(None, (at, field["name"])))
+        known = ", ".join(sorted(getattr(kind, "__struct_fields__", ()))) if not found else ""
+        why = "is missing" if field["what"].startswith("m") else "is not a known key"
+        why += f"; there are {known}" if known else ""
+    elif expected := _EXPECTED.match(why):
+        wanted = " or ".join(_WORDS.get(one, one) for one in expected["wanted"].split(" | ") if one != "null")
+        wanted += expected["more"]
+        got = expected["got"]
+        why = f"is {_WORDS.get(got, got)}; give {wanted}" if got else f"give {wanted}"
+    return ": ".join(filter(None, (place, at[:LONGEST], why[:LONGEST])))
