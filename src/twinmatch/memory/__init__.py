@@ -16,7 +16,7 @@ from twinmatch.memory.changes import (
 from twinmatch.memory.learning import SessionEvidence, digest_of, lessons_of
 from twinmatch.memory.lesson import Lesson, MemoryFaultError, current_lessons, in_order
 from twinmatch.memory.start import start_from
-from twinmatch.memory.store import Memory, RememberedSession, default_file, default_files
+from twinmatch.memory.store import Memory, default_file, default_files
 
 __all__ = [
     "Lesson",
@@ -25,7 +25,6 @@ __all__ = [
     "MemoryReport",
     "ParameterChange",
     "ParameterHistory",
-    "RememberedSession",
     "SessionEvidence",
     "current_lessons",
     "default_file",

@@ -73,11 +73,13 @@ class Lesson:
 
     def __post_init__(self) -> None:
         n, values = len(self.free), [v for row in self.covariance for v in row]
-        held = [*values, *self.parameters.values()]
+        held = [*values, *self.parameters.values(), *(end for span in self.outputs for end in span)]
         if len(values) != n * n or not n or not self.parameters.keys() >= {*self.free}:
             self._refuse(f"{n} free parameters and {len(values)} covariances do not belong together")
         if not all(map(math.isfinite, held)):
             self._refuse("a value is not finite")
+        if not self.outputs or min(values[:: n + 1]) < 0.0:
+            self._refuse("it has no outputs, or a negative variance")
 
     def _refuse(self, why: str) -> NoReturn:
         place = f"lesson of {self.name}, {self.structure}"
@@ -110,8 +112,9 @@ def current_lessons(lessons: Iterable[Lesson], plant: type[Plant]) -> list[Lesso
 
 def in_order(lessons: Iterable[Lesson]) -> list[Lesson]:
     """Lessons from the oldest to the newest; sessions without a date by their names, numbers as numbers."""
-    return sorted(lessons, key=lambda lesson: (lesson.began, _natural(lesson.name), lesson.structure))
+    return sorted(lessons, key=lambda lesson: (lesson.began, natural(lesson.name), lesson.structure))
 
 
-def _natural(name: str) -> list[tuple[int, str]]:
-    return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", name)]
+def natural(name: str) -> str:
+    """The name with its numbers so long that names are in the order of their numbers."""
+    return re.sub(r"\d+", lambda number: number[0].rjust(20, "0"), name)

@@ -7,14 +7,19 @@ import math
 import os
 import re
 import sqlite3
+import time
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import fields
+from itertools import chain
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
+
+import msgspec
 
 from twinmatch.controllers import LawComparison
-from twinmatch.memory.lesson import Lesson, MemoryFaultError, in_order
+from twinmatch.decoding import decoded, decoded_json
+from twinmatch.memory.lesson import Lesson, MemoryFaultError, Span, in_order, natural
 
 _APPLICATION: Final = 0x74776D6D
 """The file's `application_id`, "twmm": other programs' databases have another."""
@@ -22,14 +27,11 @@ VERSION: Final = 2
 """Version of the tables, kept as the file's `user_version`."""
 WAIT: Final = 10.0
 """Longest time to wait for another writer, s."""
+PATIENCE: Final = 10.0
+"""Most processor time in a file, s; one of a million lessons takes a tenth of it."""
+MOST: Final = 4000
+"""Newest lessons that are read: those of some thousand sessions."""
 _SUFFIX: Final = ".sqlite"
-_LISTS: Final = (
-    "parameters", "free", "covariance", "outputs", "inputs", "horizons", "persistence_skill", "arx_skill",
-)  # fmt: skip
-"""Columns that hold JSON."""
-_COLUMNS: Final = tuple(field.name for field in fields(Lesson))
-_OTHERS: Final = tuple(name for name in _COLUMNS if name not in _LISTS)
-_EQUATIONS: Final = _OTHERS.index("equations")
 _TABLE: Final = f"""
 CREATE TABLE lesson (
     session TEXT NOT NULL, name TEXT NOT NULL, plant TEXT NOT NULL, equations TEXT NOT NULL,
@@ -50,20 +52,22 @@ PRAGMA user_version = {VERSION};
 """The second step: a row for each session in which a law ran that had been tried; NULL is not a number."""
 
 
-class RememberedSession(NamedTuple):
-    """A session of which a memory has lessons."""
+class _Lists(msgspec.Struct):
+    """The columns that hold JSON; null is not a number."""
 
-    session: str
-    name: str
-    plant: str
-    rig: str
-    began: int
-    """ns since the epoch."""
-    duration: float
-    """Length of its healthy part, s."""
-    structures: tuple[str, ...]
-    fault_at: int | None
-    """First sample of its first fault."""
+    parameters: dict[str, float]
+    free: tuple[str, ...]
+    covariance: tuple[tuple[float, ...], ...]
+    outputs: tuple[Span, ...]
+    inputs: tuple[Span, ...]
+    horizons: tuple[float, ...]
+    persistence_skill: tuple[float | None, ...]
+    arx_skill: tuple[float | None, ...]
+
+
+_LISTS: Final = _Lists.__struct_fields__
+_COLUMNS: Final = tuple(field.name for field in fields(Lesson))
+_OTHERS: Final = tuple(name for name in _COLUMNS if name not in _LISTS)
 
 
 class Memory:
@@ -102,14 +106,15 @@ class Memory:
             rig: name of the rig; an empty one is a rig without a name.
             equations: digests of equations, as `Model.equations`; lessons on others are left out.
         """
-        wanted = {name: value for name, value in (("plant", plant), ("rig", rig)) if value is not None}
-        where = " AND ".join(f"{name} = ?" for name in wanted) or "1"
-        lists = " || ',' || ".join(_LISTS)  # parsed together, in a third of the time
-        query = f"SELECT {', '.join(_OTHERS)}, '[' || {lists} || ']' FROM lesson WHERE {where}"  # noqa: S608
+        wanted: dict[str, Collection[str]] = {} if equations is None else {"equations": [*equations]}
+        wanted |= {name: [value] for name, value in (("plant", plant), ("rig", rig)) if value is not None}
+        where = " AND ".join(f"{n} IN ({', '.join('?' * len(v))})" for n, v in wanted.items()) or "1"
+        lists = " || ',' || ".join(f"'\"{name}\":' || {name}" for name in _LISTS)
+        newest = f"SELECT rowid FROM lesson WHERE {where} ORDER BY began DESC, in_order(name) DESC LIMIT {MOST}"  # noqa: S608
+        query = f"SELECT {', '.join(_OTHERS)}, '{{' || {lists} || '}}' FROM lesson WHERE rowid IN ({newest})"  # noqa: S608
         with self._opened() as database:
-            rows = [] if database is None else database.execute(query, [*wanted.values()]).fetchall()
-        rows = [row for row in rows if equations is None or row[_EQUATIONS] in equations]
-        return in_order(map(self._lesson_of, rows))
+            rows = [] if database is None else database.execute(query, [*chain(*wanted.values())])
+            return in_order([self._lesson_of(row) for row in rows])
 
     def add_comparison(self, found: LawComparison) -> bool:
         """Keep what a session has shown of a prediction; the first one of a session stays. Returns whether it
@@ -127,8 +132,11 @@ class Memory:
             if database is None or not _keeps_record(database):
                 return []
             rows = database.execute(query, [plant, rig]).fetchall()
-        held: list[list[Any]] = [[math.nan if value is None else value for value in row] for row in rows]
-        return [LawComparison(*row) for row in held]
+        held = [dict(zip(_COMPARED, [math.nan if v is None else v for v in row], strict=True)) for row in rows]
+        place = f"memory {self.path}"
+        return [
+            decoded(row | {"stable": bool(row["stable"])}, LawComparison, place, MemoryFaultError) for row in held
+        ]
 
     def forget(self, sessions: Collection[str]) -> list[str]:
         """Remove sessions, given by name or digest; return the names of those that were there."""
@@ -144,20 +152,6 @@ class Memory:
                 database.execute(f"DELETE FROM {table} {where}", [*sessions, *sessions])  # noqa: S608
             return sorted(names)
 
-    def sessions(self) -> list[RememberedSession]:
-        """All remembered sessions, oldest first."""
-        held: dict[tuple[str, str, str], list[Lesson]] = {}
-        for lesson in self.lessons():
-            held.setdefault((lesson.session, lesson.plant, lesson.rig), []).append(lesson)
-        return [
-            RememberedSession(
-                one.session, one.name, one.plant, one.rig, one.began, one.duration,
-                tuple(dict.fromkeys(lesson.structure for lesson in of)), one.fault_at,
-            )
-            for of in held.values()
-            for one in of[:1]
-        ]  # fmt: skip
-
     @contextmanager
     def _opened(self, *, write: bool = False, create: bool = False) -> Iterator[Any]:
         """The database in a transaction; None if there is no file and none is to be created."""
@@ -170,6 +164,9 @@ class Memory:
             if create or self.path.exists():
                 database = sqlite3.connect(self.path, timeout=WAIT, isolation_level=None)
                 database.execute("BEGIN IMMEDIATE" if write else "BEGIN")
+                end = time.thread_time() + PATIENCE
+                database.set_progress_handler(lambda: time.thread_time() > end, 100_000)
+                database.create_function("in_order", 1, natural, deterministic=True)
                 self._check(database, write)
             yield database
             if database is not None:
@@ -189,6 +186,10 @@ class Memory:
         empty = not database.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]
         if application != _APPLICATION and not (empty and application == 0):
             raise MemoryFaultError(f"memory {self.path}: is a database of another program; give another file")
+        if database.execute("SELECT 1 FROM sqlite_master WHERE sql NOT LIKE 'CREATE TABLE %'").fetchone():
+            raise MemoryFaultError(
+                f"memory {self.path}: has views, triggers or indexes, which no memory has; give another file"
+            )
         if version > VERSION:
             raise MemoryFaultError(
                 f"memory {self.path}: was written by a newer version of twinmatch (its format is {version}, "
@@ -199,20 +200,13 @@ class Memory:
             database.execute(statement)
 
     def _lesson_of(self, row: tuple[Any, ...]) -> Lesson:
-        try:
-            plain = dict(zip(_OTHERS, row[:-1], strict=True))
-            lists = dict(zip(_LISTS, json.loads(row[-1]), strict=True))
-            for name in ("covariance", "outputs", "inputs"):
-                lists[name] = tuple(map(tuple, lists[name]))
-            for name in ("free", "horizons"):
-                lists[name] = tuple(lists[name])
-            for name in ("persistence_skill", "arx_skill"):
-                lists[name] = tuple(math.nan if skill is None else skill for skill in lists[name])
-            plain["led"], plain["chosen"] = bool(plain["led"]), bool(plain["chosen"])
-            return Lesson(**plain, **lists)
-        except (ValueError, TypeError, AttributeError) as error:
-            why = error if isinstance(error, MemoryFaultError) else f"a row cannot be read: {error}"
-            raise MemoryFaultError(f"memory {self.path}: {why}") from error
+        place = f"memory {self.path}"
+        lists = decoded_json(str(row[-1]), _Lists, f"{place}: a row cannot be read", MemoryFaultError)
+        for name in ("persistence_skill", "arx_skill"):
+            setattr(lists, name, [math.nan if skill is None else skill for skill in getattr(lists, name)])
+        plain = dict(zip(_OTHERS, row[:-1], strict=True))
+        plain |= {"led": bool(plain["led"]), "chosen": bool(plain["chosen"])}
+        return decoded(plain | msgspec.structs.asdict(lists), Lesson, place, MemoryFaultError)
 
 
 def _row_of(lesson: Lesson) -> list[Any]:
@@ -235,6 +229,8 @@ def _keeps_record(database: sqlite3.Connection) -> bool:
 
 def _why(error: sqlite3.Error | OSError) -> str:
     code = getattr(error, "sqlite_errorname", "") or ""
+    if str(error) == "interrupted":
+        return f"takes more than {PATIENCE:g} s to read; give another file, or forget sessions"
     if isinstance(error, OSError):
         return f"cannot be used ({error.strerror}); give another file"
     if code.startswith("SQLITE_NOTADB"):
