@@ -5,14 +5,17 @@ field and the reason. `sessions.documents` makes trees of their texts.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
-from typing import Any, Final, TypeVar
+import reprlib
+import sys
+from collections.abc import Iterable
+from typing import Annotated, Any, Final, TypeVar
 
 import msgspec
 
 from twinmatch.errors import TwinmatchError
 
 Decoded = TypeVar("Decoded")
+FiniteNumber = Annotated[float, msgspec.Meta(ge=-sys.float_info.max, le=sys.float_info.max)]
 NOT_GIVEN: Final = msgspec.UNSET
 """Value of an optional key that a document leaves out."""
 LONGEST: Final = 200
@@ -22,16 +25,16 @@ _WORDS: Final = {
     "array": "a list", "object": "names with values", "bytes": "bytes",
 }  # fmt: skip
 _EXPECTED: Final = re.compile(r"Expected `(?P<wanted>[^`]+)`(?P<more>[^,]*)(, got `?(?P<got>.+?)`?)?$")
-_FIELD: Final = re.compile(r"Object (?P<what>missing required|contains unknown) field `(?P<name>.*)`$", re.DOTALL)
+_FIELD: Final = re.compile(r"Object (?P<lacks>missing)?.* field `(?P<name>.*)`$", re.DOTALL)
 _PLACE: Final = re.compile(r"(?P<why>.*?) - at (`key` in )?`\$\.?(?P<place>.*)`$", re.DOTALL)
 
 
 def document_type(
     needed: Iterable[str], others: Iterable[str] = (), kind: Any = float
 ) -> type[msgspec.Struct]:
-    """The type of a document with these keys only, whose values are all of a kind; `others` may be left out."""
-    optional = [(name, kind | msgspec.UnsetType, NOT_GIVEN) for name in others]
-    fields = [*((name, kind) for name in needed), *optional]
+    """The type of a document with only these keys, of values of one kind; `others` may be left out."""
+    fields: list[Any] = [(name, kind) for name in needed]
+    fields += [(name, kind | msgspec.UnsetType, NOT_GIVEN) for name in others]
     return msgspec.defstruct("Document", fields, forbid_unknown_fields=True, kw_only=True)
 
 
@@ -46,7 +49,7 @@ def decoded(
     try:
         return msgspec.convert(tree, kind, from_attributes=False)
     except msgspec.ValidationError as error:
-        raise refusal(_words(str(error), place, kind)) from None
+        raise refusal(_words(str(error), place, kind, tree)) from None
 
 
 def decoded_json(
@@ -64,18 +67,31 @@ def given_keys(document: msgspec.Struct) -> dict[str, Any]:
     return {name: v for name, v in msgspec.structs.asdict(document).items() if v is not NOT_GIVEN}
 
 
-def _words(error: str, place: str, kind: Any) -> str:
+def _words(error: str, place: str, kind: Any, tree: Any = None) -> str:
     """The library's message in words, after the place and the field in it."""
     found = _PLACE.match(error)
     why, at = (found["why"], found["place"]) if found else (error, "")
     if field := _FIELD.match(why):
         at = ".".join(filter(None, (at, field["name"])))
         known = ", ".join(sorted(getattr(kind, "__struct_fields__", ()))) if not found else ""
-        why = "is missing" if field["what"].startswith("m") else "is not a known key"
+        why = "is missing" if field["lacks"] else "is not a known key"
         why += f"; there are {known}" if known else ""
     elif expected := _EXPECTED.match(why):
-        wanted = " or ".join(_WORDS.get(one, one) for one in expected["wanted"].split(" | ") if one != "null")
-        wanted += expected["more"]
-        got = expected["got"]
-        why = f"is {_WORDS.get(got, got)}; give {wanted}" if got else f"give {wanted}"
-    return ": ".join(filter(None, (place, at[:LONGEST], why[:LONGEST])))
+        kinds = [_WORDS.get(one, one) for one in expected["wanted"].split(" | ") if one != "null"]
+        finite = "e+308" in expected["more"]
+        wanted = "a finite number" if finite else " or ".join(kinds) + expected["more"]
+        why = f"is {_value(tree, at, expected['got'])}; give {wanted}"
+    told = [one[:LONGEST] if one.isprintable() else ascii(one)[:LONGEST] for one in (at, why)]
+    return ": ".join(filter(None, (place, *told)))
+
+
+def _value(tree: Any, at: str, kind: str | None) -> str:
+    """The value at a place in a tree, shortened; its kind where the place is not exact."""
+    if "[...]" in at:
+        return _WORDS.get(kind or "", "of another kind")
+    try:
+        for number, name in re.findall(r"\[(\d+)\]|([^.\[\]]+)", at):
+            tree = tree[int(number)] if number else tree[name]
+    except (LookupError, TypeError):
+        return _WORDS.get(kind or "", kind or "of another kind")
+    return "of another kind" if tree is None and kind != "null" else reprlib.repr(tree)

@@ -88,7 +88,7 @@ def test_pids_side_by_side() -> None:
         ({"kind": "fuzzy"}, Lag, "kind: 'fuzzy' is not a kind of law; give one of pid, two-level"),
         ({**PID, "ki": 1.0}, Lag, "ki: is not a known key; there are back_calculation,"),
         ({"kind": "pid", "integral": 1.0}, Lag, "proportional: is missing"),
-        ({**PID, "proportional": "2"}, Lag, "proportional: is text; give a number"),
+        ({**PID, "proportional": "2"}, Lag, "proportional: is '2'; give a number"),
         ({**PID, "period": 0.5}, Lag, "the law runs every 0.5 s, the samples come every 1 s"),
         ({**PID, "units": {"u": "%"}}, Lag, "units: u is in %, the plant's is in V; convert the law"),
         ({**PID, "units": {"v": "%"}}, Lag, "units: plant lag has no signal 'v'; it has y, u"),

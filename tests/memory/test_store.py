@@ -87,7 +87,10 @@ def test_forgotten_sessions_are_gone_by_name_or_digest(tmp_path):
     memory = Memory(tmp_path / "rig.sqlite")
     memory.add([lesson(n, structure) for n in (1, 2, 3) for structure in ("paper", "rich")])
     assert memory.forget(["run_1", "digest-3", "run_9"]) == ["run_1", "run_3"]
-    assert [(held.name, held.structure) for held in memory.lessons()] == [("run_2", "paper"), ("run_2", "rich")]
+    assert [(held.name, held.structure) for held in memory.lessons()] == [
+        ("run_2", "paper"),
+        ("run_2", "rich"),
+    ]
     assert Memory(tmp_path / "none.sqlite").forget(["run_1"]) == []
 
 

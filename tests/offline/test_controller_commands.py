@@ -180,7 +180,9 @@ def test_later_answers_are_as_wide_as_the_record_asks_for(
 
 @pytest.mark.parametrize(
     ("options", "words"),
-    [(["--draws", "0"], "--draws is 0; give a positive number"),
+    [(["--draws", "0"], "samples; give at least one draw, and at most 20000000 samples"),
+     (["--draws", "100000000"], "controller: 100000000 draws of"),
+     (["--set", "temperature=60@1e7"], "profile: its last row is at 1e+07 s; give times of at most 86400 s"),
      (["--set", "x=1@2"], "--set x=1@2: give NAME=LEVEL@S"),
      (["--set", "temperature=500@0"], "temperature: profile: row 1")],
 )  # fmt: skip

@@ -304,14 +304,14 @@ def test_without_a_structure_the_values_say_which_parts_there_are() -> None:
     ("text", "message"),
     [
         ("seebek: 0.1", "no parameter 'seebek' in this structure; it has seebeck, resistance"),
-        ("seebeck: high", "seebeck is 'high'; give a number"),
+        ("seebeck: high", "seebeck: is 'high'; give a number"),
         ("seebeck: -1.0", "seebeck is -1 V/K; it must be finite and at least 0"),
         ("plant: kettle", "plant 'kettle': not known; choose from peltier"),
         ("structure: two sinks", "no structure 'two sinks'; it has held sink"),
         ("structure: held sink, sensor_lag: 1.0", "no parameter 'sensor_lag' in this structure"),
-        ("deviations: 3", "deviations is 3; give one number for each free parameter"),
+        ("deviations: 3", "deviations: is 3; give names with values"),
         ("deviations: {seebeck: 0.01}", "'held sink' needs those of seebeck, conductance, heat"),
-        ("deviations: {seebeck: high}", "deviation of seebeck is 'high'; give a number"),
+        ("deviations: {seebeck: high}", "deviation of seebeck: is 'high'; give a number"),
         (
             "deviations: {seebeck: 0.01, conductance: 0.0, heat_capacity: 1}",
             "deviation of conductance is 0; give a positive finite number",

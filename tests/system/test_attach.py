@@ -115,7 +115,7 @@ def test_without_a_set_point_the_twin_is_driven_and_the_session_says_so(
         (("--map", "output=/t", "input=/u", "--plant", "nowhere.py"), "nowhere.py"),
         (("--map", "output=/t", "input=/u", "--session", "."), "exists already"),
         (("--config", "nowhere.yaml"), "nowhere.yaml: cannot be read"),
-        (("--map", "output=/t; gain=2", "input=/u"), "unknown setting 'gain'"),
+        (("--map", "output=/t; gain=2", "input=/u"), "gain: is not a known key"),
     ],
 )
 def test_what_cannot_be_used_is_one_line(options: tuple[str, ...], words: str, tmp_path: Path) -> None:

@@ -73,8 +73,6 @@ def run(options: argparse.Namespace) -> int:
     Raises:
         TwinmatchError: a session, the law or the profile cannot be used.
     """
-    if options.draws < 1:
-        raise ControllerError(f"try-controller: --draws is {options.draws}; give a positive number")
     check_writable(options.json, options.figure)
     with held_interrupts():
         opened = [_opened(path, options) for path in options.sessions]

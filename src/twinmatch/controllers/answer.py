@@ -41,6 +41,8 @@ CONFIDENCE: Final = 0.9
 """Share of the draws within a band."""
 MIN_DRAWS: Final = 25
 """Draws of each twin, at least."""
+MAX_SAMPLES: Final = 20_000_000
+"""Samples of a question's courses in all, at most: a day of seconds in 200 draws."""
 MAX_POINTS: Final = 8
 """Operating points at which the loop is linearised, at most."""
 
@@ -59,7 +61,11 @@ class ControllerDecision(Enum):
 
 @dataclass(frozen=True, eq=False)
 class ControllerQuestion:
-    """A law, and under which conditions it is to be tried."""
+    """A law, and under which conditions it is to be tried.
+
+    Raises:
+        ControllerError: there are no draws, or they have too many samples.
+    """
 
     law: Law
     references: FloatArray
@@ -73,6 +79,13 @@ class ControllerQuestion:
     seed: int = 31
     state: FloatArray | None = None
     """The law's state before the first sample, shape (q,); None: it takes over without a bump."""
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.draws <= MAX_SAMPLES / max(len(self.references), 1):
+            raise ControllerError(
+                f"controller: {self.draws} draws of {len(self.references)} samples; give at least one draw, "
+                f"and at most {MAX_SAMPLES} samples in all: fewer draws, or a shorter profile"
+            )
 
 
 class Spread(NamedTuple):

@@ -28,7 +28,7 @@ class _About(msgspec.Struct):
 
     outputs: list[str] | None = None
     inputs: list[str] | None = None
-    units: dict[str, str] = {}  # noqa: RUF012 — copied for each
+    units: dict[str, str] = {}
     period: float | None = None
 
 

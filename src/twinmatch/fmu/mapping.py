@@ -14,6 +14,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+import msgspec
+
+from twinmatch.decoding import NOT_GIVEN, FiniteNumber, decoded, given_keys
 from twinmatch.dynamics import Parameter, Plant, PlantError, State
 from twinmatch.fmu.archive import CO_SIMULATION, MODEL_EXCHANGE, Described, FmuError, remembering
 from twinmatch.plants import find_plant
@@ -29,16 +32,6 @@ LONGEST: Final = 500
 PATIENCE: Final = 10.0
 """Default time limit of one request to an FMU, s."""
 
-_OF_FILE: Final = ("plant", "structures")
-_OF_MAP: Final = (
-    "fmu", "kind", "variables", "starts", "free", "fixed", "free_starts", "parameters", "states",
-    "searches", "patience", "watched",
-)  # fmt: skip
-_OF_LINK: Final = ("variable", "set", "factor", "offset")
-_OF_PARAMETER: Final = (
-    "unit", "text", "symbol", "default", "bounds", "scale", "least", "positive", "most", "relative",
-)  # fmt: skip
-_OF_STATE: Final = ("unit", "text", "symbol", "span", "scale", "start_bounds")
 _TINY = 5e-324
 
 
@@ -83,15 +76,57 @@ class Formula:
         raise SyntaxError("not arithmetic")
 
 
-@dataclass(frozen=True)
-class Link:
+class Link(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A variable of the FMU: plant value = `factor` · FMU value + `offset`."""
 
     variable: str
-    set: str
-    """The variable that sets a state; usually the same one."""
-    factor: float = 1.0
-    offset: float = 0.0
+    set: str = ""
+    """The variable that sets a state; `variable` itself if not given."""
+    factor: FiniteNumber = 1.0
+    offset: FiniteNumber = 0.0
+
+
+class _Quantity(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
+    unit: str | msgspec.UnsetType = NOT_GIVEN
+    text: str | msgspec.UnsetType = NOT_GIVEN
+    symbol: str | msgspec.UnsetType = NOT_GIVEN
+    scale: float | msgspec.UnsetType = NOT_GIVEN
+
+
+class _Parameter(_Quantity, kw_only=True):
+    default: float
+    bounds: tuple[float, float]
+    least: float | msgspec.UnsetType = NOT_GIVEN
+    positive: bool | msgspec.UnsetType = NOT_GIVEN
+    most: float | msgspec.UnsetType = NOT_GIVEN
+    relative: bool | msgspec.UnsetType = NOT_GIVEN
+
+
+class _State(_Quantity, kw_only=True):
+    span: tuple[float, float]
+    start_bounds: tuple[float, float] | None = None
+
+
+class _Structure(msgspec.Struct, forbid_unknown_fields=True):
+    """An entry under `structures`."""
+
+    fmu: str
+    variables: dict[str, Any]
+    kind: str = ""
+    starts: dict[str, str | float] = {}
+    free: tuple[str, ...] = ()
+    fixed: dict[str, FiniteNumber] = {}
+    free_starts: tuple[str, ...] = ()
+    parameters: dict[str, Any] | None = None
+    states: dict[str, Any] | None = None
+    searches: tuple[dict[str, FiniteNumber], ...] | None = None
+    patience: FiniteNumber = PATIENCE
+    watched: bool = True
+
+
+class _File(msgspec.Struct, forbid_unknown_fields=True):
+    plant: str
+    structures: dict[str, Any]
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,25 +177,22 @@ def read_maps(file: Path) -> tuple[FmuMap, ...]:
         tree = read_yaml(file)
     except DocumentError as error:
         raise FmuError(str(error)) from error
-    content = _table(str(file), tree, _OF_FILE)
-    structures = content.get("structures")
-    if "plant" not in content or not isinstance(structures, dict) or not structures:
-        raise FmuError(f"{file}: needs `plant` and, under `structures`, at least one FMU by name")
+    content = decoded(tree, _File, str(file), FmuError)
+    if not content.structures:
+        raise FmuError(f"{file}: needs, under `structures`, at least one FMU by name")
     try:
-        plant = find_plant(str(content["plant"]))
+        plant = find_plant(content.plant)
     except PlantError as error:
         raise FmuError(f"{file}: {error}") from error
-    return tuple(_map(file, plant, str(name), what) for name, what in structures.items())
+    return tuple(_map(file, plant, name, what) for name, what in content.structures.items())
 
 
 def _map(file: Path, plant: type[Plant], name: str, tree: Any) -> FmuMap:
     place = f"{file}, structure {name!r}"
-    own = _table(place, tree, _OF_MAP)
-    if not isinstance(own.get("fmu"), str) or not isinstance(own.get("variables"), dict):
-        raise FmuError(f"{place}: needs `fmu`, the path of the file, and `variables`")
-    parameters = _declared(place, Parameter, own.get("parameters"), _OF_PARAMETER, plant)
-    states = _declared(place, State, own.get("states"), _OF_STATE, plant)
-    links = {str(key): _link(f"{place}, variable {key}", value) for key, value in own["variables"].items()}
+    own = decoded(tree, _Structure, place, FmuError)
+    parameters = _declared(place, Parameter, _Parameter, own.parameters, plant)
+    states = _declared(place, State, _State, own.states, plant)
+    links = {key: _link(f"{place}, variable {key}", value) for key, value in own.variables.items()}
     known = (
         plant.output.name, plant.drive.name, *plant.disturbances, *plant.states, *plant.parameters,
         *parameters, *states,
@@ -169,28 +201,28 @@ def _map(file: Path, plant: type[Plant], name: str, tree: Any) -> FmuMap:
     for needed in (plant.output.name, plant.drive.name, *parameters, *states):
         if needed not in links:
             raise FmuError(f"{place}: variables has no entry for {needed}; give the FMU's variable for it")
-    kind = str(own.get("kind", ""))
-    if kind not in {"", CO_SIMULATION, MODEL_EXCHANGE}:
-        raise FmuError(f"{place}: kind is {kind!r}; give {MODEL_EXCHANGE!r} or {CO_SIMULATION!r}")
+    if own.kind not in {"", CO_SIMULATION, MODEL_EXCHANGE}:
+        raise FmuError(f"{place}: kind is {own.kind!r}; give {MODEL_EXCHANGE!r} or {CO_SIMULATION!r}")
+    searches = own.searches
+    if searches is None:
+        usual = next(iter(plant.structures.values())).starts
+        searches = tuple(dict(start) for start in usual if set(start) <= set(links))
     fmu = FmuMap(
         place=place,
         plant=plant,
         name=name,
-        file=file.parent / own["fmu"],
-        kind=kind,
+        file=file.parent / own.fmu,
+        kind=own.kind,
         links=links,
-        starts={
-            str(key): Formula(f"{place}, start of {key}", str(value))
-            for key, value in _table(f"{place}, starts", own.get("starts", {})).items()
-        },
-        free=_names(f"{place}, free", own.get("free", ())),
-        fixed=_numbers(f"{place}, fixed", own.get("fixed", {})),
-        searches=_searches(place, plant, links, own.get("searches")),
-        free_starts=_names(f"{place}, free_starts", own.get("free_starts", ())),
+        starts={key: Formula(f"{place}, start of {key}", str(value)) for key, value in own.starts.items()},
+        free=own.free,
+        fixed=own.fixed,
+        searches=searches,
+        free_starts=own.free_starts,
         parameters=parameters,
         states=states,
-        patience=_number(f"{place}, patience", own.get("patience", PATIENCE)),
-        watched=bool(own.get("watched", True)),
+        patience=own.patience,
+        watched=own.watched,
     )
     _check(fmu)
     return fmu
@@ -222,68 +254,32 @@ def _subset(place: str, what: str, names: Any, known: Any) -> None:
         raise FmuError(msg)
 
 
-def _table(place: str, tree: Any, keys: tuple[str, ...] = ()) -> dict[Any, Any]:
-    if not isinstance(tree, dict):
-        raise FmuError(f"{place}: is {type(tree).__name__}; give names with values")
-    if keys:
-        _subset(place, "it", tree, keys)
-    return tree
-
-
 def _link(place: str, tree: Any) -> Link:
     if isinstance(tree, str):
         return Link(tree, tree)
-    own = _table(place, tree, _OF_LINK)
-    if not isinstance(own.get("variable"), str):
-        raise FmuError(f"{place}: needs `variable`, the FMU's name for it")
-    factor = _number(f"{place}, factor", own.get("factor", 1.0))
-    if factor == 0.0:
+    link = decoded(tree, Link, place, FmuError)
+    if link.factor == 0.0:
         raise FmuError(f"{place}: factor is 0; plant value = factor · FMU value + offset, so give another")
-    offset = _number(f"{place}, offset", own.get("offset", 0.0))
-    return Link(own["variable"], str(own.get("set", own["variable"])), factor, offset)
+    return link if link.set else msgspec.structs.replace(link, set=link.variable)
 
 
-def _declared(place: str, kind: Any, tree: Any, keys: tuple[str, ...], plant: type[Plant]) -> dict[str, Any]:
+def _declared(
+    place: str, kind: Any, written: type[_Quantity], tree: Mapping[str, Any] | None, plant: type[Plant]
+) -> dict[str, Any]:
     declarations = {}
-    for name, value in _table(f"{place}, {kind.__name__.lower()}s", tree or {}).items():
-        own = dict(_table(f"{place}, {kind.__name__.lower()} {name}", value, keys))
-        for key in ("bounds", "span", "start_bounds"):
-            if isinstance(own.get(key), list):
-                own[key] = tuple(own[key])
-        if str(name) in plant.declarations:
+    for name, value in (tree or {}).items():
+        here = f"{place}, {kind.__name__.lower()} {name}"
+        if name in plant.declarations:
             raise FmuError(f"{place}: {name} is declared by the plant; list it only under variables")
         try:
-            declared = kind(**own)
-            declared.__set_name__(plant, str(name))
+            declared = kind(**given_keys(decoded(value, written, here, FmuError)))
+            declared.__set_name__(plant, name)
+        except FmuError:
+            raise
         except (PlantError, TypeError, ValueError) as error:
-            raise FmuError(f"{place}, {kind.__name__.lower()} {name}: {error}") from error
-        declarations[str(name)] = declared
+            raise FmuError(f"{here}: {error}") from error
+        declarations[name] = declared
     return declarations
-
-
-def _names(place: str, tree: Any) -> tuple[str, ...]:
-    if not isinstance(tree, list | tuple):
-        raise FmuError(f"{place}: is not a list; give a list of names")
-    return tuple(map(str, tree))
-
-
-def _numbers(place: str, tree: Any) -> dict[str, float]:
-    return {str(name): _number(f"{place} {name}", value) for name, value in _table(place, tree).items()}
-
-
-def _searches(place: str, plant: type[Plant], links: Mapping[str, Link], tree: Any) -> tuple[Any, ...]:
-    if tree is None:
-        own = next(iter(plant.structures.values())).starts
-        return tuple(start for start in own if set(start) <= set(links))
-    if not isinstance(tree, list):
-        raise FmuError(f"{place}: searches is not a list; give a list of parameters with values")
-    return tuple(_numbers(f"{place}, searches", entry) for entry in tree)
-
-
-def _number(place: str, value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise FmuError(f"{place}: is {value!r}; give a finite number")
-    return float(value)
 
 
 def sample_time(plant: type[Plant]) -> float:

@@ -1,7 +1,4 @@
-"""Set-points of a forecast: constant, planned or recorded; inputs if the loop is not known.
-
-if the loop is not known.
-"""
+"""Set-points of a forecast: constant, planned or recorded; inputs if the loop is not known."""
 
 from __future__ import annotations
 
@@ -135,17 +132,6 @@ class SetPoints:
             raise ForecastError("profile: there is no set-point; give at least that of the newest sample")
         return cls(values[0], tuple(k * period for k in range(1, len(values))), tuple(values[1:]))
 
-    def reference(self, time: float) -> float:
-        """The set-point at a time, s from now."""
-        times = np.array(self.times, dtype=np.float64)
-        number = int(np.searchsorted(times, time + _SLACK * max(abs(time), 1.0), side="right"))
-        since = self.levels[number - 1] if number else self.before
-        if not self.ramps or number == times.size:
-            return since
-        initial = times[number - 1] if number else 0.0
-        share = max(time - initial, 0.0) / (times[number] - initial)
-        return float(since + (self.levels[number] - since) * share)
-
     def ahead(self, period: float, size: int) -> FloatArray:
         """Set-points of the next samples, shape (size,); the first is one period (s) ahead.
 
@@ -155,7 +141,11 @@ class SetPoints:
         if not (math.isfinite(period) and period > 0 and size > 0):
             msg = f"profile: {size} samples every {period:g} s requested; give positive numbers"
             raise ForecastError(msg)
-        return np.array([self.reference(k * period) for k in range(1, size + 1)], dtype=np.float64)
+        time = period * np.arange(1, size + 1, dtype=np.float64)
+        if self.ramps:
+            return np.interp(time, (0.0, *self.times), (self.before, *self.levels))
+        number = np.searchsorted(self.times, time + _SLACK * np.maximum(time, 1.0), side="right")
+        return np.array((self.before, *self.levels), dtype=np.float64)[number]
 
     @property
     def notes(self) -> tuple[str, ...]:

@@ -5,17 +5,25 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
+import msgspec
 import numpy as np
 
+from twinmatch.decoding import decoded
 from twinmatch.errors import TwinmatchError
 from twinmatch.importing.tables import Table, split_title
 from twinmatch.importing.times import read_times
-from twinmatch.sampling.sources import SignalMap, SignalSource, is_number, source_of
+from twinmatch.sampling.sources import SignalMap, SignalSource, source_of
 from twinmatch.sessions.documents import read_yaml
 from twinmatch.sessions.files import RecordingError
 from twinmatch.signals import FloatArray
+
+
+class _File(msgspec.Struct, forbid_unknown_fields=True):
+    columns: dict[str, Any]
+    plant: str = ""
+    period: float | None = None
 
 
 def read_map(path: Path) -> SignalMap:
@@ -25,20 +33,13 @@ def read_map(path: Path) -> SignalMap:
         DocumentError: the file does not exist, or is not YAML.
         RecordingError: it is not a map.
     """
-    content = read_yaml(path)
-    columns = content.get("columns") if isinstance(content, dict) else None
-    if not isinstance(content, dict) or not isinstance(columns, dict) or not columns:
-        raise RecordingError(
-            f"{path}: has no section 'columns' with a line for each signal, such as output: T"
-        )
-    unknown = sorted(str(name) for name in content if name not in ("plant", "period", "columns"))
-    if unknown:
-        raise RecordingError(f"{path}: unknown entry {unknown[0]}; a map has plant, period and columns")
-    period = content.get("period")
-    if period is not None and not (is_number(period) and period > 0):
-        raise RecordingError(f"{path}: period is {period!r}; give a positive number of seconds")
-    sources = {str(name): source_of(f"{path}: {name}", given) for name, given in columns.items()}
-    return SignalMap(sources, str(content.get("plant", "")), None if period is None else float(period))
+    content = decoded(read_yaml(path), _File, str(path), RecordingError)
+    if not content.columns:
+        raise RecordingError(f"{path}: columns is empty; give a line for each signal, such as output: T")
+    if content.period is not None and not 0 < content.period < np.inf:
+        raise RecordingError(f"{path}: period is {content.period:g}; give a positive number of seconds")
+    sources = {name: source_of(f"{path}: {name}", given) for name, given in content.columns.items()}
+    return SignalMap(sources, content.plant, content.period)
 
 
 _REFERENCE: Final = re.compile(

@@ -39,7 +39,11 @@ _WORDS: Final = {
     **dict.fromkeys(("false", "off", "no"), 0.0),
     **dict.fromkeys(("", "nan", "na", "n/a", "null", "none", "-"), math.nan),
 }
-_TITLE: Final = re.compile(r"^(?P<name>.*?)\s*[(\[]\s*(?P<unit>[^()\[\]]*(?:\([^()]*\))?[^()\[\]]*)\s*[)\]]$")
+MAX_COLUMNS: Final = 2000
+"""Most columns of a table; a file with more has its samples in columns, or is not a recording of a loop."""
+MAX_TITLE: Final = 500
+"""Longest title of a column, characters."""
+_TITLE: Final = re.compile(r"^(?P<name>.*?)[(\[](?P<unit>[^()\[\]]*(?:\([^()]*\)[^()\[\]]*)?)[)\]]$")
 _MARKS: Final = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
 """Byte-order marks of encodings other than UTF-8."""
 _ARCHIVE: Final = b"PK\x03\x04"
@@ -170,6 +174,7 @@ def _read_mat(path: Path, matrix: tuple[str, int] | None) -> Table:
             columns[name] = array_.ravel()
         else:
             columns |= {f"{name}[{k}]": column for k, column in enumerate(array_.T, 1)}
+    _check_titles(path, list(columns))
     length = max(column.size for column in columns.values())
     return Table(path, columns, range(1, length + 1), row="row", units=False)
 
@@ -214,6 +219,7 @@ def _parse(path: Path, lines: Iterator[tuple[int, str]]) -> Table:
     (place, titles), *beginning = islice(rows, len(head))
     if all(number(title) is not None for title in titles):
         raise RecordingError(f"{path}, line {place}: has numbers; the first line must name the columns")
+    _check_titles(path, titles)
     titles, skipped = _with_units(titles, [cells for _, cells in beginning[:2]])
     decimal = "." if divider == "," else _decimal([cells for _, cells in beginning])
     places, numbers = array("q"), [array("d") for _ in titles]
@@ -232,6 +238,16 @@ def _parse(path: Path, lines: Iterator[tuple[int, str]]) -> Table:
     columns = {title: np.frombuffer(column) for title, column in zip(distinct, numbers, strict=True)}
     odd = {title: others for title, others in zip(distinct, texts, strict=True) if others}
     return Table(path, columns, places, texts=odd)
+
+
+def _check_titles(path: Path, titles: Sequence[str]) -> None:
+    if len(titles) > MAX_COLUMNS:
+        raise RecordingError(
+            f"{path}: has {len(titles)} columns, more than {MAX_COLUMNS}; give each sample its own row, or "
+            "only the columns of one plant"
+        )
+    if (longest := max(map(len, titles), default=0)) > MAX_TITLE:
+        raise RecordingError(f"{path}: has a column title of {longest} characters; give at most {MAX_TITLE}")
 
 
 def _rows(path: Path, lines: Iterator[tuple[int, str]], divider: str) -> Iterator[tuple[int, list[str]]]:

@@ -110,7 +110,9 @@ class Memory:
         wanted |= {name: [value] for name, value in (("plant", plant), ("rig", rig)) if value is not None}
         where = " AND ".join(f"{n} IN ({', '.join('?' * len(v))})" for n, v in wanted.items()) or "1"
         lists = " || ',' || ".join(f"'\"{name}\":' || {name}" for name in _LISTS)
-        newest = f"SELECT rowid FROM lesson WHERE {where} ORDER BY began DESC, in_order(name) DESC LIMIT {MOST}"  # noqa: S608
+        newest = (
+            f"SELECT rowid FROM lesson WHERE {where} ORDER BY began DESC, in_order(name) DESC LIMIT {MOST}"  # noqa: S608
+        )
         query = f"SELECT {', '.join(_OTHERS)}, '{{' || {lists} || '}}' FROM lesson WHERE rowid IN ({newest})"  # noqa: S608
         with self._opened() as database:
             rows = [] if database is None else database.execute(query, [*chain(*wanted.values())])
@@ -132,10 +134,13 @@ class Memory:
             if database is None or not _keeps_record(database):
                 return []
             rows = database.execute(query, [plant, rig]).fetchall()
-        held = [dict(zip(_COMPARED, [math.nan if v is None else v for v in row], strict=True)) for row in rows]
+        held = [
+            dict(zip(_COMPARED, [math.nan if v is None else v for v in row], strict=True)) for row in rows
+        ]
         place = f"memory {self.path}"
         return [
-            decoded(row | {"stable": bool(row["stable"])}, LawComparison, place, MemoryFaultError) for row in held
+            decoded(row | {"stable": bool(row["stable"])}, LawComparison, place, MemoryFaultError)
+            for row in held
         ]
 
     def forget(self, sessions: Collection[str]) -> list[str]:
@@ -227,21 +232,30 @@ def _keeps_record(database: sqlite3.Connection) -> bool:
     return bool(database.execute("PRAGMA user_version").fetchone()[0] >= VERSION)
 
 
+_REASONS: Final = {
+    "SQLITE_NOTADB": "is not a memory of twinmatch; give another file, or move it away",
+    **dict.fromkeys(
+        ("SQLITE_BUSY", "SQLITE_LOCKED"), "another program is writing it; try again when it has finished"
+    ),
+    **dict.fromkeys(
+        ("SQLITE_FULL", "SQLITE_IOERR"),
+        "cannot be written or read ({}); free some disk space, or choose another folder",
+    ),
+    **dict.fromkeys(
+        ("SQLITE_READONLY", "SQLITE_CANTOPEN", "SQLITE_PERM", "SQLITE_AUTH"),
+        "cannot be opened or written ({}); check its permissions, or give another file",
+    ),
+    "SQLITE_INTERRUPT": f"takes more than {PATIENCE:g} s to read; give another file, or forget sessions",
+    "": "is damaged ({}); move it away, and remember its sessions again",
+}
+"""By the beginning of SQLite's name of the error."""
+
+
 def _why(error: sqlite3.Error | OSError) -> str:
-    code = getattr(error, "sqlite_errorname", "") or ""
-    if str(error) == "interrupted":
-        return f"takes more than {PATIENCE:g} s to read; give another file, or forget sessions"
     if isinstance(error, OSError):
         return f"cannot be used ({error.strerror}); give another file"
-    if code.startswith("SQLITE_NOTADB"):
-        return "is not a memory of twinmatch; give another file, or move it away"
-    if code.startswith(("SQLITE_BUSY", "SQLITE_LOCKED")):
-        return "another program is writing it; try again when it has finished"
-    if code.startswith(("SQLITE_FULL", "SQLITE_IOERR")):
-        return f"cannot be written or read ({error}); free some disk space, or choose another folder"
-    if code.startswith(("SQLITE_READONLY", "SQLITE_CANTOPEN", "SQLITE_PERM", "SQLITE_AUTH")):
-        return f"cannot be opened or written ({error}); check its permissions, or give another file"
-    return f"is damaged ({error}); move it away, and remember its sessions again"
+    code = getattr(error, "sqlite_errorname", "") or ""
+    return next(why for begin, why in _REASONS.items() if code.startswith(begin)).format(error)
 
 
 def default_file(plant: str, rig: str = "") -> Path:

@@ -12,13 +12,14 @@ import numpy as np
 from twinmatch.comparing import LEVEL_WORDS, TrustLevel, Verdict
 from twinmatch.controllers import ControllerError, Holding, TriedTwin, law_from
 from twinmatch.dynamics import SKIPPED, Law, Plant, advance, simulate_window
-from twinmatch.dynamics.pace import plant_scale
+from twinmatch.dynamics.pace import plant_scale, time_scale
 from twinmatch.errors import TwinmatchError
 from twinmatch.fitting import fit_session, in_parts
 from twinmatch.forecasting import ForecastError, SetPoints
 from twinmatch.memory import Memory, digest_of, start_from
 from twinmatch.memory.start import CENTRE
 from twinmatch.offline.judging import Terms, Watch, judge, terms_from_files
+from twinmatch.offline.outlooks import LONGEST
 from twinmatch.plants import Peltier, plant_named
 from twinmatch.plants.files import load_law
 from twinmatch.sessions import Session
@@ -313,6 +314,10 @@ def planned_profile(
         except ForecastError as error:
             raise ControllerError(f"{name}: {error}") from error
         columns.append(plan)
+    if columns[0].times[-1] > (longest := LONGEST * time_scale(period)):
+        raise ControllerError(
+            f"profile: its last row is at {columns[0].times[-1]:g} s; give times of at most {longest:g} s"
+        )
     size = round(columns[0].times[-1] / period) + samples
     return np.column_stack([plan.ahead(period, size) for plan in columns])
 

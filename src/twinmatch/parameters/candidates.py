@@ -27,10 +27,12 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import yaml
 
 from twinmatch.comparing.models import Candidate
+from twinmatch.decoding import decoded
 from twinmatch.dynamics import Parameters, Plant
 from twinmatch.errors import TwinmatchError
 from twinmatch.plants import Peltier, find_plant, plant_named, written_name
@@ -38,9 +40,18 @@ from twinmatch.plants.records import parameters_from
 from twinmatch.sessions.documents import parse_yaml, read_text, shown
 from twinmatch.signals import FloatArray
 
-_WORDS = ("name", "plant", "structure", "deviations")
 MAX_NAME = 200
 """Longest name, characters."""
+
+
+class _Entry(msgspec.Struct):
+    """What an entry has besides its parameters."""
+
+    name: str | float
+    operating_point: float
+    plant: str | float = Peltier.name
+    structure: str | float = ""
+    deviations: dict[str, Any] = {}
 
 
 class CandidateFileError(TwinmatchError):
@@ -88,22 +99,16 @@ def parse_candidates(
 
 
 def _candidate(entry: Any, place: str, find: Callable[[str], type[Plant]]) -> Candidate:
-    if not isinstance(entry, dict):
-        raise CandidateFileError(f"{place}: is {shown(entry)}; give name, operating_point and the parameters")
-    for key in ("name", "operating_point"):
-        if key not in entry:
-            raise CandidateFileError(f"{place}: {key} is missing")
+    own = decoded(entry, _Entry, place, CandidateFileError)
+    others = {name: value for name, value in entry.items() if name not in _Entry.__struct_fields__}
     try:
-        numbers = {str(key): _number(key, value) for key, value in entry.items() if key not in _WORDS}
-        operating_point = numbers.pop("operating_point")
-        name, plant, structure = (
-            _word(key, entry.get(key, usual))
-            for key, usual in (("name", ""), ("plant", Peltier.name), ("structure", ""))
-        )
+        numbers = {name: decoded(value, float, name) for name, value in others.items()}
+        name, plant, structure = (_word(key, getattr(own, key)) for key in ("name", "plant", "structure"))
         parameters = parameters_from(find(plant).name, structure, numbers)
-        free, covariance = _spread(entry.get("deviations", {}), parameters)
+        free, covariance = _spread(own.deviations, parameters)
     except TwinmatchError as error:
         raise CandidateFileError(f"{place}: {error}") from error
+    operating_point = own.operating_point
     output = parameters.model.plant.output
     low, high = output.span
     if not low <= operating_point <= high:
@@ -115,12 +120,10 @@ def _candidate(entry: Any, place: str, find: Callable[[str], type[Plant]]) -> Ca
     return Candidate(name, operating_point, parameters, None, free, covariance)
 
 
-def _spread(entry: Any, parameters: Parameters) -> tuple[tuple[str, ...], FloatArray]:
+def _spread(entry: Mapping[str, Any], parameters: Parameters) -> tuple[tuple[str, ...], FloatArray]:
     """The free parameters of a remembered candidate and their covariance; both empty for an exact one."""
     free = parameters.model.structure.free
-    if not isinstance(entry, dict):
-        raise CandidateFileError(f"deviations is {shown(entry)}; give one number for each free parameter")
-    deviations = {str(name): _number(f"deviation of {name}", value) for name, value in entry.items()}
+    deviations = {name: decoded(value, float, f"deviation of {name}") for name, value in entry.items()}
     if deviations and deviations.keys() != {*free}:
         raise CandidateFileError(
             f"deviations are those of {', '.join(map(shown, deviations))}; the structure "
@@ -147,13 +150,7 @@ def candidates_text(candidates: Sequence[Candidate]) -> str:
     return yaml.safe_dump({"candidates": entries}, allow_unicode=True, sort_keys=False)
 
 
-def _word(key: str, value: Any) -> str:
-    if isinstance(value, dict | list) or not str(value).isprintable() or len(str(value)) > MAX_NAME:
+def _word(key: str, value: str | float) -> str:
+    if not str(value).isprintable() or len(str(value)) > MAX_NAME:
         raise CandidateFileError(f"{key} is {shown(value)}; give at most {MAX_NAME} printable characters")
     return str(value)
-
-
-def _number(key: str, value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise CandidateFileError(f"{key} is {shown(value)}; give a number")
-    return float(value)

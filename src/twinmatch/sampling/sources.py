@@ -23,11 +23,13 @@ also output.1, output.2, …, input.1, … and reference.1, ….
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final, NamedTuple, TypeVar
 
+import msgspec
+
+from twinmatch.decoding import FiniteNumber, decoded
 from twinmatch.description import Quantity
 from twinmatch.dynamics import Plant
 from twinmatch.errors import TwinmatchError
@@ -216,6 +218,14 @@ def parse_source(place: str, text: str) -> SignalSource:
     return source_of(place, given)
 
 
+class _Source(msgspec.Struct, forbid_unknown_fields=True):
+    column: str | list[str] = ""
+    columns: str | list[str] = ""
+    unit: str = ""
+    scale: FiniteNumber = 1.0
+    offset: FiniteNumber = 0.0
+
+
 def source_of(place: str, given: Any) -> SignalSource:
     """The source in an entry of a map, as YAML and JSON have it; error messages start with `place`.
 
@@ -226,30 +236,14 @@ def source_of(place: str, given: Any) -> SignalSource:
         return parse_source(place, given)
     if isinstance(given, str | list):
         given = {"column": given}
-    if not isinstance(given, dict):
-        raise RecordingError(f"{place}: is {given!r}; give the title of a column")
-    known = {"column", "columns", "unit", "scale", "offset"}
-    unknown = sorted(str(name) for name in given if name not in known)
-    if unknown:
-        raise RecordingError(f"{place}: unknown setting {unknown[0]!r}; there are unit, scale and offset")
-    columns = given.get("column", given.get("columns"))
+    own = decoded(given, _Source, place, RecordingError)
+    columns = own.column or own.columns
     columns = [columns] if isinstance(columns, str) else columns
-    if not isinstance(columns, list) or not columns or not all(isinstance(c, str) and c for c in columns):
+    if not columns or not all(columns):
         raise RecordingError(f"{place}: the column is missing; give one, or a list to average")
-    for name in ("scale", "offset"):
-        if not is_number(given.get(name, 1.0)):
-            raise RecordingError(f"{place}: {name} is {given[name]!r}; give a number")
-    unit = given.get("unit", "")
-    if not isinstance(unit, str):
-        raise RecordingError(f"{place}: unit is {unit!r}; give its name")
-    if given.get("scale", 1.0) == 0:
+    if own.scale == 0:
         raise RecordingError(f"{place}: scale is 0, which makes the whole column 0; give another")
-    return SignalSource(tuple(columns), unit, float(given.get("scale", 1.0)), float(given.get("offset", 0.0)))
-
-
-def is_number(value: Any) -> bool:
-    """Whether a value of a map is a finite number."""
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    return SignalSource(tuple(columns), own.unit, own.scale, own.offset)
 
 
 def _plain_number(text: str) -> Any:
