@@ -34,6 +34,8 @@ from twinmatch.sessions.metadata import METADATA, counts_listed, files_of, misco
 from twinmatch.sessions.scan import Scan
 from twinmatch.signals import FloatArray
 
+MAX_TOPICS: Final = 1000
+"""Most topics of a bag: graphs of robots have some hundreds."""
 _MANY: Final = 40
 """Topics that an error lists."""
 _EVERY: Final = 500
@@ -89,7 +91,7 @@ class Bag:
             notes: what is known already of its files, as sentences.
 
         Raises:
-            SessionError: a file is damaged, so that nothing of it can be read.
+            RecordingError: there are too many topics, or a file is damaged, so that nothing of it can be read.
         """
         self.path = path
         self._scans = scans
@@ -103,6 +105,11 @@ class Bag:
                 start, end = min(start, message.log_time), max(end, message.log_time)
             for topic in scan.topics:
                 self._topics.setdefault(topic.name, []).append(topic)
+            if len(self._topics) > MAX_TOPICS:
+                raise RecordingError(
+                    f"{path}: has {len(self._topics)} topics, more than {MAX_TOPICS}; copy those of the plant "
+                    "into a bag of their own: ros2 bag convert"
+                )
             read = self._counts.total() - before
             if scan.fault and not read:
                 raise RecordingError(f"{scan.path}: {scan.fault}; no message can be read")
