@@ -241,6 +241,18 @@ def unreadable(path: Path) -> None:
     change(path, "UPDATE lesson SET outputs = 'somebody was here'")
 
 
+def endless(path: Path) -> None:
+    Memory(path).add([lesson(1)])
+    change(path, "ALTER TABLE lesson RENAME TO held")
+    many = "WITH RECURSIVE n(k) AS (SELECT 0 UNION ALL SELECT k + 1 FROM n) SELECT held.* FROM held, n"
+    change(path, f"CREATE VIEW lesson AS {many}")
+
+
+def of_other_types(path: Path) -> None:
+    Memory(path).add([lesson(1)])
+    change(path, "UPDATE lesson SET began = 'monday'")
+
+
 def truncated(path: Path) -> None:
     Memory(path).add([lesson(n) for n in range(50)])
     os.truncate(path, path.stat().st_size // 2)
@@ -263,6 +275,8 @@ def change(path: Path, statement: str) -> None:
         (pipe, "is not a regular file; give a file"),
         (edited, "lesson of run_1, paper: 2 free parameters and 1 covariances do not belong together"),
         (unreadable, "a row cannot be read"),
+        (endless, "has views, triggers or indexes, which no memory has; give another file"),
+        (of_other_types, "began: is 'monday'; give a whole number"),
         (truncated, "is damaged .*; move it away, and remember its sessions again"),
     ],
 )
@@ -271,6 +285,21 @@ def test_a_file_that_cannot_be_used_is_one_sentence(tmp_path, damage, said):
     damage(memory.path)
     with pytest.raises(MemoryFaultError, match=rf"^memory .*rig\.sqlite: {said}"):
         memory.lessons()
+
+
+def test_a_file_that_takes_too_long_is_one_sentence(tmp_path, monkeypatch):
+    memory = Memory(tmp_path / "rig.sqlite")
+    memory.add([lesson(n) for n in range(2000)])
+    monkeypatch.setattr("twinmatch.memory.store.PATIENCE", -1.0)
+    with pytest.raises(MemoryFaultError, match=r"takes more than .* s to read; give another file, or forget"):
+        memory.lessons()
+
+
+def test_only_the_newest_lessons_are_read(tmp_path, monkeypatch):
+    memory = Memory(tmp_path / "rig.sqlite")
+    memory.add([lesson(n, began=HOUR) for n in range(20)])
+    monkeypatch.setattr("twinmatch.memory.store.MOST", 3)
+    assert [held.name for held in memory.lessons()] == ["run_17", "run_18", "run_19"]
 
 
 def test_an_empty_file_becomes_a_memory(tmp_path):

@@ -22,9 +22,12 @@ from twinmatch.importing.resampling import Resampled, repeated, resample
 from twinmatch.importing.tables import Table, split_title
 from twinmatch.importing.times import read_times, row_times
 from twinmatch.sampling.sources import SignalMap, SignalSource
+from twinmatch.sessions.files import RecordingError
 from twinmatch.signals import FloatArray
 from twinmatch.units import measure
 
+_MOST: Final = 1e100
+"""Size from which squares of values are not numbers any longer."""
 _KNOWN: Final = ("time", "output", "input", "reference")
 _RANGES: Final = ((0.0, 1.0), (0.0, 100.0), (-1.0, 1.0), (-100.0, 100.0), (0.0, 255.0), (-255.0, 255.0))
 """Usual ranges of a drive's command."""
@@ -104,6 +107,9 @@ def propose(table: Table, given: SignalMap) -> Proposal:
     """
     require_columns(table, given)
     done = _on_one_clock(table, given)
+    for name, values in done.columns.items():
+        if not np.abs(values).max() < _MOST:
+            raise RecordingError(f"{table.path}: {name} reaches {np.abs(values).max():g}; correct its values")
     y, u = done.columns["output"], done.columns["input"]
     others = [name for name in given.sources if name not in _KNOWN]
     part = max(done.stretches, key=lambda stretch: stretch.stop - stretch.start)  # no rate across a gap

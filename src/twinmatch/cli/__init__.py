@@ -85,7 +85,8 @@ def _run(arguments: Sequence[str] | None) -> int:
         with started(options):
             return command(options)
     except TwinmatchError as error:
-        print(f"twinmatch: {error}", file=sys.stderr)
+        told = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in str(error))  # it may quote a file
+        print(f"twinmatch: {told}", file=sys.stderr)
         return EXIT_USER_ERROR
     except KeyboardInterrupt:
         print("twinmatch: interrupted", file=sys.stderr)
