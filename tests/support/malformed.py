@@ -218,8 +218,8 @@ class Malformed:
         if isinstance(held, tuple | dict) and draw.random() < 0.7:
             return self._json(self._changed(json.loads(self._json(held)))).decode()
         return draw.choice(
-            (None, -1, 0, 2**63 - 1, -(2**63), 1e308, float("inf"), "", "x", "9" * 5000, b"\xff\x00", "[" * 5000,
-             "²", "\x1b[2J", "trusted", "\ud800", "peltier", "held sink")
+            (None, -1, 0, 2**63 - 1, -(2**63), 1e308, float("inf"), "", "x", "9" * 5000, b"\xff\x00",
+             "[" * 5000, "²", "\x1b[2J", "trusted", "\ud800", "peltier", "held sink")
         )  # fmt: skip
 
     def _cells(self, text: str, divider: str) -> str:
