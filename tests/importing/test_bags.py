@@ -339,7 +339,7 @@ def test_what_was_read_is_counted_against_the_metadata(
 def test_a_metadata_file_or_a_table_of_another_form_ends_in_no_traceback(tmp_path: Path) -> None:
     source = bag(tmp_path / "bag", StoragePlugin.SQLITE3, messages())
     for count in (float("inf"), None, [], "many"):
-        metadata(source, lambda held, n=count: held["topics_with_message_count"][0].update(message_count=n))
+        metadata(source, lambda held, n=count: held["topics_with_message_count"][1].update(message_count=n))
         assert read(source) == ([READINGS], [])
     with closing(sqlite3.connect(stored(source))) as data:
         data.execute("ALTER TABLE topics DROP COLUMN serialization_format")
