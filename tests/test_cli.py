@@ -49,6 +49,25 @@ def small_session(tmp_path: Path) -> Path:
     return write_session(tmp_path / "small", samples_of(Window(reference, reference, reference / 2)))
 
 
+WITHOUT_ROS = """
+import sys
+for name in ("rclpy", "diagnostic_msgs", "sensor_msgs", "std_msgs", "std_srvs", "twinmatch_msgs"):
+    sys.modules[name] = None  # as if it were not installed
+from twinmatch.cli import main
+for command in (["demo"], ["live"], ["attach"], ["play", "session"], ["dashboard"], ["foxglove"]):
+    assert main(command) == 2
+"""
+
+
+def test_commands_of_the_graph_say_that_they_need_ros() -> None:
+    done = subprocess.run([sys.executable, "-c", WITHOUT_ROS], capture_output=True, text=True, check=True)
+    needs = "needs ROS 2: rclpy, diagnostic_msgs, twinmatch_msgs cannot be found; run make setup"
+    for command, line in zip(
+        ("demo", "live", "attach", "play", "dashboard", "foxglove"), done.stderr.splitlines(), strict=True
+    ):
+        assert line.startswith(f"twinmatch: {command} {needs}"), line
+
+
 class Replayed(NamedTuple):
     """A replay of the shipped session on a wide terminal."""
 

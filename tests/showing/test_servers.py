@@ -47,9 +47,7 @@ def test_an_address_of_another_machine_is_one_line(tmp_path: Path, command: str,
     assert len(done.lines) == 1
 
 
-@pytest.mark.parametrize(
-    ("command", "name"), [("dashboard", "bokeh"), ("dashboard", "rclpy"), ("foxglove", "foxglove")]
-)
+@pytest.mark.parametrize(("command", "name"), [("dashboard", "bokeh"), ("foxglove", "foxglove")])
 def test_what_is_not_installed_is_named_with_its_remedy(
     monkeypatch: pytest.MonkeyPatch, command: str, name: str
 ) -> None:

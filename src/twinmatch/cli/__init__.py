@@ -11,6 +11,7 @@ import gc
 import sys
 from collections.abc import Callable, Sequence
 from importlib import import_module
+from importlib.util import find_spec
 from typing import Any, Final
 
 from twinmatch import __version__
@@ -48,6 +49,8 @@ _COMMANDS: Final[dict[str, str]] = {
     "prepare": "derive and compile the plants' equations now, so that the first run need not",
 }
 """Help text of each command."""
+_OF_ROS: Final = frozenset({"demo", "live", "attach", "play", "dashboard", "foxglove"})
+"""Commands that run or show the graph."""
 
 
 class _Parser(argparse.ArgumentParser):
@@ -78,6 +81,7 @@ def _run(arguments: Sequence[str] | None) -> int:
     options = parser.parse_args(arguments)
     command: Callable[[argparse.Namespace], int] = options.command
     try:
+        _require_ros(command.__module__.rpartition(".")[2])
         if getattr(options, "allow_fmu", None) is not None:
             from twinmatch.fmu import adopt_fmus  # noqa: PLC0415 — few commands need it
 
@@ -100,6 +104,16 @@ def _run(arguments: Sequence[str] | None) -> int:
         # A path from any option: the file system rejects the name, or a folder may not be entered.
         print(f"twinmatch: {error.filename}: cannot be used ({error.strerror})", file=sys.stderr)
         return EXIT_USER_ERROR
+
+
+def _require_ros(command: str) -> None:
+    parts = ("rclpy", "diagnostic_msgs", "twinmatch_msgs") if command in _OF_ROS else ()
+    missing = [name for name in parts if find_spec(name) is None]
+    if missing:
+        raise TwinmatchError(
+            f"{command} needs ROS 2: {', '.join(missing)} cannot be found; run make setup in a clone of "
+            "twinmatch, or source a ROS 2 workspace that has them"
+        )
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -255,16 +255,15 @@ def serving_words(command: str, options: argparse.Namespace, library: str, **par
     """The command line of a server's node: address, port, names, namespace, these parameters; None left out.
 
     Raises:
-        ServingError: an option has an invalid value, or ROS or `library` (of the extra named `command`) is
-            not installed.
+        ServingError: an option has an invalid value, or `library` (of the extra named `command`) is not
+            installed.
     """
     from twinmatch.showing.serving import ServingError  # noqa: PLC0415 — slow, and only servers need it
 
     if not 0 <= options.port <= 65535:
         raise ServingError(f"{command}: --port is {options.port}; give a port from 0 to 65535")
-    for name, extra in ((library, command), ("rclpy", "ros")):
-        if importlib.util.find_spec(name) is None:
-            raise ServingError(f"{command}: {name} is not installed; pip install 'twinmatch[{extra}]'")
+    if importlib.util.find_spec(library) is None:
+        raise ServingError(f"{command}: {library} is not installed; pip install 'twinmatch[{command}]'")
     if options.namespace and re.fullmatch(r"(/?[A-Za-z_][A-Za-z0-9_]*)+", options.namespace) is None:
         raise ServingError(f"{command}: {options.namespace!r} is not a namespace; give one such as /rig_a")
     words = [command, "--ros-args"]
