@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import fcntl
+import io
 import itertools
 import json
 import os
@@ -26,11 +27,14 @@ from tests.support.processes import Process, run_twinmatch
 from tests.support.steps import drive_lost, quarter_of_an_hour
 from twinmatch.cli import main
 from twinmatch.cli.shared import Progress
+from twinmatch.compiled import compiled
 from twinmatch.importing import open_any
 from twinmatch.launching.forking import fork_server
 from twinmatch.offline.judging import judge, terms_from_files
 from twinmatch.offline.processes import held_interrupts
 from twinmatch.sessions import read_session, samples_of, write_session
+from twinmatch.showing.console import Console
+from twinmatch.showing.terminal import Screen
 from twinmatch.signals import Sample, Window
 from twinmatch.twin import Outcome, Twin
 
@@ -221,6 +225,31 @@ def test_long_work_is_reported_in_lines_where_nobody_sees_a_bar(
         monkeypatch.setattr(Progress, "SILENCE", 0.0)
         progress.show("checking structure b", 2, 4)
     assert capsys.readouterr().err == "twinmatch: checking structure b, 50% done\n"
+
+
+def kernel() -> Any:
+    """One that no folder keeps, so it is compiled at its first call."""
+    space: dict[str, Any] = {}
+    exec("def _twice_it(x):\n    return 2.0 * x", space)
+    return compiled(space["_twice_it"])
+
+
+def test_what_is_compiled_is_said(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Progress, "SILENCE", 0.0)
+    with Progress() as progress:
+        progress.advance(1, 4)
+        assert kernel()(2.0) == 4.0
+    assert "judging, compiling twice it once on this machine, 25% done" in capsys.readouterr().err
+    stream = io.StringIO()
+    screen = Screen(Console(file=stream, force_terminal=True, width=100, height=40), "kit", 1.0, 600)
+    screen.open()
+    assert kernel()(2.0) == 4.0
+    screen.close()
+    assert "compiling twice it once on this machine" in stream.getvalue()
+    assert kernel()(2.0) == 4.0
+    assert not capsys.readouterr().err
 
 
 def test_a_terminal_shows_the_progress_of_reading_a_session(tmp_path: Path) -> None:

@@ -21,15 +21,17 @@ import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import CodeType, FunctionType, ModuleType
-from typing import Any, TypeVar, overload
+from typing import Any, Final, TypeVar, overload
 
 import llvmlite.binding
 import numba
 from numba import types
 from numba.core.bytecode import FunctionIdentity
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, NullCache
+from numba.core.codegen import JITCodeLibrary
 from numba.core.dispatcher import Dispatcher
 from numba.core.environment import Environment, lookup_environment
+from numba.core.registry import cpu_target
 from numba.core.runtime import rtsys
 
 
@@ -65,6 +67,9 @@ def _load_lapack() -> None:
 
 _load_lapack()
 
+told: Final[list[Callable[[str], None]]] = []
+"""Those that want to know what is compiled now."""
+
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
@@ -74,12 +79,18 @@ def compiled(function: _Function, /) -> _Function: ...
 
 @overload
 def compiled(
-    *, inside: bool = False, inlined: bool = False, innermost: bool = False
+    *, inside: bool = False, inlined: bool = False, innermost: bool = False, addressed: bool = False
 ) -> Callable[[_Function], _Function]: ...
 
 
 def compiled(
-    function: Any = None, /, *, inside: bool = False, inlined: bool = False, innermost: bool = False
+    function: Any = None,
+    /,
+    *,
+    inside: bool = False,
+    inlined: bool = False,
+    innermost: bool = False,
+    addressed: bool = False,
 ) -> Any:
     """Compile a function at its first call, and cache the result on disk; the kernel releases the GIL.
 
@@ -93,21 +104,26 @@ def compiled(
             with one caller: linked ones would be optimised again at every level above.
         innermost: as `inside`, and its machine code is always inlined, whatever its size: for functions
             that cost no more than a call.
+        addressed: it has an entry point for C, too.
     """
     if function is None:
-        return functools.partial(compiled, inside=inside, inlined=inlined, innermost=innermost)
-    options: dict[str, Any] = {}
-    if inside or inlined or innermost:
-        options = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+        return functools.partial(
+            compiled, inside=inside, inlined=inlined, innermost=innermost, addressed=addressed
+        )
+    alone: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
     if inlined:
-        options["inline"] = "always"
+        alone["inline"] = "always"
     if innermost:
-        options["forceinline"] = True
-    kernel = numba.njit(nogil=True, error_model="numpy", **options)(function)
-    kernel._compiler.compile = functools.partial(_compile_vectorised, kernel._compiler.compile)
-    kernel.get_call_template = functools.partial(_of_kinds, kernel.get_call_template)
-    if not (inside or inlined):
-        kernel._cache = _Cache(function)
+        alone["forceinline"] = True
+    part = numba.njit(nogil=True, error_model="numpy", **alone)(function)
+    part._compiler.compile = functools.partial(_compile_part, part._compiler.compile)
+    part.get_call_template = functools.partial(_of_kinds, part.get_call_template)
+    if inside or inlined or innermost:
+        return part
+    kernel = numba.njit(nogil=True, error_model="numpy")(function)
+    kernel._compiler.compile = functools.partial(_compile_entry, part, addressed)
+    kernel.get_call_template, kernel.get_overload = part.get_call_template, part.get_overload
+    kernel._cache = _Cache(function)
     return kernel
 
 
@@ -116,14 +132,64 @@ def _of_kinds(template: Callable[..., Any], args: Any, kws: Any) -> Any:
     return template(tuple(map(types.unliteral, args)), {k: types.unliteral(v) for k, v in kws.items()})
 
 
-def _compile_vectorised(compile_: Callable[..., Any], *args: Any) -> Any:
-    """Compile with parallel sums combined into vector instructions; each sum still has a fixed order."""
-    before = numba.config.SLP_VECTORIZE
-    numba.config.SLP_VECTORIZE = 1
+class _Part(JITCodeLibrary):
+    """Code to be linked into kernels, as it was written.
+
+    numba optimises and translates every function together with all that it calls, so at each level of calls
+    everything below once more: four fifths of its time.
+    """
+
+    def _optimize_final_module(self) -> None:
+        """The kernels that this is linked into are optimised."""
+
+    def _finalize_final_module(self) -> None:
+        self._finalize_dynamic_globals()
+        self._finalized = True
+
+    def get_pointer_to_function(self, name: str) -> int:  # noqa: ARG002 (numba's interface)
+        self._ensure_finalized()
+        return 0
+
+
+def _compile_part(compile_: Callable[..., Any], *args: Any) -> Any:
+    """Compile for other kernels only: nothing that could be called."""
+    codegen = cpu_target.target_context.codegen()
+    before = codegen._library_class, codegen.set_env
+    codegen._library_class, codegen.set_env = _Part, lambda *_: None
     try:
         return compile_(*args)
     finally:
+        codegen._library_class, codegen.set_env = before
+
+
+def _compile_entry(part: Any, addressed: bool, args: Any, return_type: Any) -> Any:  # noqa: ARG001 (as numba)
+    """An entry point from Python: the kernel with all that it calls, optimised once.
+
+    Parallel sums are combined into vector instructions; each sum still has a fixed order.
+    """
+    for tell in told:
+        tell(part.py_func.__name__.strip("_").replace("_", " "))
+    part.compile(tuple(args))
+    found = part.overloads[tuple(args)]
+    context = found.target_context
+    library = context.codegen().create_library(found.fndesc.qualname)
+    library.enable_object_caching()
+    library._shared_module = llvmlite.binding.parse_assembly("")  # kernels link parts
+    library.add_linking_library(found.library)
+    wrapped = library, found.fndesc, found.environment, found.call_helper
+    before = numba.config.SLP_VECTORIZE
+    numba.config.SLP_VECTORIZE = 1
+    try:
+        context.create_cpython_wrapper(*wrapped, release_gil=True)
+        if addressed:
+            context.create_cfunc_wrapper(*wrapped)
+        entry = context.get_executable(library, found.fndesc, found.environment)
+    finally:
         numba.config.SLP_VECTORIZE = before
+    result = found._replace(library=library, entry_point=entry, metadata={})
+    for inner in result._find_referenced_environments():
+        library.codegen.set_env(inner.env_name, inner)
+    return result
 
 
 class _Cache:
@@ -155,18 +221,11 @@ class _KernelFiles(CompileResultCacheImpl):
 
     def rebuild(self, target_context: Any, reduced: tuple[Any, ...]) -> Any:
         """The kernel, ready to be called: three times as fast as numba, which imports the modules of all
-        functions inside and parses the intermediate code, needed only to compile another kernel from it."""
-        (name, kind, (machine_code, code)), described, *others, inner = reduced
-        codegen = target_context.codegen()
-        codegen._engine._defined_symbols.add(described.llvm_cpython_wrapper_name)
-        hull = llvmlite.binding.parse_assembly("").as_bitcode()
+        functions inside and parses the intermediate code."""
+        whole, described, *others, inner = reduced
+        target_context.codegen()._engine._defined_symbols.add(described.llvm_cpython_wrapper_name)
         environments = [_environment(*each) for each in inner]
-        result = super().rebuild(
-            target_context, ((name, kind, (machine_code, hull)), described, *others, environments)
-        )
-        parsed = functools.cache(functools.partial(llvmlite.binding.parse_bitcode, code))
-        result.library._get_module_for_linking = parsed
-        return result
+        return super().rebuild(target_context, (whole, described, *others, environments))
 
 
 def _environment(module: str, constants: list[Any], name: str) -> Environment:

@@ -210,14 +210,24 @@ class Progress:
         self._said_at = time.monotonic()
         self._bar: progress.Progress | None = None
         self._shown = False
+        self._at = 0, 0
 
     def __enter__(self) -> Progress:
+        from twinmatch.compiled import told  # noqa: PLC0415 — slow
+
+        told.append(self._compile)
         self._shown = sys.stderr.isatty() and os.environ.get("TERM", "").lower() not in {"dumb", "unknown"}
         return self
 
     def __exit__(self, *_: object) -> None:
+        from twinmatch.compiled import told  # noqa: PLC0415 — slow
+
+        told.remove(self._compile)
         if self._bar is not None:
             self._bar.stop()
+
+    def _compile(self, what: str) -> None:
+        self.show(f"{self._doing}, compiling {what} once on this machine", *self._at)
 
     def advance(self, done: int, total: int) -> None:
         """Show that `done` of `total` are done."""
@@ -225,6 +235,7 @@ class Progress:
 
     def show(self, doing: str, done: int, total: int) -> None:
         """Show what is being done, and that `done` of `total` parts of it are."""
+        self._at = done, total
         if self._bar is None and self._shown:
             from rich.progress import Progress as Bar  # noqa: PLC0415 — needed only for the bar
 

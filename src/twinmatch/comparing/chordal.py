@@ -76,7 +76,8 @@ def with_powers_of_j(rows: FloatArray) -> FloatArray:
     signed = rows.copy()
     for k in range(rows.shape[1]):
         if k & 2:
-            signed[:, k] = -signed[:, k]
+            for i in range(rows.shape[0]):
+                signed[i, k] = -signed[i, k]
     return signed
 
 
@@ -86,9 +87,10 @@ def with_derivatives(signed: FloatArray) -> FloatArray:
     rows, width = signed.shape
     stack = np.empty((3, rows, width))
     for k in range(width):
-        stack[0, :, k] = signed[:, k]
-        stack[1, :, k] = signed[:, k] * k
-        stack[2, :, k] = signed[:, k] * (k - width + 1)
+        for i in range(rows):
+            stack[0, i, k] = signed[i, k]
+            stack[1, i, k] = signed[i, k] * k
+            stack[2, i, k] = signed[i, k] * (k - width + 1)
     return stack
 
 
@@ -224,13 +226,14 @@ def frequency_grid(roots1: NDArray[np.complex128], roots2: NDArray[np.complex128
         return np.array([-1.0, 1.0])
     where = np.empty(count)
     off = np.empty(count)
+    low, high = math.inf, -math.inf
     for i in range(count):
         root = roots1[i] if i < roots1.size else roots2[i - roots1.size]
         where[i] = math.log(abs(root))
         off[i] = max(1e-14, math.atan2(root.real, abs(root.imag)))  # angle from the axis of frequencies
-    nodes = [where.min() - MARGIN]
-    end = where.max() + MARGIN
-    while nodes[-1] < end:
+        low, high = min(low, where[i]), max(high, where[i])
+    nodes = [low - MARGIN]
+    while nodes[-1] < high + MARGIN:
         nodes.append(nodes[-1] + STEP * _clearance(where, off, nodes[-1]))
     return np.array(nodes)
 

@@ -204,8 +204,12 @@ def _compare(  # noqa: PLR0917
         return 0.0, 0.0
     if -math.inf < place < math.inf:
         # the phase of c can turn fastest where c is smallest
-        grid = np.sort(np.append(grid, place))
-        kappa = _refine_largest(signed1, signed2, (high, low), grid, place)
+        node, finer = 0, np.empty(grid.size + 1)
+        for k in range(grid.size):
+            node += grid[k] < place
+            finer[k if grid[k] < place else k + 1] = grid[k]
+        finer[node], grid = place, finer
+        kappa = _refine_largest(signed1, signed2, (high, low), grid, node)
     else:
         kappa = chordal.exact_distance(signed1, signed2, (high, low), place)
     return kappa, turns(signed1[0], signed2[0], roots1, roots2, grid)
@@ -217,11 +221,11 @@ def _refine_largest(
     signed2: tuple[FloatArray, FloatArray],
     pair_minors: tuple[FloatArray, FloatArray],
     grid: FloatArray,
-    place: float,
+    node: int,
 ) -> float:
     """Refine the largest κ near a grid node that is accurate to the search's tolerance."""
+    place = grid[node]
     best = chordal.exact_distance(signed1, signed2, pair_minors, place)
-    node = int(np.searchsorted(grid, place))
     width = grid[min(node + 1, grid.size - 1)] - grid[max(node - 1, 0)]
     for part in (3e-2, 1e-3, 3e-5):
         h = part * width

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twinmatch.compiled import compiled
+from twinmatch.dynamics.kernels import copy_into
 from twinmatch.signals import FloatArray
 
 _TOLERANCE = 1e-9
@@ -153,7 +154,10 @@ def update_search(search: Search, cost: float, gradient: FloatArray, hessian: Fl
             figures[_DAMPING] = max(figures[_DAMPING] * less, MIN_DAMPING)
             figures[_GROWTH] = 2.0
         search.best[0] = cost
-        values[:], search.gradient[:], search.hessian[:, :] = search.point, gradient, hessian
+        copy_into(search.point, values)
+        copy_into(gradient, search.gradient)
+        for i in range(gradient.size):
+            copy_into(hessian[i], search.hessian[i])
         if _in_valley(search, cost):
             figures[_CAME_BACK] = figures[_CONVERGED] = 1.0
             return False

@@ -23,6 +23,7 @@ from twinmatch.dynamics.kernels import (
     Code,
     Work,
     call,
+    copy_into,
     prepare,
     tick_with_tangents,
     work_for,
@@ -304,7 +305,7 @@ def follow(
         for k in range(len(u)):
             predict(code, vector, at, covariance, process_noise[i, :n], u[k], row, period, steps[i], none)
             if seen[k]:
-                row[:] = d[k]
+                copy_into(d[k], row)
                 innovations, variances = correct(
                     code, vector, at, covariance, y[k], row, noise, limit, none, unbounded
                 )

@@ -92,6 +92,16 @@ def _by_address(context: Any, builder: Any, signature: Any, arguments: Any) -> A
 
 
 @compiled(inside=True)
+def copy_into(source: FloatArray, target: FloatArray) -> None:
+    """Copy the source over the first values of the target.
+
+    An assignment to a slice would compile the words of an error, too: a second.
+    """
+    for t in range(source.size):
+        target[t] = source[t]
+
+
+@compiled(inside=True)
 def prepare(code: Code, vector: FloatArray, work: Work) -> None:
     """Change the parameters."""
     for i in range(code[N_PARAMETERS]):

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twinmatch.compiled import compiled
+from twinmatch.dynamics.kernels import copy_into
 from twinmatch.signals import FloatArray
 
 GIVEN, PID, TWO_LEVEL, LINEAR = range(4)
@@ -233,5 +234,5 @@ def commands_of(
     u, at, after = np.zeros((len(references), int(law[N_COMMANDS]))), z.copy(), z.copy()
     for k in range(len(references)):
         law_step(law, at, references, k, readings[k], u[k], after)
-        at[:] = after
+        copy_into(after, at)
     return u, at

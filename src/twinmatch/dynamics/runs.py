@@ -21,6 +21,7 @@ from twinmatch.dynamics.kernels import (
     Code,
     begin,
     call,
+    copy_into,
     step_count,
     tick,
     tick_with_tangents,
@@ -188,7 +189,7 @@ def run(
                 now[i] = references[k, i]
         else:
             law_step(law, z, references, k, last, now, after)
-            z[:] = after
+            copy_into(after, z)
         for i in range(now.size):
             u[k, i] = now[i]
         tick(code, at, now, d, work, period, steps)
@@ -275,7 +276,8 @@ def run_with_tangents(  # noqa: PLR0915 (one pass over the samples)
     dy, of_inputs = np.zeros((outputs, n + 1)), np.zeros((compared, n + 1))
     dz, moved = np.zeros((q, n)), np.zeros((q, n))
     all_columns, du = np.zeros((nx, width)), np.zeros((inputs, width))
-    all_columns[:, :n] = columns
+    for i in range(nx):
+        copy_into(columns[i], all_columns[i])
     slopes, of_gains = np.zeros((inputs + q, q + outputs)), np.zeros((inputs + q, tuned.size))
     at, u, z, after = x.copy(), np.zeros(inputs), memory.copy(), memory.copy()
     work, d = work_for(code, vector), np.empty(disturbances.shape[1])
@@ -302,9 +304,13 @@ def run_with_tangents(  # noqa: PLR0915 (one pass over the samples)
             if tuned.size:
                 gain_slopes(law, z, references, k, y, u, tuned, of_gains)
                 first, last = which.size, which.size + tuned.size
-                du[:, first:last] += of_gains[:inputs]
-                dz[:, first:last] += of_gains[inputs:]
-            z[:] = after
+                for i in range(inputs + q):
+                    for j in range(first, last):
+                        if i < inputs:
+                            du[i, j] += of_gains[i, j - first]
+                        else:
+                            dz[i - inputs, j] += of_gains[i, j - first]
+            copy_into(after, z)
         if stored:
             _store(tangents, k, y, u, dy, du, slopes, shown, all_columns, n)
         else:

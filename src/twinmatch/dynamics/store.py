@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from twinmatch.compiled import told
 from twinmatch.dynamics import filters, kernels, runs
 from twinmatch.dynamics.code import plant_formulas
 from twinmatch.dynamics.declarations import PlantError
@@ -124,6 +125,8 @@ def _whole(path: Path) -> bytes | None:
 
 def _compile_plant(plant: type[PlantDefinition], parts: frozenset[str], unknown: frozenset[str]) -> bytes:
     """A line with all names and sizes, and the machine code."""
+    for tell in told:
+        tell(f"the equations of {plant.name}")
     derived = derive(plant(), parts, unknown)
     formulas = plant_formulas(derived)
     every = {

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from twinmatch.compiled import compiled
 from twinmatch.dynamics.filters import predict
-from twinmatch.dynamics.kernels import Code, advance
+from twinmatch.dynamics.kernels import Code, advance, copy_into
 from twinmatch.dynamics.laws import LawCode
 from twinmatch.dynamics.runs import RunData, Start, Tangents, run, run_with_tangents
 from twinmatch.signals import FloatArray
@@ -36,16 +36,19 @@ def foresee_each(
     for i in range(len(sizes)):
         if wanted[i] == 0:
             continue
-        n, p, k = sizes[i]
-        joint = joints[i, : (n + k) ** 2].copy().reshape((n + k, n + k))
+        n, p, q = sizes[i]
+        joint = joints[i, : (n + q) ** 2].copy().reshape((n + q, n + q))
         outputs, inputs, of_outputs, of_inputs = foresee(
-            codes[i], vectors[i, :p], which[i, : 2 * k].reshape((2, k)), x[i, :n].copy(), joint,
-            process_noise[i, : n + k], u, law, memory, references, disturbances, period, steps[i], noise,
+            codes[i], vectors[i, :p], which[i, : 2 * q].reshape((2, q)), x[i, :n].copy(), joint,
+            process_noise[i, : n + q], u, law, memory, references, disturbances, period, steps[i], noise,
             swift, wanted[i] == BANDED,
         )  # fmt: skip
-        means[i, :o], means[i, o:] = outputs.T, inputs.T
-        if wanted[i] == BANDED:
-            variances[i, :o], variances[i, o:] = of_outputs.T, of_inputs.T
+        for k in range(len(references)):
+            copy_into(outputs[k], means[i, :, k])
+            copy_into(inputs[k], means[i, o:, k])
+            if wanted[i] == BANDED:
+                copy_into(of_outputs[k], variances[i, :, k])
+                copy_into(of_inputs[k], variances[i, o:, k])
     return means, variances
 
 

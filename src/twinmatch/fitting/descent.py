@@ -15,8 +15,9 @@ from typing import NamedTuple
 import numpy as np
 
 from twinmatch.compiled import compiled
+from twinmatch.dynamics.kernels import copy_into
 from twinmatch.fitting.delayed import column_norms
-from twinmatch.fitting.polynomials import boundary_normals, copy_into, dot
+from twinmatch.fitting.polynomials import boundary_normals, dot
 from twinmatch.fitting.prediction import ROWS, Place, Task, curvature, evaluate, linearise
 from twinmatch.signals import FloatArray
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twinmatch.compiled import compiled
+from twinmatch.dynamics.kernels import copy_into
 from twinmatch.signals import FloatArray
 
 REACH = 48
@@ -24,13 +25,6 @@ LARGEST_ROOT = 1.0 - 1e-6
 """Largest root magnitude of an estimated C, D or F."""
 TOUCHING = 1e-8
 """Largest distance at which a root counts as on the boundary."""
-
-
-@compiled(inside=True)
-def copy_into(source: FloatArray, target: FloatArray) -> None:
-    """Copy the source over the first samples of the target; slices would compile shape checks."""
-    for t in range(source.size):
-        target[t] = source[t]
 
 
 @compiled(inside=True)

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twinmatch.compiled import compiled
+from twinmatch.dynamics.kernels import copy_into
 from twinmatch.fitting.data import FittingError, Order
 from twinmatch.fitting.delayed import (
     COUNT,
@@ -35,7 +36,7 @@ from twinmatch.fitting.delayed import (
     substitute_back,
     triangularise,
 )
-from twinmatch.fitting.polynomials import LARGEST_ROOT, all_pole_into, copy_into, dot, fir_into, stabilise
+from twinmatch.fitting.polynomials import LARGEST_ROOT, all_pole_into, dot, fir_into, stabilise
 from twinmatch.signals import FloatArray
 
 INITIALS = ("estimate", "zero")

@@ -22,9 +22,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twinmatch.compiled import compiled
+from twinmatch.dynamics.kernels import copy_into
 from twinmatch.fitting.data import Order
 from twinmatch.fitting.delayed import SLACK, Spans, cholesky, correlate, solve_triangle
-from twinmatch.fitting.polynomials import LARGEST_ROOT, all_pole_into, copy_into, fir, fir_into, stabilise
+from twinmatch.fitting.polynomials import LARGEST_ROOT, all_pole_into, fir, fir_into, stabilise
 from twinmatch.fitting.prediction import Polynomials, errors_of
 from twinmatch.signals import FloatArray
 

@@ -106,7 +106,7 @@ def _slope(
         out[i] = (values[0, i] - values[1, i]) / (ends[0] - ends[1])
 
 
-@compiled
+@compiled(addressed=True)
 def _function(
     integers: Any, floats: Any, what: int, x: Any, u: Any, d: Any, p: Any, b: Any, out: Any, h: float,
     columns: Any, du: Any, which: Any, first: int, size: int,

@@ -21,7 +21,7 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from twinmatch.compiled import compiled
-from twinmatch.dynamics.kernels import BISECTIONS, MAX_EVENTS
+from twinmatch.dynamics.kernels import BISECTIONS, MAX_EVENTS, copy_into
 from twinmatch.signals import FloatArray
 
 FUNCTIONS: Final = (
@@ -307,7 +307,7 @@ def _integrate(machine: Machine, x: FloatArray, h: float) -> None:
                     low = middle
             _crosses(step, taken)
         machine.head[0].run_time += taken
-        x[:] = after
+        copy_into(after, x)
         _complete(machine, x)
         left -= taken
         if not left > 0.0 or machine.head[0].status != 0:

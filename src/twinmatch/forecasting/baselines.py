@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from twinmatch.compiled import compiled
 from twinmatch.dynamics import Law
+from twinmatch.dynamics.kernels import copy_into
 from twinmatch.dynamics.laws import LawCode, law_step
 from twinmatch.dynamics.simulation import law_code
 from twinmatch.signals import FloatArray, Sample
@@ -54,7 +55,8 @@ def _simulate(
     z, after = memory.copy(), memory.copy()
     lags = past - level
     for k in range(len(ahead)):
-        lags[0, o + m :] = rows[k] - level[o + m :]
+        for j in range(o + m, size):
+            lags[0, j] = rows[k, j - o - m] - level[j]
         for i in range(o):
             rate = coefficients[i, 0]
             for lag in range(p):
@@ -62,11 +64,12 @@ def _simulate(
                     rate += coefficients[i, 1 + lag * size + j] * lags[lag, j]
             y[i] = min(max(y[i] + rate, spans[i, 0]), spans[i, 1])
         law_step(law, z, ahead, k, y, u, after)
-        z[:] = after
-        simulated[:o, k], simulated[o:, k] = y, u
+        copy_into(after, z)
         for lag in range(p - 1, 0, -1):
-            lags[lag] = lags[lag - 1]
-        lags[0, :o], lags[0, o : o + m] = y - level[:o], u - level[o : o + m]
+            copy_into(lags[lag - 1], lags[lag])
+        for j in range(o + m):
+            simulated[j, k] = y[j] if j < o else u[j - o]
+            lags[0, j] = simulated[j, k] - level[j]
     return simulated
 
 

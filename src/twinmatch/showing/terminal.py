@@ -19,6 +19,7 @@ from rich.table import Table
 from rich.text import Text
 
 from twinmatch.comparing import CandidateScore, TrustLevel, Verdict
+from twinmatch.compiled import told
 from twinmatch.dynamics import Plant
 from twinmatch.offline.summary import nominal_score
 from twinmatch.showing.console import Console
@@ -73,24 +74,28 @@ class Screen:
         self._events: deque[Event] = deque(maxlen=MAX_EVENTS)
         self._next = 0.0
         self._over = False
+        self._compiled = ""
         self._live = Live(
             self, console=console, auto_refresh=False, redirect_stdout=False, redirect_stderr=False
         )
 
     def open(self) -> None:
         """Start drawing."""
+        told.append(self._compile)
         self._live.start()
         self._draw()
 
     def close(self, *, wipe: bool = False) -> None:
         """Draw a last time and leave it there, or wipe it away; a second call does nothing."""
+        if not self._over:
+            told.remove(self._compile)
         self._over = True
         self._live.transient = wipe
         self._live.stop()
 
     def advance(self, done: int) -> None:
         """Note the number of samples processed since the start of the session."""
-        self._done = done
+        self._done, self._compiled = done, ""
         part = QUARTERS * done // self._total if self._total else 0
         if part > self._part or time.monotonic() >= self._next:
             self._part = part
@@ -113,6 +118,10 @@ class Screen:
         """Print a line of another program part above the view."""
         self._console.print(Text(text, style=style))
 
+    def _compile(self, what: str) -> None:
+        self._compiled = what
+        self._draw()
+
     def _draw(self) -> None:
         began = time.monotonic()
         if self._live.is_started:
@@ -131,6 +140,8 @@ class Screen:
 
     def _fixed(self, verdict: Verdict | None, width: int) -> list[RenderableType]:
         shown: list[RenderableType] = [self._progress(width), _headline(verdict, self._period)]
+        if self._compiled:
+            shown.append(Text(f"compiling {self._compiled} once on this machine", style="dim"))
         if verdict is not None and verdict.candidates:
             accepted = [report.match for report in self._matches if report.match.accepted]
             determined = {m.samples: m.believed for m in accepted if m.samples is not None}
