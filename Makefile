@@ -17,6 +17,8 @@ PYTHONS ?= python3.10 python3.11 python3.12 python3.13
 PYTHON_TESTS ?= tests/test_signals.py tests/sessions tests/importing tests/sampling tests/comparing tests/fitting tests/nodes/test_runner.py
 SESSION ?=
 BENCH_ARGS ?=
+NEWEST ?=
+TESTED := constraints/$(ROS).txt
 
 # One thread per process: the matrices are small, and sums keep their order from run to run.
 export OMP_NUM_THREADS := 1
@@ -31,14 +33,16 @@ unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE LD_LIBRARY_PATH
 # Python keeps what it has compiled; otherwise each of the many processes would compile all that it imports.
 unexport PYTHONDONTWRITEBYTECODE
 
-INSTALL := sh .ci/install.sh $(RUN)
+INSTALL := $(if $(NEWEST),,CONSTRAINTS=$(TESTED)) sh .ci/install.sh $(RUN)
+VERSIONS := $(STAMPS)/versions-$(if $(NEWEST),newest,tested)
 
-.PHONY: help setup setup-test debian-tools test check demo bench docs dist pythons clean
+.PHONY: help setup setup-test debian-tools test check demo bench docs dist pythons constraints clean
 .DELETE_ON_ERROR:
 
 help:
 	@echo "make setup                prepare $(VENV) (PYTHON=python3.12 picks the interpreter, 3.10 to 3.13;"
-	@echo "                          ROS=kilted uses that ROS 2 instead of jazzy)"
+	@echo "                          ROS=kilted uses that ROS 2 instead of jazzy, NEWEST=1 what the registry serves"
+	@echo "                          today instead of the tested versions in constraints/)"
 	@echo "make setup-test           setup, then the tools of the tests: a browser, the simulated Arduino, colcon"
 	@echo "make test                 setup-test, then every check and test (PYTEST_ARGS='tests/plants -x' picks some)"
 	@echo "make check                setup-test, then only ruff, mypy and import-linter"
@@ -47,6 +51,7 @@ help:
 	@echo "make docs                 setup-test, then the pages of docs/ as a site in build/docs"
 	@echo "make dist                 setup, then wheels of twinmatch and its messages in dist/, to install without a clone"
 	@echo "make pythons              setup-test and PYTHON_TESTS with each of PYTHONS that is installed, in build/<python>"
+	@echo "make constraints          setup, then today's versions into constraints/; make test says whether they are good"
 	@echo "make clean                remove $(VENV) and everything built"
 
 setup: $(STAMPS)/messages $(STAMPS)/compiled
@@ -87,6 +92,15 @@ pythons:
 		build/$$python/bin/python -m pytest -q $(PYTHON_TESTS) || exit 1; \
 	done
 
+# Of all extras, and for every Python that check_machine.py lets pass.
+constraints: setup
+	@for of in jazzy:ros kilted:ros-kilted; do \
+		echo "constraints: constraints/$${of%%:*}.txt"; \
+		printf 'uv\nwheel\n' | $(RUN) -m uv pip compile --quiet --upgrade --universal --python-version 3.10 \
+			--no-header --no-annotate --output-file constraints/$${of%%:*}.txt \
+			--extra $${of#*:} --extra test --extra bench pyproject.toml - || exit 1; \
+	done
+
 clean:
 	rm -rf $(VENV) build install log dist $(MESSAGES)/build src/*.egg-info $(MESSAGES)/*.egg-info
 	rm -rf .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
@@ -107,7 +121,14 @@ $(STAMPS)/ros-$(ROS): | $(STAMPS)/venv
 	@rm -f $(STAMPS)/ros-*
 	@touch $@
 
-$(STAMPS)/dependencies: pyproject.toml setup.py setup.cfg package.xml $(wildcard config/*) $(STAMPS)/ros-$(ROS) | $(STAMPS)/venv
+# Which versions are wanted: those of the constraints file, or the newest.
+$(VERSIONS): | $(STAMPS)/venv
+	@rm -f $(STAMPS)/versions-*
+	@touch $@
+
+$(STAMPS)/versions-tested: $(TESTED)
+
+$(STAMPS)/dependencies: $(VERSIONS) pyproject.toml setup.py setup.cfg package.xml $(wildcard config/*) $(STAMPS)/ros-$(ROS) | $(STAMPS)/venv
 	@echo "setup: installing twinmatch with ROS 2 ($(ROS)) (half a minute)"
 	@$(INSTALL) --editable '.[$(ROS_EXTRA),run]'
 	@touch $@

@@ -17,10 +17,17 @@ from typing import Any
 
 import check_machine
 import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
 import twinmatch
 from tests.support.places import PROJECT
 from twinmatch.nodes.__main__ import PROGRAMS, nodes_of
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
 
 SCRIPTS = re.findall(
     r'^(\w+) = "(twinmatch\.\S+):main"', (PROJECT / "pyproject.toml").read_text(), re.MULTILINE
@@ -74,6 +81,35 @@ def test_package_xml_names_what_pyproject_needs() -> None:
     told = re.sub(r'"|<[\d.]+', " ", told)
     missing = [n for n in names if keys.get(n, f"python3-{n}") not in text and f" {n} " not in told]
     assert not missing
+
+
+@pytest.mark.parametrize("version", ["3.10", "3.11", "3.12", "3.13"])
+@pytest.mark.parametrize(("release", "other"), [("jazzy", "ros-kilted"), ("kilted", "ros")])
+def test_constraints_name_a_version_of_everything_that_pyproject_asks_for(
+    release: str, other: str, version: str
+) -> None:
+    """For every Python, and one that pyproject.toml agrees with."""
+    here = {
+        **{"python_version": version, "python_full_version": f"{version}.9", "sys_platform": "linux"},
+        **{"platform_machine": "x86_64", "implementation_name": "cpython", "os_name": "posix"},
+    }
+
+    def asked(lines: list[str]) -> list[Requirement]:
+        found = [Requirement(line) for line in lines]
+        return [one for one in found if one.marker is None or one.marker.evaluate(here)]
+
+    lines = (PROJECT / "constraints" / f"{release}.txt").read_text(encoding="utf-8").splitlines()
+    assert all(re.match(r"[a-z0-9-]+==[\w.]+( ;|$)", line) for line in lines), "names and versions only"
+    pinned = {canonicalize_name(one.name): one.specifier for one in asked(lines)}
+    assert len(pinned) == len(asked(lines)), "one version of each"
+    project = tomllib.loads((PROJECT / "pyproject.toml").read_text(encoding="utf-8"))
+    extras = {k: v for k, v in project["project"]["optional-dependencies"].items() if k != other}
+    wanted = asked([*project["build-system"]["requires"], *project["project"]["dependencies"], "uv"])
+    wanted += [one for lines in extras.values() for one in asked(lines) if one.name != "twinmatch"]
+    assert len(wanted) > 40
+    for one in wanted:
+        (pin,) = pinned[canonicalize_name(one.name)]
+        assert one.specifier.contains(pin.version, prereleases=True), f"{one}: make constraints"
 
 
 def test_every_program_of_nodes_has_a_console_script() -> None:
