@@ -88,15 +88,23 @@ def test_margins_are_those_of_python_control(seed: int) -> None:
     if not loop.stable:
         assert found == UNSTABLE
         return
-    gains, _, sensitivities, _, crossover, _ = control.stability_margins(-theirs, returnall=True)
+    gains, phases, sensitivities, angles, crossover, _ = control.stability_margins(-theirs, returnall=True)
+    # python-control sees the integrator at z = 1 as a crossing with a gain of zero, to what a double root keeps
+    # of a rounding, √ε ≈ 1e-8; the slowest pole turns the phase at 0.05 rad per sample
+    gains = gains[angles > 1e-4]
     ours = [k for k in (found.gain_down, found.gain_up) if 0 < k < math.inf]
     for k in ours:
-        assert min(abs(np.array(gains) - k)) < 1e-3 * k
+        assert min(abs(gains - k)) < 1e-3 * k
     for k in gains:
-        assert k < 1e-9 or k <= found.gain_down * (1 + 1e-3) or k >= found.gain_up * (1 - 1e-3)
+        assert k <= found.gain_down * (1 + 1e-3) or k >= found.gain_up * (1 - 1e-3)
     assert 1.0 / found.sensitivity == pytest.approx(min(sensitivities), rel=1e-3)
-    assert np.isfinite(found.delay) == bool(np.size(crossover))
-    assert loop.sensitivity() == pytest.approx(found.sensitivity, rel=2e-3)
+    assert np.isfinite(found.delay), "an integrator's gain begins above 1"
+    # python-control overlooks some, and sees two where the gain touches 1 and turns back
+    crossed = [w for w in crossover if (abs(crossover - w) < 1e-4).sum() == 1]
+    if len(crossed) == np.size(crossover) > 0:
+        assert found.delay == pytest.approx(min(np.radians(phases % 360.0) / crossover), rel=1e-3)
+    # a grid misses a resonance by an eighth of its width at most: 1 - 1/√(1 + 1/64)
+    assert loop.sensitivity() == pytest.approx(found.sensitivity, rel=8e-3)
 
 
 POINT = [45.0, 38.0]

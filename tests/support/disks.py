@@ -4,10 +4,17 @@ from __future__ import annotations
 
 import subprocess
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pytest
+
+
+def fill(disk: Path) -> None:
+    """Write a file that takes all the room that is left, however much has been written."""
+    with (disk / "of others").open("wb", buffering=0) as stream, suppress(OSError):
+        while stream.write(bytes(4096)):
+            pass
 
 
 @contextmanager

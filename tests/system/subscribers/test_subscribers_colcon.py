@@ -14,34 +14,53 @@ from typing import Any
 
 import pytest
 
+from tests.system.subscribers.keeping import key_of, locked
 from tests.system.subscribers.wheels_shim import write_shim
 from twinmatch.sessions import read_session
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
 HERE = Path(__file__).resolve().parent
+IGNORED = shutil.ignore_patterns("__pycache__", "build", "*.egg-info", "twinmatch_msgs")
 DEBIAN = Path("/usr/lib/python3/dist-packages/ament_package")
 
 
 @pytest.fixture(scope="module")
-def installed(project: Path, stranger: dict[str, str], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The install space of a workspace with both packages."""
+def installed(project: Path, stranger: dict[str, str]) -> Path:
+    """The install space of a workspace with both packages.
+
+    The built messages are kept in build/ until they or what builds them change; the nodes are built anew.
+    """
     ament_cmake = Path("/usr/share/ament_cmake/cmake").is_dir()
     if shutil.which("colcon") is None or not DEBIAN.is_dir() or not ament_cmake:
         pytest.skip("no colcon with ament_cmake: sh .ci/debian_tools.sh workspace")
     if not (Path(sys.prefix) / "share" / "rosidl_generator_py").is_dir():
         pytest.skip("ROS 2 does not come from wheels here")
-    folder = tmp_path_factory.mktemp("workspace")
-    ignored = shutil.ignore_patterns("__pycache__", "build", "*.egg-info", "twinmatch_msgs")
-    for name in ("setup.py", "setup.cfg", "pyproject.toml", "package.xml", "README.md"):
-        (folder / "twinmatch").mkdir(exist_ok=True)
-        shutil.copy(project / name, folder / "twinmatch")
-    for name in ("src", "config", "resource"):
-        shutil.copytree(project / name, folder / "twinmatch" / name, ignore=ignored)
-    shutil.copytree(project / "src" / "twinmatch_msgs", folder / "twinmatch_msgs", ignore=ignored)
-    write_shim(folder / "shim")
-    (folder / "python").mkdir()
-    (folder / "python" / "ament_package").symlink_to(DEBIAN)
+    messages, folder = project / "src" / "twinmatch_msgs", project / "build" / "workspace"
+    stamp, key = folder / "complete", key_of(messages, HERE / "wheels_shim.py", Path(__file__))
+    with locked(folder.with_suffix(".lock")):
+        if not stamp.exists() or stamp.read_text() != key:
+            shutil.rmtree(folder, ignore_errors=True)
+            shutil.copytree(messages, folder / "twinmatch_msgs", ignore=IGNORED)
+            build(folder, stranger, "twinmatch_msgs")
+            stamp.write_text(key)
+        for made in ("twinmatch", "build/twinmatch", "install/twinmatch"):
+            shutil.rmtree(folder / made, ignore_errors=True)
+        (folder / "twinmatch").mkdir()
+        for name in ("setup.py", "setup.cfg", "pyproject.toml", "package.xml", "README.md"):
+            shutil.copy(project / name, folder / "twinmatch")
+        for name in ("src", "config", "resource"):
+            shutil.copytree(project / name, folder / "twinmatch" / name, ignore=IGNORED)
+        build(folder, stranger, "twinmatch")
+    return folder / "install"
+
+
+def build(folder: Path, stranger: dict[str, str], package: str) -> None:
+    """Build a package of the workspace."""
+    if not (folder / "shim").exists():
+        write_shim(folder / "shim")
+        (folder / "python").mkdir()
+        (folder / "python" / "ament_package").symlink_to(DEBIAN)
     paths = (folder / "shim", sys.prefix, "/usr")
     cmake = [
         f"-DCMAKE_PREFIX_PATH={';'.join(map(str, paths))}",
@@ -55,13 +74,11 @@ def installed(project: Path, stranger: dict[str, str], tmp_path_factory: pytest.
         "PYTHONPATH": str(folder / "python"),
     }
     # Graphs that run at real time beside it need the processors more.
-    command = ["nice", "-n", "10", "colcon", "build", "--paths", "twinmatch", "twinmatch_msgs"]
-    command += ["--cmake-args", *cmake]
+    command = ["nice", "-n", "10", "colcon", "build", "--paths", package, "--cmake-args", *cmake]
     done = subprocess.run(
         command, cwd=folder, env=environment, capture_output=True, text=True, check=False, timeout=1800
     )
     assert done.returncode == 0, done.stdout + done.stderr
-    return folder / "install"
 
 
 def start(programs: Any, installed: Path, *command: object) -> Any:

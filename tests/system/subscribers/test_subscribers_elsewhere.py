@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import fcntl
-import hashlib
 import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from tests.system.subscribers.keeping import depends_on, key_of, locked
 from twinmatch.sessions import read_session, write_session
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
@@ -29,30 +26,6 @@ def run(command: list[str], environment: dict[str, str]) -> None:
     if done.returncode != 0 and any(words in done.stderr for words in NO_NETWORK):
         pytest.skip("no network to install the ROS wheels from")
     assert done.returncode == 0, done.stderr
-
-
-@contextmanager
-def locked(path: Path) -> Iterator[None]:
-    """One test run at a time prepares the environment."""
-    path.parent.mkdir(exist_ok=True)
-    with path.open("w") as stream:
-        fcntl.flock(stream, fcntl.LOCK_EX)
-        yield
-
-
-def depends_on(sources: Path) -> list[Path]:
-    """The files that a wheel is made of: messages, services, and how they are built."""
-    return sorted(
-        path for glob in ("msg/*.msg", "srv/*.srv", "*.toml", "setup.py") for path in sources.glob(glob)
-    )
-
-
-def key_of(sources: Path) -> str:
-    """What the environment depends on: those files and the interpreter."""
-    digest = hashlib.sha256(sys.version.encode())
-    for path in depends_on(sources):
-        digest.update(path.name.encode() + path.read_bytes())
-    return digest.hexdigest()[:16]
 
 
 def wheel_of(sources: Path, built: Path, folder: Path, environment: dict[str, str]) -> Path:
