@@ -84,27 +84,38 @@ def test_every_client_gets_the_message(serve: Callable[..., Broadcast]) -> None:
         client.close()
 
 
-def test_a_client_that_does_not_read_is_dropped_and_the_others_do_not_notice(
+FULL = 100
+"""Messages that the kernel's buffers between two programs have no room for."""
+
+
+def test_a_client_that_does_not_read_holds_nobody_up(serve: Callable[..., Broadcast]) -> None:
+    broadcast = serve(patience=10 * PATIENCE)
+    asleep, awake = join(broadcast, buffer=4096), join(broadcast)
+    heard(broadcast, awake, 0)
+    for _ in range(FULL):
+        broadcast.publish(message(1))
+        exactly(awake, SIZE)  # fails if it waits for the other
+    asleep.close()
+    awake.close()
+
+
+def test_a_client_that_does_not_read_is_dropped_and_the_others_are_not(
     serve: Callable[..., Broadcast], caplog: pytest.LogCaptureFixture
 ) -> None:
     broadcast = serve(patience=0.3)
     asleep, awake = join(broadcast, buffer=4096), join(broadcast)
     heard(broadcast, awake, 0)
-    lags = []
     deadline = time.monotonic() + PATIENCE
     while "took no whole frame" not in caplog.text:
         assert time.monotonic() < deadline
-        sent = time.monotonic()
         broadcast.publish(message(1))
         exactly(awake, SIZE)
-        lags.append(time.monotonic() - sent)
     asleep.settimeout(PATIENCE)
     taken = 0
     while piece := asleep.recv(65_536):
         taken += len(piece)
     # What had fitted into the buffers of the kernel, and then the end.
-    assert taken < 100 * SIZE
-    assert sorted(lags)[len(lags) // 2] < 0.2
+    assert taken < FULL * SIZE
     asleep.close()
     awake.close()
 

@@ -89,8 +89,8 @@ def test_margins_are_those_of_python_control(seed: int) -> None:
         assert found == UNSTABLE
         return
     gains, phases, sensitivities, angles, crossover, _ = control.stability_margins(-theirs, returnall=True)
-    # python-control sees the integrator at z = 1 as a crossing with a gain of zero, to what a double root keeps
-    # of a rounding, √ε ≈ 1e-8; the slowest pole turns the phase at 0.05 rad per sample
+    # python-control sees the integrator at z = 1 as a crossing with a gain of zero, to what a double root
+    # keeps of a rounding, √ε ≈ 1e-8; the slowest pole turns the phase at 0.05 rad per sample
     gains = gains[angles > 1e-4]
     ours = [k for k in (found.gain_down, found.gain_up) if 0 < k < math.inf]
     for k in ours:

@@ -8,7 +8,6 @@ import re
 import stat
 import subprocess
 import sys
-import time
 import zipfile
 import zlib
 from collections.abc import Callable
@@ -19,6 +18,7 @@ import numpy as np
 import pytest
 
 from tests.support.fmus import RATE, build_c_fmu, build_python_fmu, write_map
+from tests.support.waiting import wait_for
 from twinmatch.cli import main
 from twinmatch.dynamics import Model, PlantError, StructureLostError, begin, simulate_driven
 from twinmatch.fmu import FmuError, adopt_fmus, archive, structure
@@ -39,10 +39,9 @@ def run_of(adopted: Callable[..., Model], tmp_path: Path) -> Callable[[str], Cal
 
 @pytest.mark.parametrize("culprit", ["hangs", "spins"])
 def test_one_that_takes_too_long_is_ended(run_of, culprit: str, capfd) -> None:
-    run, begun = run_of(culprit, patience=1.0), time.monotonic()
+    run = run_of(culprit, patience=1.0)
     with pytest.raises(StructureLostError, match="no answer within 1 s and was killed"):
         run()
-    assert time.monotonic() - begun < 30.0
     with pytest.raises(StructureLostError):  # at once, and without a second line
         run()
     assert capfd.readouterr().err.count("everything else continues without this structure") == 1
@@ -205,11 +204,8 @@ def test_its_process_and_folder_go_when_its_parent_is_killed() -> None:
         [sys.executable, "-c", ORPHAN], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     ) as parent:
         pid, folder = parent.stdout.readline().split()  # type: ignore[union-attr]
-        deadline = time.monotonic() + 60.0
         parent.communicate("go\n")
-    while Path(f"/proc/{pid}").exists() or Path(folder).exists():
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
+    wait_for(lambda: not (Path(f"/proc/{pid}").exists() or Path(folder).exists()), "their end")
 
 
 def test_one_for_another_machine_is_refused(exchange_fmu: Path, tmp_path: Path) -> None:

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from tests.support import faulty_rig as rig
-from tests.support.faulty_kit import copied
 from tests.support.plants import Motor
+from tests.support.watched import copied
 from twinmatch.dynamics import Controller, Parameter, PlantError, advance, begin, read
 from twinmatch.health import Fault, HealthSettings, Monitor
 from twinmatch.health.changes import ChangeDetector

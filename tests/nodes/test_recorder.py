@@ -447,13 +447,15 @@ def test_a_disk_that_fills_up_ends_it_with_a_whole_session(
 def test_rates_and_silence_are_on_diagnostics(record: Start, rig: Rig) -> None:
     record()
     rig.wait_for_reader()
+    begun = time.monotonic()
     for k in range(40):
         rig.sample(k)
         time.sleep(0.05)
+    sent = 40 / (time.monotonic() - begun)
     rig.listener.spin_until(lambda: rig.listener.said("silent: /plant/sample"), "the warning")
     rate, unit, count, _ = rig.listener.values("/plant/sample")[-1].split()
     assert (unit, count) == ("Hz,", "40")
-    assert 5 < float(rate) < 21
+    assert sent / 3 < float(rate) < 3 * sent  # as received, on whatever machine
 
 
 def test_a_type_that_is_not_installed_is_named(

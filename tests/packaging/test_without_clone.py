@@ -23,10 +23,12 @@ import pytest
 
 from tests.support.places import PROJECT
 from tests.support.processes import Processes
+from tests.support.waiting import PATIENCE
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
 
+PATIENT = 4 * PATIENCE  # kernels may be compiled first
 OPTIONS = ("--quiet", "--no-deps", "--no-index")
 
 
@@ -103,10 +105,10 @@ def test_the_virtual_rig_runs_live_until_ctrl_c(installed: Path, programs: Proce
     """Camera program, stand-in of the board, bridges, controller, twin and recorder."""
     words = ["live", "--virtual", "--speed", "2", "--board", "python", "--session", "first"]
     process = programs.start(installed / "twinmatch", *words, folder=tmp_path)
-    process.said("recording into", patience=120)
-    process.said(r"level +decided", patience=120)
+    process.said("recording into", patience=PATIENT)
+    process.said(r"level +decided", patience=PATIENT)
     time.sleep(5)  # of samples
     process.send(signal.SIGINT)
-    assert process.wait(patience=60) == 0, process.text
+    assert process.wait() == 0, process.text
     assert "Traceback" not in process.text
     assert (tmp_path / "first" / "metadata.yaml").exists()

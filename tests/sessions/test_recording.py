@@ -6,6 +6,7 @@ import dataclasses
 import itertools
 import math
 import resource
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -188,10 +189,13 @@ def test_samples_that_are_not_a_session_leave_nothing(tmp_path, samples, message
 
 
 @pytest.fixture
-def small_disk():
-    """No file may grow beyond 100 kB, which fails as a full disk does."""
+def small_disk(tmp_path):
+    """No file may grow beyond half an hour, which fails as a full disk does."""
+    (file,) = write_session(tmp_path / "whole", hour()).glob("*.mcap")
+    size = file.stat().st_size
+    shutil.rmtree(tmp_path / "whole")
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, before[1]))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size // 2, before[1]))
     yield
     resource.setrlimit(resource.RLIMIT_FSIZE, before)
 

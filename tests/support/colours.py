@@ -1,7 +1,10 @@
-"""How colours differ to a reader."""
+"""How colours differ to a reader, and whether there are any."""
 
 from __future__ import annotations
 
+from pathlib import Path
+
+import matplotlib.image
 import numpy as np
 
 
@@ -15,3 +18,9 @@ def contrast(one: str, other: str) -> float:
     """Ratio of luminances, as the WCAG compute it."""
     low, high = sorted(float(linear(colour) @ [0.2126, 0.7152, 0.0722]) for colour in (one, other))
     return (high + 0.05) / (low + 0.05)
+
+
+def drawn(picture: Path) -> float:
+    """The share of a PNG's pixels that are not of its background."""
+    pixels = matplotlib.image.imread(picture)
+    return float(np.any(pixels != pixels[0, 0], axis=-1).mean())

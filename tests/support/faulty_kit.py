@@ -10,13 +10,13 @@ import contextlib
 import io
 import random
 from collections.abc import Sequence
-from copy import deepcopy
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 import numpy as np
 
+from tests.support.watched import Watched, watched
 from twinmatch.control import Loop
 from twinmatch.dynamics import advance, begin, read
 from twinmatch.health import Alarm, HealthSettings, Monitor
@@ -132,36 +132,9 @@ def run(
     return samples
 
 
-_SEEN: dict[tuple[Sample, ...], Monitor] = {}
-"""Monitors that have seen these samples and no more, of every run that was watched."""
-_KEPT = 150
-"""One is kept after so many samples."""
-
-
-def copied(monitor: Monitor) -> Monitor:
-    """It shares with the other one what does not change: settings, the model, parameters of past samples."""
-    past = [] if monitor._late is None else list(monitor._late._past)
-    models = {one.model for one in (monitor.settings.reference, monitor.settings.followed)}
-    shared = (monitor.settings, *models, *(m.kernels for m in models), *past, *(p.parameters for p in past))
-    return deepcopy(monitor, {id(one): one for one in shared})
-
-
 def watch(samples: Sequence[Sample]) -> tuple[Alarm, ...]:
-    """The alarms of a monitor that knows of the kit what the plant file says.
-
-    Kits that break at different moments are the same until then: what a monitor made of that is not computed
-    again, a copy of it continues.
-    """
-    samples = tuple(samples)
-    seen = len(samples) // _KEPT * _KEPT
-    while seen and samples[:seen] not in _SEEN:
-        seen -= _KEPT
-    monitor = copied(_SEEN[samples[:seen]]) if seen else Monitor(HealthSettings.of(TCLab))
-    for count, sample in enumerate(samples[seen:], seen + 1):
-        monitor.push(sample)
-        if count % _KEPT == 0:
-            _SEEN[samples[:count]] = copied(monitor)
-    return monitor.alarms
+    """The alarms of a monitor that knows of the kit what the plant file says."""
+    return watched("kit", lambda: Watched(Monitor(HealthSettings.of(TCLab))), samples).monitor.alarms
 
 
 def levels(size: int) -> FloatArray:

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from tests.support.watched import Watched, watched
 from twinmatch.dynamics import Controller, Parameters, advance, begin, read
 from twinmatch.health import Fault, Health, HealthSettings, HealthState, Monitor, Refusals
 from twinmatch.plants import Peltier
@@ -128,8 +129,16 @@ def _now(rig: Parameters, what: str, since: float = 0.0) -> Parameters:
 def watch(
     samples: list[Sample], parameters: Parameters | None = None, settings: HealthSettings | None = None
 ) -> tuple[Monitor, list[Health]]:
-    monitor = Monitor(settings)
-    refusals = Refusals(monitor.settings, TwinSettings().schedule.gap)
+    def begin() -> Watched:
+        monitor = Monitor(settings)
+        return Watched(monitor, Refusals(monitor.settings, TwinSettings().schedule.gap))
+
+    if parameters is None and settings is None:
+        found = watched("rig", begin, samples)
+        return found.monitor, found.healths
+    begun = begin()
+    monitor, refusals = begun.monitor, begun.refusals
+    assert refusals is not None
     return monitor, [monitor.push(refusals.settle(s), parameters) for s in samples]
 
 
@@ -140,15 +149,16 @@ def names_told(kind: str, seed: int) -> tuple[str, int | None]:
     """
     start = int(np.random.default_rng(seed).integers(500, 900))
     samples, _ = run(profile(seed + 1000, 1900), Break(kind, start), rig=some_rig(seed), seed=seed)
-    monitor, healths = Monitor(), list[Health]()
-    for sample in samples:
-        healths.append(monitor.push(sample))
-        if any(alarm.fault is not Fault.DRIFT for alarm in monitor.alarms):
-            break
+
+    def named(monitor: Monitor) -> bool:
+        return any(alarm.fault is not Fault.DRIFT for alarm in monitor.alarms)
+
+    found = watched("rig as it reads", lambda: Watched(Monitor()), samples, named)
+    monitor, healths = found.monitor, found.healths
     if not monitor.alarms:
         doubted = any(h.state is HealthState.SUSPECT and h.index > start for h in healths)
         return ("suspected" if doubted else "nothing"), None
-    named = [a for a in monitor.alarms if a.fault is not Fault.DRIFT] or list(monitor.alarms)
+    told = [a for a in monitor.alarms if a.fault is not Fault.DRIFT] or list(monitor.alarms)
     if monitor.alarms[0].flagged < start:
         return "early", None
-    return named[0].fault.value, named[0].flagged - start
+    return told[0].fault.value, told[0].flagged - start

@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 from tests.system.subscribers.keeping import key_of, locked
-from tests.system.subscribers.wheels_shim import write_shim
+from tests.system.subscribers.wheels_shim import write_parser, write_shim
 from twinmatch.sessions import read_session
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
@@ -59,7 +59,7 @@ def build(folder: Path, stranger: dict[str, str], package: str) -> None:
     """Build a package of the workspace."""
     if not (folder / "shim").exists():
         write_shim(folder / "shim")
-        (folder / "python").mkdir()
+        write_parser(folder / "python")
         (folder / "python" / "ament_package").symlink_to(DEBIAN)
     paths = (folder / "shim", sys.prefix, "/usr")
     cmake = [

@@ -7,6 +7,8 @@ needs nothing of this.
 
 from __future__ import annotations
 
+import importlib.util
+import shutil
 from pathlib import Path
 
 GENERATORS = """\
@@ -46,3 +48,30 @@ def write_shim(prefix: Path) -> None:
         folder = prefix / "share" / package / "cmake"
         folder.mkdir(parents=True)
         (folder / f"{package}Config.cmake").write_text(text)
+
+
+KEPT = """
+
+_parse = parse_idl_string
+
+
+def parse_idl_string(idl_string, png_file=None):
+    import hashlib, pathlib, pickle
+    kept = pathlib.Path(__file__).with_name(hashlib.sha256(idl_string.encode()).hexdigest())
+    if not kept.exists():
+        part = kept.with_suffix(f".{os.getpid()}")
+        part.write_bytes(pickle.dumps(_parse(idl_string)))
+        part.replace(kept)
+    return pickle.loads(kept.read_bytes())
+"""
+
+
+def write_parser(folder: Path) -> None:
+    """Write the parser of the generators so that it keeps what it has parsed: each of them parses every
+    message, which is most of their time."""
+    found = importlib.util.find_spec("rosidl_parser")
+    assert found is not None
+    assert found.origin is not None
+    shutil.copytree(Path(found.origin).parent, folder / "rosidl_parser")
+    with (folder / "rosidl_parser" / "parser.py").open("a") as parser:
+        parser.write(KEPT)

@@ -1,0 +1,76 @@
+"""Monitors beside simulated plants, which do not judge again what another one has judged.
+
+Plants that break at different moments or in different ways are the same until then: a copy of the monitor
+that has seen that part continues.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from copy import deepcopy
+from dataclasses import dataclass, field
+from typing import Any
+
+from twinmatch.dynamics import Parameters
+from twinmatch.health import Health, HealthSettings, Monitor, Refusals
+from twinmatch.signals import Sample
+
+
+@dataclass
+class Watched:
+    """A monitor, what settles its samples, if anything does, and what it has said."""
+
+    monitor: Monitor
+    refusals: Refusals | None = None
+    healths: list[Health] = field(default_factory=list)
+
+    def push(self, sample: Sample) -> None:
+        settled = sample if self.refusals is None else self.refusals.settle(sample)
+        self.healths.append(self.monitor.push(settled))
+
+
+_SEEN: dict[tuple[str, tuple[Sample, ...]], Watched] = {}
+"""Monitors of a kind that have seen these samples and no more, of every run that was watched."""
+_KEPT = 150
+"""One is kept after so many samples."""
+_SHARED = (Parameters, HealthSettings, Health, Sample)
+"""Never change, and are shared by a monitor and its copies."""
+
+
+@contextmanager
+def _sharing() -> Iterator[None]:
+    for kind in _SHARED:
+        setattr(kind, "__deepcopy__", lambda self, _memo: self)  # noqa: B010 (mypy knows no such method)
+    try:
+        yield
+    finally:
+        for kind in _SHARED:
+            delattr(kind, "__deepcopy__")
+
+
+def copied(watched: Any) -> Any:
+    """A copy that shares what does not change."""
+    with _sharing():
+        return deepcopy(watched)
+
+
+def watched(
+    kind: str,
+    begin: Callable[[], Watched],
+    samples: Sequence[Sample],
+    until: Callable[[Monitor], bool] = lambda _: False,
+) -> Watched:
+    """Watch samples, to the first after which something holds; `begin` gives the monitor of this kind."""
+    samples = tuple(samples)
+    seen = len(samples) // _KEPT * _KEPT
+    while seen and (kind, samples[:seen]) not in _SEEN:
+        seen -= _KEPT
+    found: Watched = copied(_SEEN[kind, samples[:seen]]) if seen else begin()
+    for count, sample in enumerate(samples[seen:], seen + 1):
+        if until(found.monitor):
+            break
+        found.push(sample)
+        if count % _KEPT == 0:
+            _SEEN[kind, samples[:count]] = copied(found)
+    return found
