@@ -91,7 +91,7 @@ class Bag:
             notes: what is known already of its files, as sentences.
 
         Raises:
-            RecordingError: there are too many topics, or a file is damaged, so that nothing of it can be read.
+            RecordingError: there are too many topics, or a file is damaged and nothing of it can be read.
         """
         self.path = path
         self._scans = scans
@@ -107,8 +107,8 @@ class Bag:
                 self._topics.setdefault(topic.name, []).append(topic)
             if len(self._topics) > MAX_TOPICS:
                 raise RecordingError(
-                    f"{path}: has {len(self._topics)} topics, more than {MAX_TOPICS}; copy those of the plant "
-                    "into a bag of their own: ros2 bag convert"
+                    f"{path}: has {len(self._topics)} topics, more than {MAX_TOPICS}; copy those of the "
+                    "plant into a bag of their own: ros2 bag convert"
                 )
             read = self._counts.total() - before
             if scan.fault and not read:
