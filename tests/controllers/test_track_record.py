@@ -130,14 +130,14 @@ def test_the_law_that_ran_is_known_by_its_commands() -> None:
 
 
 def test_what_a_twin_does_not_explain_is_in_the_bands_of_the_readings() -> None:
-    """A room that drifts by some kelvin an hour, which no twin has: with what one recording left unexplained,
+    """A load that drifts, which no twin has: with what one recording left unexplained,
     the readings of another are in their bands as often as the bands say; without, much less often."""
     rng = np.random.default_rng(5)
     shares: dict[bool, list[float]] = {False: [], True: []}
     twin, asked = question()
 
     def drift() -> np.ndarray:
-        return np.cumsum(rng.normal(0.0, 0.03, LEVELS.shape), axis=0)
+        return np.cumsum(rng.normal(0.0, 0.15, LEVELS.shape), axis=0)
 
     for known, found in shares.items():
         told = replace(twin, unexplained=drift() if known else None)

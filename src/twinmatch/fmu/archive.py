@@ -223,17 +223,23 @@ def _real_scalar(declared: Any) -> bool:
     return declared.type in _REAL and not declared.dimensions
 
 
+def _variability(declared: Any) -> str:
+    """As declared; what is not real is never continuous, which FMPy takes for the default."""
+    stated = str(declared.variability or "")
+    return "discrete" if stated == "continuous" and declared.type not in _REAL else stated
+
+
 def _changes_at_events(declared: Any) -> bool:
-    """Whether it may be a memory of events: what is not real is so unless it says otherwise."""
-    usual = "" if declared.type in (*_REAL, *_WORDS) else "discrete"
-    return declared.causality in {None, "local", "output"} and (declared.variability or usual) == "discrete"
+    """Whether it may be a memory of events: of what is not real, words apart."""
+    own = declared.causality in {"local", "output"} and declared.type not in _WORDS
+    return own and _variability(declared) == "discrete"
 
 
 def _foreign(declared: Any) -> str:
     """Name, type with dimensions, causality and variability."""
     sizes = (each.start or getattr(each.variable, "name", "?") for each in declared.dimensions or ())
     kind = declared.type + "".join(f"[{size}]" for size in sizes)
-    about = ", ".join(filter(None, (declared.causality or "local", declared.variability)))
+    about = ", ".join(filter(None, (declared.causality, _variability(declared))))
     return " ".join(f"{declared.name}: {kind}, {about}".split())
 
 
