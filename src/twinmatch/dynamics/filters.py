@@ -330,9 +330,10 @@ def _use(code: Code, fixed: TrackerConstants, at: FloatArray, vector: FloatArray
 @compiled
 def track(
     code: Code, fixed: TrackerConstants, at: FloatArray, covariance: FloatArray, drift: Drift,
-    readings: Readings, opening: Opening, traces: Traces,
+    readings: Readings, opening: Opening, traces: Traces, cost: float,
 ) -> float:  # fmt: skip
-    """Track some samples; belief and traces change in place. Return the readings' code length, in nats.
+    """Track some samples; belief and traces change in place. Return the code length, in nats, of these
+    readings and of those before, which is `cost`.
 
     `at`, shape (n,), are the means of the belief: states, parameters, and the places SHARE to RATE;
     `covariance`, shape (n, n), is theirs.
@@ -341,7 +342,7 @@ def track(
     n = size - m - EXTRA
     offset, passing, rate = size + OFFSET, size + PASSING, size + RATE
     y, u, opened, rising = readings.output, readings.input, opening.drift, opening.rising
-    vector, inputs, cost = fixed.vector.copy(), np.empty(1), 0.0
+    vector, inputs = fixed.vector.copy(), np.empty(1)
     work = work_for(code, vector)
     slope, reach, gain, noises = np.zeros(size), np.zeros(size), np.zeros(size), np.zeros(size)
     moved, there = np.zeros((n, size)), np.zeros(n)

@@ -123,8 +123,7 @@ class Tracker:
         self._fading = _MODEL_ERROR[3] * noise / period
         drift[self.fading] = self._fading * math.sqrt(2.0 / push_time)
         self._drifts = [Drift(level * drift, level * float(_MODEL_ERROR[4])) for level in levels]
-        self._closed = np.zeros(self.size)
-        self._none = no_traces(self.size)
+        self.none = no_traces(self.size)
         self._levels = levels
 
     def _constants(self, period: float, push_time: float, offset_time: float) -> TrackerConstants:
@@ -178,15 +177,7 @@ class Tracker:
         return Belief(values, covariance)
 
     def run(
-        self,
-        belief: Belief,
-        readings: Readings,
-        level: int,
-        *,
-        traces: Traces | None = None,
-        opened: FloatArray | None = None,
-        lasting: int = 0,
-        rising: int = -1,
+        self, belief: Belief, readings: Readings, level: int, *, traces: Traces | None = None
     ) -> tuple[Belief, float]:
         """The belief after some samples, and the code length of their readings, in nats.
 
@@ -198,20 +189,18 @@ class Tracker:
             readings: the samples.
             level: index of the level.
             traces: updated in place.
-            opened: additional drift, per √s, in the first `lasting` samples, shape (n,).
-            lasting: number of those samples.
-            rising: index of the number that rises at the believed rate; negative: none.
         """
+        return Course(self, belief, level).to(readings, traces)
+
+    def track(
+        self, belief: Belief, readings: Readings, level: int, opening: Opening, traces: Traces, cost: float
+    ) -> tuple[Belief, float]:
+        """The belief after some samples, and their code length together with that of the samples before."""
         values, covariance = belief.values.copy(), belief.covariance.copy()
-        opening = Opening(self._closed if opened is None else opened, lasting, rising)
         cost = self._track(
-            self._fixed, values, covariance, self._drifts[level], readings, opening, traces or self._none
+            self._fixed, values, covariance, self._drifts[level], readings, opening, traces, cost
         )
-        if math.isfinite(cost) and np.isfinite(values.sum() + covariance.sum()):
-            return Belief(values, covariance), float(cost)
-        output, row = readings.output[np.isfinite(readings.output)][-1], readings.disturbances[-1]
-        again = self.again(belief, float(output), float(readings.input[-1]), row)
-        return again, _IMPOSSIBLE * readings.input.size
+        return Belief(values, covariance), float(cost)
 
     def named(self, belief: Belief, name: str) -> float:
         """The believed value of a parameter."""
@@ -232,3 +221,46 @@ class Tracker:
         )
         offset = belief.values[self.offset] + belief.values[self.passing]
         return float(output + offset), float(slope @ belief.covariance @ slope)
+
+
+class Course:
+    """A belief that is tracked on as readings come, each of them once."""
+
+    def __init__(
+        self,
+        tracker: Tracker,
+        belief: Belief,
+        level: int,
+        *,
+        opened: FloatArray | None = None,
+        lasting: int = 0,
+        rising: int = -1,
+    ) -> None:
+        """Begin before the first reading.
+
+        Args:
+            tracker: the plant's.
+            belief: the belief before them.
+            level: index of the level.
+            opened: additional drift, per √s, in the first `lasting` samples, shape (n,).
+            lasting: number of those samples.
+            rising: index of the number that rises at the believed rate; negative: none.
+        """
+        self._tracker, self._begin, self._level = tracker, belief, level
+        self._opening = Opening(np.zeros(tracker.size) if opened is None else opened, lasting, rising)
+        self._belief, self._cost, self._done = belief, 0.0, 0
+
+    def to(self, readings: Readings, traces: Traces | None = None) -> tuple[Belief, float]:
+        """The belief after all readings since the beginning, and their code length; see `Tracker.run`."""
+        size = readings.input.size
+        opening = self._opening._replace(lasting=self._opening.lasting - self._done)
+        self._belief, self._cost = self._tracker.track(
+            self._belief, readings.part(self._done, size), self._level, opening,
+            traces or self._tracker.none, self._cost,
+        )  # fmt: skip
+        self._done = size
+        if math.isfinite(self._cost) and np.isfinite(self._belief.values.sum() + self._belief.covariance.sum()):
+            return self._belief, self._cost
+        output, row = readings.output[np.isfinite(readings.output)][-1], readings.disturbances[-1]
+        again = self._tracker.again(self._begin, float(output), float(readings.input[-1]), row)
+        return again, _IMPOSSIBLE * size

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Final, NamedTuple
@@ -21,7 +21,7 @@ import numpy as np
 from twinmatch.dynamics import Parameters
 from twinmatch.dynamics.filters import Readings, Traces
 from twinmatch.dynamics.pace import plant_scale, slow_scale, time_scale
-from twinmatch.dynamics.tracker import Belief, Tracker
+from twinmatch.dynamics.tracker import Belief, Course, Tracker
 from twinmatch.health.late_input import later_inputs
 from twinmatch.health.track_record import TrackRecord
 from twinmatch.health.tracking import REACH, Block, TrackedBlocks, joined
@@ -230,6 +230,11 @@ class _Found(NamedTuple):
     belief: Belief
 
 
+_Course = Callable[[Readings], tuple[Belief, float]]
+"""The belief after all readings since an onset under a hypothesis, and their code length; called with more and
+more readings, of which each is tracked once."""
+
+
 class ChangeDetector:
     """Tracks one plant and detects what has changed."""
 
@@ -329,7 +334,10 @@ class ChangeDetector:
         _, h, age, level, _ = self._best[1]
         if h.ceases:
             return self._beyond(age, level)
-        beliefs = (self._run(h, age, level, blocks)[1] for blocks in range(1, age + 1))
+        blocks, size = list(self._tracked.blocks)[-age:], self._tracked.size
+        stretch = joined(blocks)
+        course = self._course(h, blocks[0].before[level], level, stretch)
+        beliefs = (course(stretch.part(0, size * count))[0] for count in range(1, age + 1))
         return np.array([belief.values[h.index] for belief in beliefs]) * self.block
 
     def _beyond(self, age: int, level: int) -> FloatArray:
@@ -350,6 +358,7 @@ class ChangeDetector:
 
     def _reset(self) -> None:
         self._best = None
+        self._courses: dict[tuple[Hypothesis, int, int], _Course] = {}
         self._idle = self._asking = 0
         self._clear()
 
@@ -417,10 +426,13 @@ class ChangeDetector:
             return (nothing - float(before[-age - 1]) - cost) / dispersion
 
         likely = [*self.hypotheses, *([self._back] if self._back else [])]
+        blocks, oldest = list(self._tracked.blocks), len(self._tracked.blocks)
+        self._courses = {key: one for key, one in self._courses.items() if key[1] >= blocks[0].first}
+        stretches = {age: joined(blocks[-age:]) for age in ages}
         for age, h, level in itertools.product(ages, likely, self._tracked.levels):
             if level > self._tracked.level and (h.ceases or h.kind not in _LESS_ACCURATE):
                 continue
-            cost, belief = self._run(h, age, level)
+            belief, cost = self._run(h, age, level, stretches[age])
             gain = saved(cost, age)
             if h.kind not in found or gain > found[h.kind].gain:
                 found[h.kind] = _Found(gain, h, age, level, belief)
@@ -436,20 +448,19 @@ class ChangeDetector:
         # The hour in which it began, when in it, and what has changed have to be said, too.
         gain -= code_length_of(1 + self._tracked.known // _HOUR) + math.log(_HOUR / _EVERY * len(found))
         if gain > 0.0 and not self._steps:  # behind a lag, the inputs come with the delay that suits them
-            cost, late = self._lateness(age)
+            cost, late = self._lateness(age, stretches[age])
             gain -= _COARSE * max(0.0, saved(cost, age))
             if gain < 0.0 and age >= _ABSORBED_AFTER:
                 self._tracked.adopt(late)
                 self._reset()
                 return None
         # A change has an onset; one that explains as much from long before was there from the start.
-        oldest = len(self._tracked.blocks)
         dated = oldest
         if oldest - age >= 2 * _EVERY:
-            cost, early = self._run(h, oldest, level)
+            early, cost = self._run(h, oldest, level, joined(blocks))
             if saved(cost, oldest) > order[0].gain - _WORTH:
                 belief, dated = early, 0
-        onset = self._tracked.blocks[-age]
+        onset = blocks[-age]
         change = DetectedChange(
             hypothesis=h,
             gain=gain,
@@ -465,11 +476,11 @@ class ChangeDetector:
         self._best = (change, order[0]._replace(belief=belief))
         return change
 
-    def _lateness(self, age: int) -> tuple[float, Belief]:
+    def _lateness(self, age: int, stretch: Readings) -> tuple[float, Belief]:
         """Code length of the last blocks' readings if nothing has changed, but inputs act later than the
         equations say, and the belief after it."""
         blocks = list(self._tracked.blocks)
-        stretch, inputs = joined(blocks[-age:]), np.concatenate([b.stretch.input for b in blocks])
+        inputs = np.concatenate([b.stretch.input for b in blocks])
         rivals = list(later_inputs(inputs, stretch.input.size, self._second))
         runs = (
             self.tracker.run(blocks[-age].before[level], stretch._replace(input=late), level)
@@ -492,60 +503,78 @@ class ChangeDetector:
         before = self._tracked.blocks[-found.age].before[self._tracked.level]
         return float((found.belief.values - before.values)[found.hypothesis.index])
 
-    def _run(self, h: Hypothesis, age: int, level: int, most: int | None = None) -> tuple[float, Belief]:
-        """Code length of the last blocks' readings, or of the first `most` of those, under a hypothesis at a
-        level, and the belief after it."""
-        blocks: list[Block] = list(self._tracked.blocks)[-age:][:most]
-        stretch: Readings = joined(blocks)
-        before = blocks[0].before[level]
+    def _run(self, h: Hypothesis, age: int, level: int, stretch: Readings) -> tuple[Belief, float]:
+        """The belief after the last blocks under a hypothesis at a level, and their readings' code length."""
+        onset = self._tracked.blocks[-age]
+        key = h, onset.first, level
+        if key not in self._courses:
+            self._courses[key] = self._course(h, onset.before[level], level, stretch)
+        return self._courses[key](stretch)
+
+    def _course(self, h: Hypothesis, before: Belief, level: int, stretch: Readings) -> _Course:
+        """The same for the readings since an onset: at first these, later more of them."""
+        tracker, size = self.tracker, self._tracked.size
         if h.at_once:
-            came = stretch.output[: 2 + _EVERY * self._tracked.size]
+            came = stretch.output[: 2 + _EVERY * size]
             return self._jumped(h, before, stretch, int(np.nanargmax(np.abs(np.diff(came[1:])))), level)
         if h.kind is Kind.LOST:
-            places = np.linspace(0, _EVERY * self._tracked.size, _ONSETS, endpoint=False).astype(int)
-            found = (self._jumped(h, before, stretch, int(place), level) for place in places)
-            return min(found, key=lambda one: one[0])
+            places = np.linspace(0, _EVERY * size, _ONSETS, endpoint=False).astype(int)
+            jumps = [self._jumped(h, before, stretch, int(place), level) for place in places]
+            return lambda readings: min((to(readings) for to in jumps), key=lambda one: one[1])
         if h.ceases:
-            return self._ceased(h, before, stretch, level)
+            return self._ceased(h, before, level)
         if h.slowly:
-            belief = before.opened(self.tracker.rate, 0.0, h.spread / h.slowly)
-            belief, cost = self.tracker.run(belief, stretch, level, rising=h.index)
-            return cost + h.price, belief.closed(self.tracker.rate)
-        opened = np.zeros(self.tracker.size)
+            opened = before.opened(tracker.rate, 0.0, h.spread / h.slowly)
+            return self._rising(h, Course(tracker, opened, level, rising=h.index))
+        drift = np.zeros(tracker.size)
         half = math.sqrt(0.5) * h.spread
-        opened[h.index] = half / math.sqrt(h.lasting)
-        belief, cost = self.tracker.run(
-            before.opened(h.index, h.shift, half),
-            stretch,
-            level,
-            opened=opened,
-            lasting=round(h.lasting / self._period),
-        )
-        return cost, belief
+        drift[h.index] = half / math.sqrt(h.lasting)
+        opened, lasting = before.opened(h.index, h.shift, half), round(h.lasting / self._period)
+        return Course(tracker, opened, level, opened=drift, lasting=lasting).to
 
-    def _ceased(self, h: Hypothesis, before: Belief, stretch: Readings, level: int) -> tuple[float, Belief]:
+    def _rising(self, h: Hypothesis, course: Course) -> _Course:
+        """The same if a number changes evenly."""
+
+        def to(readings: Readings) -> tuple[Belief, float]:
+            belief, cost = course.to(readings)
+            return belief.closed(self.tracker.rate), cost + h.price
+
+        return to
+
+    def _ceased(self, h: Hypothesis, before: Belief, level: int) -> _Course:
         """The same if a number changes, and is as before since the moment that explains most."""
-        at, size, found = h.index, self._tracked.size, list[tuple[float, Belief]]()
-        belief, begun, done = before.opened(at, h.shift, h.spread), 0.0, 0
-        for end in range(_EVERY * size, len(stretch.input), _EVERY * size):
-            belief, cost = self.tracker.run(belief, stretch.part(done, end), level)
-            begun, done = begun + cost, end
-            after = belief.closed(at).opened(at, before.values[at], math.sqrt(before.covariance[at, at]))
-            after, rest = self.tracker.run(after, stretch.part(end, len(stretch.input)), level)
-            found.append((begun + rest + h.price, after))
-        return min(found, key=lambda one: one[0], default=(math.inf, before))
+        at, step = h.index, _EVERY * self._tracked.size
+        spread = math.sqrt(before.covariance[at, at])
+        belief, begun = before.opened(at, h.shift, h.spread), 0.0
+        since: list[tuple[float, Course]] = []  # and the code length of the readings until then
 
-    def _jumped(
-        self, h: Hypothesis, before: Belief, stretch: Readings, place: int, level: int
-    ) -> tuple[float, Belief]:
+        def to(readings: Readings) -> tuple[Belief, float]:
+            nonlocal belief, begun
+            for end in range(step * (1 + len(since)), len(readings.input), step):
+                belief, cost = self.tracker.run(belief, readings.part(end - step, end), level)
+                begun += cost
+                after = belief.closed(at).opened(at, before.values[at], spread)
+                since.append((begun, Course(self.tracker, after, level)))
+            found = []
+            for end, (until, course) in zip(itertools.count(step, step), since, strict=False):
+                after, rest = course.to(readings.part(end, len(readings.input)))
+                found.append((after, until + rest + h.price))
+            return min(found, key=lambda one: one[1], default=(before, math.inf))
+
+        return to
+
+    def _jumped(self, h: Hypothesis, before: Belief, stretch: Readings, place: int, level: int) -> _Course:
         """The same if a number jumps before the reading at this place."""
-        belief, cost = before, 0.0
+        belief, begun = before, 0.0
         if place > 0:
             belief, begun = self.tracker.run(belief, stretch.part(0, place), level)
-            cost += begun
-        belief = belief.opened(h.index, h.shift, h.spread)
-        belief, rest = self.tracker.run(belief, stretch.part(place, len(stretch.input)), level)
-        return cost + rest + h.price, belief
+        course = Course(self.tracker, belief.opened(h.index, h.shift, h.spread), level)
+
+        def to(readings: Readings) -> tuple[Belief, float]:
+            after, rest = course.to(readings.part(place, len(readings.input)))
+            return after, begun + rest + h.price
+
+        return to
 
 
 def code_length_of(number: int) -> float:

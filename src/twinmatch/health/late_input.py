@@ -10,10 +10,10 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Iterator
+from itertools import accumulate
 from typing import Final
 
 import numpy as np
-from scipy.signal import lfilter
 
 from twinmatch.dynamics import Parameters
 from twinmatch.dynamics.filters import Readings
@@ -48,8 +48,9 @@ def later_inputs(inputs: FloatArray, size: int, second: float) -> Iterator[Float
         yield inputs[np.maximum(np.arange(first, inputs.size) - delay, 0)]
     for late in times:
         kept = math.exp(-1.0 / late)
-        behind, _ = lfilter([1.0 - kept], [1.0, -kept], inputs, zi=[kept * inputs[0]])
-        yield np.asarray(behind[first:])
+        steps = ((1.0 - kept) * inputs).tolist()
+        behind = accumulate(steps, lambda last, step, kept=kept: kept * last + step, initial=inputs[0])
+        yield np.array([*behind][1 + first :])
 
 
 class LateInput:

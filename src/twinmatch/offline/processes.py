@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import contextlib
 import gc
-import multiprocessing
 import os
 import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from concurrent.futures import Executor, ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
 from functools import partial
-from multiprocessing.connection import wait
-from typing import Final, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Final, ParamSpec, TypeVar
+
+if TYPE_CHECKING:
+    from concurrent.futures import Executor, ProcessPoolExecutor
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -59,6 +58,9 @@ def pool(processes: int, *, forked: bool = False) -> Iterator[ProcessPoolExecuto
     They are spawned unless `forked`: a fork needs no imports, but copies the locks that other threads hold.
     Ctrl-C is handled by this process only.
     """
+    import multiprocessing  # noqa: PLC0415 — slow to import, as all that follows; few commands need it
+    from concurrent.futures import ProcessPoolExecutor  # noqa: PLC0415
+
     before = set(multiprocessing.active_children())
     context = multiprocessing.get_context("fork" if forked else "spawn")
     made = ProcessPoolExecutor(processes, mp_context=context, initializer=_begin)
@@ -83,12 +85,16 @@ def _begin() -> None:
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ[variable] = "1"
     gc.set_threshold(GARBAGE)
-    parent = multiprocessing.parent_process()
+    from multiprocessing import parent_process  # noqa: PLC0415
+
+    parent = parent_process()
     if parent is not None:
         threading.Thread(target=_end_with, args=(parent.sentinel,), daemon=True).start()
 
 
 def _end_with(sentinel: int) -> None:
+    from multiprocessing.connection import wait  # noqa: PLC0415
+
     wait([sentinel])
     os._exit(1)
 
@@ -108,6 +114,8 @@ class Beside:
         here = partial(task, *args, **kwargs)
         if self._second is None:
             return here
+        from concurrent.futures.process import BrokenProcessPool  # noqa: PLC0415
+
         try:
             given = self._second.submit(task, *args, **kwargs)
         except BrokenProcessPool:

@@ -217,11 +217,13 @@ def _entries(field: RecordField, value: Any) -> dict[str, Any]:
 
 def finite(value: Any) -> Any:
     """A value for JSON: None for NaN and infinities, also in lists and dictionaries."""
-    if isinstance(value, Mapping):
-        return {key: finite(item) for key, item in value.items()}
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
     if isinstance(value, list | tuple):
         return [finite(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    if isinstance(value, str | int | None):  # looking whether it is a mapping takes longer
+        return value
+    return {key: finite(item) for key, item in value.items()} if isinstance(value, Mapping) else value
 
 
 def _plain(value: Any) -> Any:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from scipy.stats import chi2
 
 from twinmatch.fitting import Prior, StructureFit
 
@@ -28,8 +27,10 @@ def unlike(fit: StructureFit, prior: Prior) -> str:
     left = fit.covariance / np.outer(deviation, deviation)
     told, directions = np.linalg.eigh(np.eye(len(free)) - (left + left.T) / 2)
     known = told >= _TOLD
+    from scipy.special import chdtri  # noqa: PLC0415 — a quarter of a second, seldom needed
+
     surprise = float(np.sum(np.square(directions.T[known] @ away) / told[known]))
-    if not known.any() or surprise <= chi2.isf(_CHANCE, known.sum()):
+    if not known.any() or surprise <= chdtri(known.sum(), _CHANCE):
         return ""
     place = int(np.argmax(np.abs(away)))
     name = free[place]

@@ -12,8 +12,6 @@ import pickle
 import threading
 import traceback
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import as_completed
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -148,6 +146,8 @@ def judge_in_processes(jobs: Sequence[Job], processes: int) -> Iterator[JobResul
     If a process dies (out of memory, for example), the sessions without an outcome are judged again one by
     one, which finds the one that caused it. Closing the iterator terminates the processes at once.
     """
+    from concurrent.futures.process import BrokenProcessPool  # noqa: PLC0415 — slow to import
+
     left = {job.number: job for job in jobs}
     try:
         for outcome in _run_in_pool(jobs, min(processes, len(jobs))):
@@ -162,6 +162,8 @@ def judge_in_processes(jobs: Sequence[Job], processes: int) -> Iterator[JobResul
 
 
 def _run_in_pool(jobs: Sequence[Job], processes: int) -> Iterator[JobResult]:
+    from concurrent.futures import as_completed  # noqa: PLC0415
+
     with pool(processes) as workers:
         for future in as_completed([workers.submit(judge_job, job) for job in jobs]):
             yield future.result()
