@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from tests.support.plants import Lag
 from twinmatch.dynamics import advance, begin
 from twinmatch.dynamics.filters import Readings
-from twinmatch.dynamics.tracker import Belief, Tracker, no_traces
+from twinmatch.dynamics.tracker import Belief, Course, Tracker, no_traces
 
 PERIOD, NOISE = 1.0, 0.01
 TRUTH = Lag.model().parameters(gain=2.4, lag=7.0)
@@ -72,14 +72,14 @@ def test_with_known_parameters_it_is_the_kalman_filter_of_the_textbook() -> None
     for index in range(1, of.size):
         known = known.closed(index)
     for name in of.free:
-        of._drifts[1].each[of.at[name]] = 0.0
+        of.drifts[1].each[of.at[name]] = 0.0
     record = stretch(5, 60)
     belief, cost = of.run(known, record, 1)
     p = of.parameters
     a = np.exp(-PERIOD / p["lag"])
-    drift, swift = of._drifts[1].each[0] ** 2 * PERIOD, of._drifts[1].swift
+    drift, swift = of.drifts[1].each[0] ** 2 * PERIOD, of.drifts[1].swift
     fading, fade = 0.0, of._fixed.keeps[of.fading]
-    strays = of._drifts[1].each[of.fading] ** 2 * PERIOD
+    strays = of.drifts[1].each[of.fading] ** 2 * PERIOD
     state, push = np.zeros(2), np.array([1.0, 0.0])
     state[0] = known.values[0]
     covariance = np.diag([known.covariance[0, 0], fading])
@@ -112,8 +112,22 @@ def test_what_is_opened_is_found() -> None:
     assert weak.values[of.share] == pytest.approx(-0.3, abs=0.02)
     assert saved < plain - 20
     creeping = stretch(2, 100, rate=0.02)
-    crept, _ = of.run(later.opened(of.rate, 0.0, 0.02), creeping, 0, rising=of.offset)
+    crept, _ = Course(of, later.opened(of.rate, 0.0, 0.02), 0, rising=of.offset).to(creeping)
     assert crept.values[of.rate] == pytest.approx(0.02, rel=0.1)
+
+
+@pytest.mark.parametrize("how", [{}, {"rising": -5}, {"lasting": 30}])
+def test_readings_tracked_as_they_come_give_the_same_bits_as_all_at_once(how: dict[str, int]) -> None:
+    of, record = tracker(), stretch(3, 100, share=0.8)
+    how = {name: of.size + value if name == "rising" else value for name, value in how.items()}
+    opened, before = np.full(of.size, 0.05), first(of).opened(of.rate, 0.0, 0.02)
+    whole, cost = Course(of, before, 0, opened=opened, **how).to(record)
+    course = Course(of, before, 0, opened=opened, **how)
+    for end in (1, 20, 45, 100):
+        parts = course.to(record.part(0, end))
+    assert (parts[0].values.tolist(), parts[1]) == (whole.values.tolist(), cost)
+    assert parts[0].covariance.tolist() == whole.covariance.tolist()
+    assert cost != Course(of, before, 0).to(record)[1] or not how
 
 
 def test_traces_forecast_what_a_jump_leaves_in_the_surprises() -> None:

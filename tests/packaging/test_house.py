@@ -38,3 +38,36 @@ def test_a_class_name_means_one_thing() -> None:
     ]
     names = Counter(one.name for module in modules for one in module.body if isinstance(one, ast.ClassDef))
     assert [name for name, count in names.items() if count > 1] == []
+
+
+SLOW = ("scipy.signal", "scipy.stats", "sympy", "matplotlib", "control", "pint", "bokeh", "pandas")
+"""Modules that take up to two seconds to import: only what needs one imports it, when it does."""
+PAGE = "twinmatch.showing.page"
+"""The program of the live page draws with Bokeh, and nothing else."""
+
+IMPORT_ALL = f"""
+import importlib, pkgutil, sys, twinmatch
+loaded = set()
+for found in pkgutil.walk_packages(twinmatch.__path__, "twinmatch.", onerror=print):
+    if found.name.startswith("{PAGE}") or found.name.endswith("__main__"):
+        continue
+    try:
+        importlib.import_module(found.name)
+    except ModuleNotFoundError as error:
+        if error.name.startswith("twinmatch"):
+            raise
+    new = {{name for name in {SLOW} if name in sys.modules}} - loaded
+    loaded |= new
+    if new:
+        print(found.name, "imports", *sorted(new))
+importlib.import_module("twinmatch.cli.replay")
+print(len([name for name in sys.modules if name.startswith("twinmatch.")]) > 200)
+"""
+
+
+def test_no_command_and_no_node_waits_for_modules_that_others_need() -> None:
+    """Every module but those of the page is imported, so also what a command or a node imports later."""
+    done = subprocess.run(
+        [sys.executable, "-c", IMPORT_ALL], cwd=PROJECT, capture_output=True, text=True, check=True
+    )
+    assert done.stdout.split("\n") == ["True", ""]

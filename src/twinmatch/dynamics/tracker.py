@@ -9,6 +9,7 @@ push have process noise; the variance of the others is opened to test whether th
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass
 from typing import Final
@@ -103,7 +104,7 @@ class Tracker:
         scale = slow_scale(model.plant, period)
         push_time = _PUSH_TIME * scale
         self._fixed = self._constants(period, push_time, _OFFSET_TIME * scale)
-        self._track = model.kernels.track
+        self.track = functools.partial(model.kernels.track, self._fixed)
         noise = model.plant.output.noise
         scales = np.array([state.scale for state in model.declared_states])
         slopes = model.kernels.slopes_at(
@@ -122,7 +123,7 @@ class Tracker:
         drift[:n] /= math.sqrt(period)  # a plant sampled faster is assumed to be faster
         self._fading = _MODEL_ERROR[3] * noise / period
         drift[self.fading] = self._fading * math.sqrt(2.0 / push_time)
-        self._drifts = [Drift(level * drift, level * float(_MODEL_ERROR[4])) for level in levels]
+        self.drifts = [Drift(level * drift, level * float(_MODEL_ERROR[4])) for level in levels]
         self.none = no_traces(self.size)
         self._levels = levels
 
@@ -192,16 +193,6 @@ class Tracker:
         """
         return Course(self, belief, level).to(readings, traces)
 
-    def track(
-        self, belief: Belief, readings: Readings, level: int, opening: Opening, traces: Traces, cost: float
-    ) -> tuple[Belief, float]:
-        """The belief after some samples, and their code length together with that of the samples before."""
-        values, covariance = belief.values.copy(), belief.covariance.copy()
-        cost = self._track(
-            self._fixed, values, covariance, self._drifts[level], readings, opening, traces, cost
-        )
-        return Belief(values, covariance), float(cost)
-
     def named(self, belief: Belief, name: str) -> float:
         """The believed value of a parameter."""
         q, start = float(belief.values[self.at[name]]), self.parameters[name]
@@ -254,12 +245,13 @@ class Course:
         """The belief after all readings since the beginning, and their code length; see `Tracker.run`."""
         size = readings.input.size
         opening = self._opening._replace(lasting=self._opening.lasting - self._done)
-        self._belief, self._cost = self._tracker.track(
-            self._belief, readings.part(self._done, size), self._level, opening,
+        values, covariance = self._belief.values.copy(), self._belief.covariance.copy()
+        self._cost = self._tracker.track(
+            values, covariance, self._tracker.drifts[self._level], readings.part(self._done, size), opening,
             traces or self._tracker.none, self._cost,
         )  # fmt: skip
-        self._done = size
-        if math.isfinite(self._cost) and np.isfinite(self._belief.values.sum() + self._belief.covariance.sum()):
+        self._belief, self._done = Belief(values, covariance), size
+        if math.isfinite(self._cost) and math.isfinite(values.sum() + covariance.sum()):
             return self._belief, self._cost
         output, row = readings.output[np.isfinite(readings.output)][-1], readings.disturbances[-1]
         again = self._tracker.again(self._begin, float(output), float(readings.input[-1]), row)

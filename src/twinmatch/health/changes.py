@@ -24,7 +24,7 @@ from twinmatch.dynamics.pace import plant_scale, slow_scale, time_scale
 from twinmatch.dynamics.tracker import Belief, Course, Tracker
 from twinmatch.health.late_input import later_inputs
 from twinmatch.health.track_record import TrackRecord
-from twinmatch.health.tracking import REACH, Block, TrackedBlocks, joined
+from twinmatch.health.tracking import REACH, TrackedBlocks, joined
 from twinmatch.signals import FloatArray, Sample
 
 
@@ -231,8 +231,8 @@ class _Found(NamedTuple):
 
 
 _Course = Callable[[Readings], tuple[Belief, float]]
-"""The belief after all readings since an onset under a hypothesis, and their code length; called with more and
-more readings, of which each is tracked once."""
+"""The belief after all readings since an onset under a hypothesis, and their code length; called with more
+and more readings, of which each is tracked once."""
 
 
 class ChangeDetector:

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Iterator
-from itertools import accumulate
 from typing import Final
 
 import numpy as np
@@ -48,9 +47,10 @@ def later_inputs(inputs: FloatArray, size: int, second: float) -> Iterator[Float
         yield inputs[np.maximum(np.arange(first, inputs.size) - delay, 0)]
     for late in times:
         kept = math.exp(-1.0 / late)
-        steps = ((1.0 - kept) * inputs).tolist()
-        behind = accumulate(steps, lambda last, step, kept=kept: kept * last + step, initial=inputs[0])
-        yield np.array([*behind][1 + first :])
+        behind = [float(inputs[0])]
+        for value in inputs.tolist():
+            behind.append(kept * behind[-1] + (1.0 - kept) * value)
+        yield np.array(behind[1 + first :])
 
 
 class LateInput:
