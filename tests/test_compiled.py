@@ -198,6 +198,21 @@ def test_fields_of_an_argument_need_not_be_named_in_the_kernel(tmp_path: Path) -
     assert run(tmp_path) == "5.0"
 
 
+def test_a_kernel_that_was_kept_inside_another_first_returns_arrays(tmp_path: Path) -> None:
+    """Both share what numba keeps for a function, which only its own entry point needs in full."""
+    (tmp_path / "kernels.py").write_text(
+        f"{OURS}\nimport numpy as np\n"
+        "@compiled\ndef pair(x):\n    return np.full(2, x), x\n\n"
+        "@compiled\ndef total(x):\n    return pair(x)[0].sum()\n"
+    )
+    (tmp_path / "entry.py").write_text(
+        "from kernels import pair, total\n"
+        "print(total(2.0), pair(3.0)[0].tolist(), len(pair.stats.cache_hits))"
+    )
+    assert run(tmp_path) == "4.0 [3.0, 3.0] 0"
+    assert run(tmp_path) == "4.0 [3.0, 3.0] 1"
+
+
 def test_what_a_kernel_does_not_use_may_change(tmp_path: Path) -> None:
     write(tmp_path)
     (tmp_path / "other.py").write_text("VALUE = 1")

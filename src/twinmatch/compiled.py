@@ -233,9 +233,10 @@ def _environment(module: str, constants: list[Any], name: str) -> Environment:
     known = lookup_environment(name)
     if known is None:
         known = Environment(vars(sys.modules[module]) if module in sys.modules else {"__name__": module})
-        known.consts[:] = constants
         known.env_name = name
         Environment._memo[name] = known
+    if len(constants) > len(known.consts):  # an entry point adds those of its results
+        known.consts[:] = constants
     return known
 
 

@@ -265,6 +265,13 @@ def _cubic_top(f: float, f_end: float, slope: float, slope_end: float) -> float:
     return top
 
 
+@compiled(inside=True)
+def _put(  # noqa: PLR0917 (values in a row)
+    row: FloatArray, a: float, b: float, fa: float, fb: float, da: float, db: float
+) -> None:
+    row[0], row[1], row[2], row[3], row[4], row[5] = a, b, fa, fb, da, db
+
+
 @compiled
 def highest(
     stack1: FloatArray, stack2: FloatArray, stack_minors: FloatArray, grid: FloatArray
@@ -283,7 +290,7 @@ def highest(
     todo = np.empty((STACK, 6))
     halvings = 0
     for i in range(grid.size - 1):
-        todo[0] = (grid[i], grid[i + 1], f[i], f[i + 1], slope[i], slope[i + 1])
+        _put(todo[0], grid[i], grid[i + 1], f[i], f[i + 1], slope[i], slope[i + 1])
         waiting = 1
         while waiting:
             waiting -= 1
@@ -302,9 +309,9 @@ def highest(
                 continue
             h *= 0.5
             if _cubic_top(fm, fb, h * dm, h * db) > bar:
-                todo[waiting] = (m, b, fm, fb, dm, db)
+                _put(todo[waiting], m, b, fm, fb, dm, db)
                 waiting += 1
             if _cubic_top(fa, fm, h * da, h * dm) > bar:
-                todo[waiting] = (a, m, fa, fm, da, dm)
+                _put(todo[waiting], a, m, fa, fm, da, dm)
                 waiting += 1
     return best, place
