@@ -39,6 +39,9 @@ MIN_WINDOW = 120
 """Samples of such a window, at least."""
 MIN_FIT = 0.5
 """Least fit to the worst output of the whole session."""
+SMOOTHED = 10.0
+"""Time over which what a twin does not explain is averaged, s, on a plant with a time constant of 100 s: the
+noise counts by itself."""
 MAX_CHARGE = 10.0
 """How much more than the best a structure may be charged for: twice the logarithm of the odds, below which a
 model has no support (Burnham and Anderson 2002)."""
@@ -118,14 +121,16 @@ class Ground(NamedTuple):
     def seen_by(self, twin: TriedTwin) -> TriedTwin:
         """The twin with the noise of the recorded readings and what it does not explain of them; without the
         second where it does not follow the recording by its commands alone, as of an unstable plant."""
-        parts, noise = [], self.noise
-        for window in stretches(self.session.samples, self.session.period):
-            if len(window) > SKIPPED:
-                parts.append(simulate_window(twin.parameters, window, law=None).outputs)
-                parts[-1] = window.outputs[SKIPPED:] - parts[-1]
+        noise, period = self.noise, self.session.period
+        parts, mean = [np.zeros((0, noise.size))], round(SMOOTHED * plant_scale(self.plant, period) / period)
+        for window in stretches(self.session.samples, period):
+            if len(window) > SKIPPED + mean:
+                run = simulate_window(twin.parameters, window, law=None)
+                sums = np.cumsum(window.outputs[SKIPPED:] - run.outputs, axis=0)
+                parts.append((sums[mean:] - sums[:-mean]) / mean)
         found = np.concatenate(parts)
         moved = np.ptp([sample.outputs for sample in self.session.samples], axis=0)
-        if not (np.abs(found) <= moved).all():
+        if not (found.size and (np.abs(found) <= moved).all()):
             return replace(twin, noise=noise)
         return replace(twin, noise=noise, unexplained=found)
 
