@@ -93,7 +93,7 @@ class _Quantity(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     scale: float | msgspec.UnsetType = NOT_GIVEN
 
 
-class _Parameter(_Quantity, kw_only=True):
+class _WrittenParameter(_Quantity, kw_only=True):
     default: float
     bounds: tuple[float, float]
     least: float | msgspec.UnsetType = NOT_GIVEN
@@ -102,7 +102,7 @@ class _Parameter(_Quantity, kw_only=True):
     relative: bool | msgspec.UnsetType = NOT_GIVEN
 
 
-class _State(_Quantity, kw_only=True):
+class _WrittenState(_Quantity, kw_only=True):
     span: tuple[float, float]
     start_bounds: tuple[float, float] | None = None
 
@@ -124,7 +124,7 @@ class _Structure(msgspec.Struct, forbid_unknown_fields=True):
     watched: bool = True
 
 
-class _File(msgspec.Struct, forbid_unknown_fields=True):
+class _FmuFile(msgspec.Struct, forbid_unknown_fields=True):
     plant: str
     structures: dict[str, Any]
 
@@ -177,7 +177,7 @@ def read_maps(file: Path) -> tuple[FmuMap, ...]:
         tree = read_yaml(file)
     except DocumentError as error:
         raise FmuError(str(error)) from error
-    content = decoded(tree, _File, str(file), FmuError)
+    content = decoded(tree, _FmuFile, str(file), FmuError)
     if not content.structures:
         raise FmuError(f"{file}: needs, under `structures`, at least one FMU by name")
     try:
@@ -190,8 +190,8 @@ def read_maps(file: Path) -> tuple[FmuMap, ...]:
 def _map(file: Path, plant: type[Plant], name: str, tree: Any) -> FmuMap:
     place = f"{file}, structure {name!r}"
     own = decoded(tree, _Structure, place, FmuError)
-    parameters = _declared(place, Parameter, _Parameter, own.parameters, plant)
-    states = _declared(place, State, _State, own.states, plant)
+    parameters = _declared(place, Parameter, _WrittenParameter, own.parameters, plant)
+    states = _declared(place, State, _WrittenState, own.states, plant)
     links = {key: _link(f"{place}, variable {key}", value) for key, value in own.variables.items()}
     known = (
         plant.output.name, plant.drive.name, *plant.disturbances, *plant.states, *plant.parameters,

@@ -20,7 +20,7 @@ from twinmatch.sessions.files import RecordingError
 from twinmatch.signals import FloatArray
 
 
-class _File(msgspec.Struct, forbid_unknown_fields=True):
+class _MapFile(msgspec.Struct, forbid_unknown_fields=True):
     columns: dict[str, Any]
     plant: str = ""
     period: float | None = None
@@ -33,7 +33,7 @@ def read_map(path: Path) -> SignalMap:
         DocumentError: the file does not exist, or is not YAML.
         RecordingError: it is not a map.
     """
-    content = decoded(read_yaml(path), _File, str(path), RecordingError)
+    content = decoded(read_yaml(path), _MapFile, str(path), RecordingError)
     if not content.columns:
         raise RecordingError(f"{path}: columns is empty; give a line for each signal, such as output: T")
     if content.period is not None and not 0 < content.period < np.inf:
