@@ -164,7 +164,7 @@ class Sample:
         return usable and self.index == before.index + 1 and self._alike(before)
 
     def _alike(self, before: Sample) -> bool:
-        """Whether it has as many signals; asked of every sample so often that the tuple `shape` costs time."""
+        """Whether it has as many signals; asked so often that making two tuples would cost time."""
         return (
             len(self.outputs) == len(before.outputs)
             and len(self.inputs) == len(before.inputs)

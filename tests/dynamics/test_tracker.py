@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from tests.support.plants import Lag
 from twinmatch.dynamics import advance, begin
 from twinmatch.dynamics.filters import Readings
-from twinmatch.dynamics.tracker import Belief, Course, Tracker, no_traces
+from twinmatch.dynamics.tracker import Belief, TrackedCourse, Tracker, no_traces
 
 PERIOD, NOISE = 1.0, 0.01
 TRUTH = Lag.model().parameters(gain=2.4, lag=7.0)
@@ -112,7 +112,7 @@ def test_what_is_opened_is_found() -> None:
     assert weak.values[of.share] == pytest.approx(-0.3, abs=0.02)
     assert saved < plain - 20
     creeping = stretch(2, 100, rate=0.02)
-    crept, _ = Course(of, later.opened(of.rate, 0.0, 0.02), 0, rising=of.offset).to(creeping)
+    crept, _ = TrackedCourse(of, later.opened(of.rate, 0.0, 0.02), 0, rising=of.offset).to(creeping)
     assert crept.values[of.rate] == pytest.approx(0.02, rel=0.1)
 
 
@@ -121,13 +121,13 @@ def test_readings_tracked_as_they_come_give_the_same_bits_as_all_at_once(how: di
     of, record = tracker(), stretch(3, 100, share=0.8)
     how = {name: of.size + value if name == "rising" else value for name, value in how.items()}
     opened, before = np.full(of.size, 0.05), first(of).opened(of.rate, 0.0, 0.02)
-    whole, cost = Course(of, before, 0, opened=opened, **how).to(record)
-    course = Course(of, before, 0, opened=opened, **how)
+    whole, cost = TrackedCourse(of, before, 0, opened=opened, **how).to(record)
+    course = TrackedCourse(of, before, 0, opened=opened, **how)
     for end in (1, 20, 45, 100):
         parts = course.to(record.part(0, end))
     assert (parts[0].values.tolist(), parts[1]) == (whole.values.tolist(), cost)
     assert parts[0].covariance.tolist() == whole.covariance.tolist()
-    assert cost != Course(of, before, 0).to(record)[1] or not how
+    assert cost != TrackedCourse(of, before, 0).to(record)[1] or not how
 
 
 def test_traces_forecast_what_a_jump_leaves_in_the_surprises() -> None:

@@ -191,7 +191,7 @@ class Tracker:
             level: index of the level.
             traces: updated in place.
         """
-        return Course(self, belief, level).to(readings, traces)
+        return TrackedCourse(self, belief, level).to(readings, traces)
 
     def named(self, belief: Belief, name: str) -> float:
         """The believed value of a parameter."""
@@ -214,7 +214,7 @@ class Tracker:
         return float(output + offset), float(slope @ belief.covariance @ slope)
 
 
-class Course:
+class TrackedCourse:
     """A belief that is tracked on as readings come, each of them once."""
 
     def __init__(

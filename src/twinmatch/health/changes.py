@@ -21,7 +21,7 @@ import numpy as np
 from twinmatch.dynamics import Parameters
 from twinmatch.dynamics.filters import Readings, Traces
 from twinmatch.dynamics.pace import plant_scale, slow_scale, time_scale
-from twinmatch.dynamics.tracker import Belief, Course, Tracker
+from twinmatch.dynamics.tracker import Belief, TrackedCourse, Tracker
 from twinmatch.health.late_input import later_inputs
 from twinmatch.health.track_record import TrackRecord
 from twinmatch.health.tracking import REACH, TrackedBlocks, joined
@@ -525,14 +525,14 @@ class ChangeDetector:
             return self._ceased(h, before, level)
         if h.slowly:
             opened = before.opened(tracker.rate, 0.0, h.spread / h.slowly)
-            return self._rising(h, Course(tracker, opened, level, rising=h.index))
+            return self._rising(h, TrackedCourse(tracker, opened, level, rising=h.index))
         drift = np.zeros(tracker.size)
         half = math.sqrt(0.5) * h.spread
         drift[h.index] = half / math.sqrt(h.lasting)
         opened, lasting = before.opened(h.index, h.shift, half), round(h.lasting / self._period)
-        return Course(tracker, opened, level, opened=drift, lasting=lasting).to
+        return TrackedCourse(tracker, opened, level, opened=drift, lasting=lasting).to
 
-    def _rising(self, h: Hypothesis, course: Course) -> _Course:
+    def _rising(self, h: Hypothesis, course: TrackedCourse) -> _Course:
         """The same if a number changes evenly."""
 
         def to(readings: Readings) -> tuple[Belief, float]:
@@ -546,7 +546,7 @@ class ChangeDetector:
         at, step = h.index, _EVERY * self._tracked.size
         spread = math.sqrt(before.covariance[at, at])
         belief, begun = before.opened(at, h.shift, h.spread), 0.0
-        since: list[tuple[float, Course]] = []  # and the code length of the readings until then
+        since: list[tuple[float, TrackedCourse]] = []  # and the code length of the readings until then
 
         def to(readings: Readings) -> tuple[Belief, float]:
             nonlocal belief, begun
@@ -554,7 +554,7 @@ class ChangeDetector:
                 belief, cost = self.tracker.run(belief, readings.part(end - step, end), level)
                 begun += cost
                 after = belief.closed(at).opened(at, before.values[at], spread)
-                since.append((begun, Course(self.tracker, after, level)))
+                since.append((begun, TrackedCourse(self.tracker, after, level)))
             found = []
             for end, (until, course) in zip(itertools.count(step, step), since, strict=False):
                 after, rest = course.to(readings.part(end, len(readings.input)))
@@ -568,7 +568,7 @@ class ChangeDetector:
         belief, begun = before, 0.0
         if place > 0:
             belief, begun = self.tracker.run(belief, stretch.part(0, place), level)
-        course = Course(self.tracker, belief.opened(h.index, h.shift, h.spread), level)
+        course = TrackedCourse(self.tracker, belief.opened(h.index, h.shift, h.spread), level)
 
         def to(readings: Readings) -> tuple[Belief, float]:
             after, rest = course.to(readings.part(place, len(readings.input)))
