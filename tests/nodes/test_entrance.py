@@ -389,7 +389,7 @@ def program(request: pytest.FixtureRequest, tmp_path: Path, session: Path) -> It
     name = request.param
     own = {
         "recorder": ("-p", f"folder:={tmp_path}"),
-        "player": ("-p", f"session:={session}"),
+        "player": ("-p", f"session:={session}", "-p", "wait_timeout:=3600.0"),
     }
     arguments = (*PROGRAMS[name], "-p", "use_sim_time:=true", *own.get(name, ()))
     made = Inside(name, *arguments, kinds=KINDS[name]() if name in KINDS else ())
