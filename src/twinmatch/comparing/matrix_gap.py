@@ -31,8 +31,8 @@ ABOVE = 1e-9
 """How far a level lies above the best value found, relative to it."""
 
 NEAR_AXIS = 1e-4
-"""Zeros this close to the axis, relative to their distance from 0, are tried as frequencies: beside the level at
-infinity they are known no better than to 1e-5, and one too many costs a response."""
+"""Zeros this close to the axis, relative to their distance from 0, are tried as frequencies: beside the level
+at infinity they are known no better than to 1e-5, and one too many costs a response."""
 
 BESIDE = 1e-6
 """A response is computed this far from a pole on the axis, relative to the slowest other pole: the gap is
