@@ -13,7 +13,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from twinmatch.dynamics import Parameters
+from twinmatch.dynamics.store import Kernels
+from twinmatch.dynamics.tracker import Tracker
 from twinmatch.health import Health, HealthSettings, Monitor, Refusals
+from twinmatch.health.changes import ChangeDetector
 from twinmatch.signals import Sample
 
 
@@ -34,18 +37,28 @@ _SEEN: dict[tuple[str, tuple[Sample, ...]], Watched] = {}
 """Monitors of a kind that have seen these samples and no more, of every run that was watched."""
 _KEPT = 150
 """One is kept after so many samples."""
-_SHARED = (Parameters, HealthSettings, Health, Sample)
+_SHARED = (Kernels, Parameters, Tracker, HealthSettings, Health, Sample)
 """Never change, and are shared by a monitor and its copies."""
+
+
+def _without_courses(detector: ChangeDetector, memo: dict[int, Any]) -> ChangeDetector:
+    """A copy that tracks each rival anew: courses are functions with a state of their own, which `deepcopy`
+    would share."""
+    copy = object.__new__(ChangeDetector)
+    memo[id(detector)] = copy
+    copy.__dict__.update({k: {} if k == "_courses" else deepcopy(v, memo) for k, v in vars(detector).items()})
+    return copy
 
 
 @contextmanager
 def _sharing() -> Iterator[None]:
     for kind in _SHARED:
         setattr(kind, "__deepcopy__", lambda self, _memo: self)  # noqa: B010 (mypy knows no such method)
+    setattr(ChangeDetector, "__deepcopy__", _without_courses)  # noqa: B010
     try:
         yield
     finally:
-        for kind in _SHARED:
+        for kind in (*_SHARED, ChangeDetector):
             delattr(kind, "__deepcopy__")
 
 
