@@ -52,13 +52,14 @@ def _without_courses(detector: ChangeDetector, memo: dict[int, Any]) -> ChangeDe
 
 @contextmanager
 def _sharing() -> Iterator[None]:
-    for kind in _SHARED:
-        setattr(kind, "__deepcopy__", lambda self, _memo: self)  # noqa: B010 (mypy knows no such method)
-    setattr(ChangeDetector, "__deepcopy__", _without_courses)  # noqa: B010
+    ways: dict[type, Any] = dict.fromkeys(_SHARED, lambda self, _memo: self)
+    ways[ChangeDetector] = _without_courses
+    for kind, way in ways.items():
+        setattr(kind, "__deepcopy__", way)  # noqa: B010 (mypy knows no such method)
     try:
         yield
     finally:
-        for kind in (*_SHARED, ChangeDetector):
+        for kind in ways:
             delattr(kind, "__deepcopy__")
 
 
