@@ -157,7 +157,7 @@ def test_two_levels_that_never_switch_fail(level: float, off: float, on: float) 
     member = TriedTwin("found", LAG, ("lag",), np.array([[1e-6]]))
     answer = tried([member], law, references=np.full((200, 1), level), before=np.array([level]))
     assert answer.decision is ControllerDecision.FAILS
-    assert answer.sentence == "fails on found: it does not switch any more"
+    assert answer.sentence == "fails on found: it no longer switches"
 
 
 def test_limits_wider_than_the_drives_are_the_drives_without_the_laws_knowledge() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -148,9 +149,15 @@ def test_a_real_kit_was_predicted_and_the_comparison_is_kept(
     command = [*base, "--came", str(came), "--loop"]
     assert main([*command, str(law), "--memory", str(file), "--json", str(out)]) == 0
     printed = capsys.readouterr().out
-    assert "  closed_loop_lqg: predicted cost 5.0" in printed
-    assert " °C²: inside; " in printed
-    assert "; stable, as predicted; largest error 5.19, predicted 5.19 °C\n" in printed
+    told = re.search(
+        r"  closed_loop_lqg: predicted cost ([\d.]+) °C² .*: inside; .*; stable, as predicted; (.*)\n",
+        printed,
+    )
+    assert told
+    assert float(told[1]) == pytest.approx(5.16, rel=0.05)  # far within its band, 4.5 to 6.7
+    largest = re.fullmatch(r"largest error 5\.19, predicted ([\d.]+) °C", told[2])
+    assert largest
+    assert float(largest[1]) == pytest.approx(5.19, rel=0.05)
     found = json.loads(out.read_text("utf-8"))["comparison"]
     assert found["measured"] == pytest.approx(5.16, abs=0.02)
     (kept,) = Memory(file).comparisons("tclab-both")

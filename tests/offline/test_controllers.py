@@ -159,8 +159,8 @@ def test_a_law_in_python(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "text", "words"),
     [
-        ("absent.json", None, "absent.json: cannot be read (No such file or directory)"),
-        ("torn.json", '{"kind"', "torn.json: is not JSON"),
+        ("absent.json", None, "absent.json: cannot be read: No such file or directory"),
+        ("torn.json", '{"kind"', "torn.json: is not valid JSON"),
         ("odd.json", '{"kind": "pid", "kp": 1}', "odd.json: kp: is not a known key"),
         ("none.py", "x = 1", "none.py: has no law; write one such as loop = PidGains"),
         ("wrong.py", "loop = oops", "wrong.py, line 1: "),

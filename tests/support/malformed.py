@@ -257,7 +257,7 @@ def _places(tree: Any) -> Iterator[tuple[Any, Any]]:
 
 
 class Reading(NamedTuple):
-    """What came of reading one document."""
+    """The result of reading one document."""
 
     accepted: bool
     refusal: str = ""

@@ -42,7 +42,7 @@ _SHARED = (Kernels, Parameters, Tracker, HealthSettings, Health, Sample)
 
 
 def _without_courses(detector: ChangeDetector, memo: dict[int, Any]) -> ChangeDetector:
-    """A copy that tracks each rival anew: courses are functions with a state of their own, which `deepcopy`
+    """A copy that tracks each rival again: courses are functions with a state of their own, which `deepcopy`
     would share."""
     copy = object.__new__(ChangeDetector)
     memo[id(detector)] = copy

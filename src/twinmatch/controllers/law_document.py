@@ -65,7 +65,11 @@ def law_from(document: Any, plant: type[Plant], period: float) -> Law:
     if not isinstance(kind, str) or kind not in makers:
         raise ControllerError(f"kind: {kind!r:.80} is not a kind of law; give one of {', '.join(makers)}")
     _check_about(_read(_About, document), plant, period)
-    given = {key: value for key, value in document.items() if key not in _ABOUT}
+    given = {
+        key: value.tolist() if isinstance(value, np.ndarray) else value
+        for key, value in document.items()
+        if key not in _ABOUT
+    }
     law = makers[kind](given, plant, period)
     sizes, of = (law.n_outputs, law.n_inputs), (len(plant.outputs), len(plant.drives))
     if sizes != of or law.n_references != of[0]:

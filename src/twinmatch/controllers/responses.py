@@ -112,7 +112,7 @@ def conduct_of(run: Run, size: int, law: Law, plant: type[Plant]) -> dict[str, b
     if isinstance(law, TwoLevel):
         u, away = run.inputs[:, 0], np.abs(run.outputs[:, 0] - run.references[:, 0])
         gone = np.ptp(u[size:]) == 0 and away[-1] > away[size]
-        return found | {"it does not switch any more": bool(gone or np.ptp(u) == 0)}
+        return found | {"it no longer switches": bool(gone or np.ptp(u) == 0)}
     limited = (run.inputs <= limits_of(law)[0]) | (run.inputs >= limits_of(law)[1])
     for i, name in enumerate(plant.drives):
         most = np.mean(limited[:, i]) > _GREATER or limited[end:, i].all()

@@ -29,7 +29,7 @@ DEBIAN = Path("/usr/lib/python3/dist-packages/ament_package")
 def installed(project: Path, stranger: dict[str, str]) -> Path:
     """The install space of a workspace with both packages.
 
-    The built messages are kept in build/ until they or what builds them change; the nodes are built anew.
+    The built messages are kept in build/ until they or what builds them change; nodes are built every time.
     """
     ament_cmake = Path("/usr/share/ament_cmake/cmake").is_dir()
     if shutil.which("colcon") is None or not DEBIAN.is_dir() or not ament_cmake:
