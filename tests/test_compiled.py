@@ -99,7 +99,7 @@ INSIDES = {
     "caching:FunctionCache.load_overload": ("self", "sig", "target_context"),
     "caching:IndexDataCacheFile._load_index": ("self",),
     "caching:NullCache": (),
-    "codegen:CPUCodegen._library_class": None,
+    "codegen:JITCPUCodegen._library_class": None,
     "codegen:JITCPUCodegen.set_env": ("self", "env_name", "env"),
     "codegen:JITCodeLibrary._ensure_finalized": ("self",),
     "codegen:JITCodeLibrary._finalize_dynamic_globals": ("self",),
