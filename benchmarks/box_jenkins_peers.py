@@ -14,6 +14,7 @@ import scipy.linalg
 
 from benchmarks.common import peer
 from twinmatch.fitting import BoxJenkins, parse_order
+from twinmatch.fitting.data import Order
 from twinmatch.signals import FloatArray
 
 __all__ = ["Fit", "missing", "own", "peers"]
@@ -62,9 +63,10 @@ def missing() -> list[str]:
 
 def _fit(B: FloatArray, C: FloatArray, D: FloatArray, F: FloatArray, *, u: FloatArray, y: FloatArray) -> Fit:
     """The coefficients as a model, and its loss from rest, which these programs assume."""
-    size = max(B.size, F.size)
-    system = control.TransferFunction(np.pad(B, (0, size - B.size)), np.pad(F, (0, size - F.size)), 1.0)
-    model = BoxJenkins.from_transfer_function(system, C=list(C), D=list(D))
+    delay = int(np.argmax(B != 0.0))
+    order = Order(B.size - delay, C.size - 1, D.size - 1, F.size - 1, delay)
+    start = np.zeros(order.predictor_state)
+    model = BoxJenkins(order, B / F[0], C, D, F / F[0], math.nan, start, n_samples=0)
     with np.errstate(all="ignore"):
         loss = model.loss(u, y, "zero")
     return Fit(loss if math.isfinite(loss) else math.inf, model)

@@ -20,11 +20,11 @@ from benchmarks.common import Row, main, measure_side_by_side, peer, rows_of
 from twinmatch.dynamics import (
     Controller,
     Experiment,
+    Foresight,
     Observer,
     SensorRealisation,
     advance,
     begin,
-    forecast_loop,
     law_of,
     simulate_closed_loop,
 )
@@ -127,11 +127,9 @@ def _forecast(quick: bool) -> list[Row]:
     rng, runs = np.random.default_rng(3), 20 if quick else 200
 
     def foretold() -> Array:
-        found = forecast_loop(
-            RIG, states=states, covariance=np.diag(spread**2), input=0.0, drift=[0.0, 0.0], unsure=unsure,
-            reference=reference,
-        )  # fmt: skip
-        return found.output_variances
+        known = Foresight([(RIG, unsure)], law, drift=[[0.0, 0.0]])
+        now = known.at([states], [np.diag(spread**2)], 0.0, None)
+        return known.ahead(now, reference).output_variances
 
     def drawn() -> Array:
         outputs = np.empty((runs, reference.size))

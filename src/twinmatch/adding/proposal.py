@@ -10,17 +10,16 @@ import keyword
 import math
 import re
 import unicodedata
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
 
 from twinmatch.dynamics import Plant
-from twinmatch.importing.mapped import require_columns
-from twinmatch.importing.resampling import Resampled, repeated, resample
+from twinmatch.importing.mapped import require_columns, times_of, with_titles
+from twinmatch.importing.resampling import Kind, repeated, resample
 from twinmatch.importing.tables import Table, split_title
-from twinmatch.importing.times import read_times, row_times
 from twinmatch.sampling.sources import SignalMap, SignalSource
 from twinmatch.sessions.files import RecordingError
 from twinmatch.signals import FloatArray
@@ -106,7 +105,22 @@ def propose(table: Table, given: SignalMap) -> Proposal:
         given: columns of time, output and input; every other name is a disturbance.
     """
     require_columns(table, given)
-    done = _on_one_clock(table, given)
+    sources = {name: with_titles(table, source) for name, source in given.sources.items()}
+    signals = {name: _values(table, source) for name, source in sources.items() if name != "time"}
+    times = times_of(table, sources.get("time"), given.period)
+    kinds: dict[str, Kind] = {**dict.fromkeys(signals, "reading"), "input": "held", "reference": "set"}
+    whole = np.all([np.isfinite(v) for v in (times.seconds, *signals.values())], axis=0)
+    kept = np.flatnonzero(whole)
+    kept = np.setdiff1d(kept, repeated(kept, times.seconds, *signals.values()))
+    done = resample(
+        times.seconds[kept],
+        {name: values[kept] for name, values in signals.items()},
+        kinds,
+        given.period,
+        gaps="split",
+        place=str(table.path),
+        row=lambda i: f"{table.row} {table.lines[int(kept[i])]}",
+    )
     for name, values in done.columns.items():
         if not np.abs(values).max() < _MOST:
             raise RecordingError(f"{table.path}: {name} reaches {np.abs(values).max():g}; correct its values")
@@ -116,19 +130,19 @@ def propose(table: Table, given: SignalMap) -> Proposal:
     noise = noise_of(y[part])
     beside = [done.columns[n][part] for n in others]
     gain, lag, rest = _first_order(y[part], u[part], beside, noise, done.period)
-    wanted = _unit(table, given, "output")
-    around = next((name for name in others if _alike(_unit(table, given, name), wanted)), None)
+    wanted = _unit(table, sources, "output")
+    around = next((name for name in others if _alike(_unit(table, sources, name), wanted)), None)
     if around is not None:  # it is taken as the steady-state output without input
         rest = float(done.columns[around].mean())
     taken: list[str] = []
-    output, input_ = (_signal(table, given, s, taken) for s in ("output", "input"))
+    output, input_ = (_signal(table, sources, s, taken) for s in ("output", "input"))
     span, reach = float(np.ptp(y)) or 1.0, _range_of(u)
     ends = [rest + gain * limit for limit in reach]
     low, high = _round_out(min(float(y.min()), *ends) - span, max(float(y.max()), *ends) + span)
     disturbances = []
     for name in others:
         values = done.columns[name]
-        word, unit = _word(name, taken), _unit(table, given, name)
+        word, unit = _word(name, taken), _unit(table, sources, name)
         disturbances.append(Signal(word, unit, float(values.min()), float(values.max())))
     names = dict(zip(others, (d.name for d in disturbances), strict=True))
     return Proposal(
@@ -146,50 +160,24 @@ def propose(table: Table, given: SignalMap) -> Proposal:
     )
 
 
-def _on_one_clock(table: Table, given: SignalMap) -> Resampled:
-    """All signals on one clock, in the units of their columns."""
-    source = given.sources.get("time")
-    if source is None:
-        times = row_times(len(table.lines), given.period or 1.0)
-    else:
-        times = read_times(table, table.find(source.places[0]), source.unit, source.scale)
-    columns = {name: _values(table, s) for name, s in given.sources.items() if name != "time"}
-    whole = np.isfinite(times.seconds) & np.all([np.isfinite(v) for v in columns.values()], axis=0)
-    kept = np.flatnonzero(whole)
-    kept = np.setdiff1d(kept, repeated(kept, times.seconds, *columns.values()))
-    return resample(
-        times.seconds[kept],
-        {name: values[kept] for name, values in columns.items()},
-        {n: "held" if n == "input" else "set" if n == "reference" else "reading" for n in columns},
-        given.period,
-        gaps="split",
-        place=str(table.path),
-        row=lambda i: f"{table.row} {table.lines[int(kept[i])]}",
-    )
-
-
-def _titles(table: Table, source: SignalSource) -> list[str]:
-    columns = source.places
-    if len(columns) == 1 and "," in columns[0] and columns[0] not in table.columns:
-        columns = tuple(part for part in columns[0].split(",") if part.strip())
-    return [table.find(column) for column in columns]
-
-
 def _values(table: Table, source: SignalSource) -> FloatArray:
-    columns = [source.scale * table.values(title) + source.offset for title in _titles(table, source)]
+    """The mean of the columns, in their unit, shape (N,)."""
+    columns = [source.scale * table.values(title) + source.offset for title in source.places]
     return np.asarray(np.mean(columns, axis=0), dtype=np.float64)
 
 
-def _signal(table: Table, given: SignalMap, signal: str, taken: list[str]) -> tuple[str, str]:
+def _signal(
+    table: Table, sources: Mapping[str, SignalSource], signal: str, taken: list[str]
+) -> tuple[str, str]:
     """Name and unit."""
-    title = split_title(_titles(table, given.sources[signal])[0])[0]
+    title = split_title(sources[signal].places[0])[0]
     name = _word(title if re.search(r"[a-zA-Z]{3}", title) else signal, taken)
-    return name, _unit(table, given, signal)
+    return name, _unit(table, sources, signal)
 
 
-def _unit(table: Table, given: SignalMap, signal: str) -> str:
-    source = given.sources[signal]
-    unit = source.unit or table.unit(_titles(table, source)[0])
+def _unit(table: Table, sources: Mapping[str, SignalSource], signal: str) -> str:
+    source = sources[signal]
+    unit = source.unit or table.unit(source.places[0])
     return _OFFSET_UNITS.get(unit.lower(), unit)
 
 

@@ -5,7 +5,7 @@ and which parameters are unknown. `Plant.model` gives a `Model`, whose compiled 
 equations once and kept on disk. `Parameters` are the values for a model, and all functions take them:
 `begin`, `advance` and `read` step a plant; `simulate_closed_loop`, `simulate_driven` and `simulate_window`
 run it; `Experiment` is a recorded window as a function of the unknowns, with exact tangents; `linearised`
-gives the response to small deviations; `Observer` estimates unmeasured states; `forecast_loop` forecasts
+gives the response to small deviations; `Observer` estimates unmeasured states; `Foresight` forecasts
 the loop from there, with variances. `PidGains`, `TwoLevel` and `LinearLaw` are controllers, and `Sensor` is
 the model from output to reading.
 """
@@ -24,7 +24,7 @@ from twinmatch.dynamics.declarations import (
 from twinmatch.dynamics.definition import Equations
 from twinmatch.dynamics.descent import Descended, box_step, descend
 from twinmatch.dynamics.experiment import Experiment, Known
-from twinmatch.dynamics.forecasts import Foresight, LoopForecast, forecast_loop, noise_scores
+from twinmatch.dynamics.forecasts import Foresight, LoopForecast, noise_scores
 from twinmatch.dynamics.laws import LawCode, commands_of
 from twinmatch.dynamics.linear import Linear, Rest, linearised, linearised_at, rest_at
 from twinmatch.dynamics.loop import (
@@ -110,7 +110,6 @@ __all__ = [
     "dead_zone",
     "descend",
     "dry_friction",
-    "forecast_loop",
     "law_for",
     "law_of",
     "limited",

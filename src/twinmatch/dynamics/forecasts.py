@@ -14,7 +14,7 @@ from twinmatch.dynamics.laws import LawCode
 from twinmatch.dynamics.loop import Law
 from twinmatch.dynamics.plant import Parameters
 from twinmatch.dynamics.runs import Tangents
-from twinmatch.dynamics.simulation import law_code, law_of, n_references, signal_rows
+from twinmatch.dynamics.simulation import law_code, n_references, signal_rows
 from twinmatch.dynamics.variances import BANDED, MEAN, foresee, foresee_each, noise_effects
 from twinmatch.signals import FloatArray, finite
 
@@ -43,60 +43,6 @@ class LoopForecast(NamedTuple):
         return np.concatenate([self.output_variances, self.input_variances], axis=1).T
 
 
-def forecast_loop(
-    parameters: Parameters,
-    *,
-    states: FloatArray,
-    covariance: ArrayLike,
-    input: ArrayLike,
-    drift: ArrayLike,
-    unsure: Sequence[str] = (),
-    reference: ArrayLike | None = None,
-    controller: ArrayLike | None = None,
-    law: Law | None = None,
-    inputs: ArrayLike | None = None,
-    period: float = 1.0,
-    disturbances: ArrayLike | None = None,
-    noise: ArrayLike | None = None,
-    swift: float = 0.0,
-    banded: bool = True,
-) -> LoopForecast:
-    """Simulate the closed loop, or a plant under known inputs, beyond the newest sample.
-
-    The mean is that of `advance` and `simulate_closed_loop` (or `simulate_driven`). The variances are those
-    of small deviations from it, exact around the loop; where u is on a limit, its variance is zero. They
-    include the uncertainty of states and parameters, the drift of the states, and the sensors' noise as it
-    circulates in the loop.
-
-    Args:
-        parameters: the plant.
-        states: states at the newest sample, corrected by its readings, shape (n,).
-        covariance: covariance of states and the k parameters `unsure`, shape (n + k, n + k); symmetric.
-        input: u of the newest sample, which acts until the next, shape (m,); for one input also a number.
-        drift: standard deviation of the drift of each state from the equations per second, shape (n,).
-        unsure: names of the parameters in the covariance.
-        reference: set-points from the next sample on, shape (N,) or (N, r): the closed loop.
-        controller: state of the controller after the newest sample.
-        law: the controller; default: the plant file's, at 1 s.
-        inputs: u from the next sample on, shape (N,) or (N, m), instead of a reference: the driven plant.
-        period: sample time of a driven plant, s; for the loop the controller's is used.
-        disturbances: constant, shape (d,), or from the newest sample on, shape (N + 1, d).
-        noise: standard deviation of a reading, or of those of each output; default: the plant file's.
-        swift: standard deviation of the error of a state's movement over a sample, as a share of it.
-        banded: whether the variances are wanted, two thirds of the work; without, they are empty.
-
-    Raises:
-        PlantError: a signal or a name is invalid, the controller is not known, or the plant is too fast.
-    """
-    if (reference is None) == (inputs is None):
-        title = parameters.model.title
-        raise PlantError(f"{title}: a forecast takes set-points ahead or inputs ahead; give one of the two")
-    loop = None if reference is None else law or law_of(parameters.model.plant, 1.0)
-    known = Foresight([(parameters, unsure)], loop, drift=[drift], period=period, noise=noise, swift=swift)
-    now = known.at([states], [covariance], input, controller)
-    return known.ahead(now, inputs if reference is None else reference, disturbances, banded=banded)
-
-
 class TwinsNow(NamedTuple):
     """Some twins of one plant at a sample."""
 
@@ -112,8 +58,15 @@ class TwinsNow(NamedTuple):
 
 
 class Foresight:
-    """Forecasts by some twins of one plant, in one compiled call; what does not change from sample to sample
-    is checked once. A twin whose equations are external is alone."""
+    """Forecasts of closed loops, or of plants under known inputs, beyond the newest sample: by some twins of
+    one plant, in one compiled call. What does not change from sample to sample is checked once. A twin whose
+    equations are external is alone.
+
+    The mean is that of `advance` and `simulate_closed_loop` (or `simulate_driven`). The variances are those
+    of small deviations from it, exact around the loop; where u is on a limit, its variance is zero. They
+    include the uncertainty of states and parameters, the drift of the states, and the sensors' noise as it
+    circulates in the loop.
+    """
 
     def __init__(
         self,
@@ -125,10 +78,19 @@ class Foresight:
         noise: ArrayLike | None = None,
         swift: float = 0.0,
     ) -> None:
-        """Take what `forecast_loop` takes: of each twin the parameters, and the names of those unsure.
+        """Prepare forecasts.
+
+        Args:
+            twins: of each the parameters, and the names of those unsure.
+            loop: the controller; None: inputs are given instead of set-points.
+            drift: of each twin the standard deviation of the drift of each state from the equations per
+                second, shape (n,).
+            period: sample time of driven plants, s; for a loop the controller's is used.
+            noise: standard deviation of a reading, or of those of each output; default: the plant file's.
+            swift: standard deviation of the error of a state's movement over a sample, as a share of it.
 
         Raises:
-            PlantError: as `forecast_loop`.
+            PlantError: a signal or a name is invalid, or the plant is too fast.
         """
         model = self._model = twins[0][0].model
         period = float(period if loop is None else loop.period)
@@ -165,8 +127,14 @@ class Foresight:
     ) -> TwinsNow:
         """The twins at a sample.
 
+        Args:
+            states: of each twin, corrected by the readings of that sample, shape (n,).
+            covariances: of each, that of states and unsure parameters, shape (n + k, n + k); symmetric.
+            input: u of that sample, which acts until the next, shape (m,); for one input also a number.
+            controller: state of the controller after it.
+
         Raises:
-            PlantError: as `forecast_loop`.
+            PlantError: a signal is invalid, or the controller is not known.
         """
         title, (most, _, widest) = self._model.title, self.sizes.max(axis=0)
         starts, joints = np.zeros((len(states), most)), np.zeros((len(states), (most + widest) ** 2))
@@ -184,10 +152,16 @@ class Foresight:
         *,
         banded: bool = True,
     ) -> LoopForecast:
-        """The forecast of a single twin under these set-points (or inputs) and disturbances.
+        """The forecast of a single twin.
+
+        Args:
+            now: the twin.
+            signal: set-points from the next sample on, shape (N,) or (N, r); of a driven plant the inputs.
+            disturbances: constant, shape (d,), or from the newest sample on, shape (N + 1, d).
+            banded: whether the variances are wanted, two thirds of the work; without, they are empty.
 
         Raises:
-            PlantError: as `forecast_loop`.
+            PlantError: a signal is invalid.
         """
         (n, _, k), (period, *then) = self.sizes[0].tolist(), self._then
         if self._model.is_external:
@@ -213,7 +187,7 @@ class Foresight:
         are 0, `MEAN` or `BANDED`, and NaN is what is not.
 
         Raises:
-            PlantError: as `forecast_loop`.
+            PlantError: as `ahead`.
         """
         period, noise, swift = self._then
         forecasts: tuple[FloatArray, FloatArray] = foresee_each(

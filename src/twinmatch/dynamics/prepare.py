@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from twinmatch.dynamics.experiment import Experiment
-from twinmatch.dynamics.forecasts import forecast_loop, noise_scores
+from twinmatch.dynamics.forecasts import Foresight, noise_scores
 from twinmatch.dynamics.observer import Observer
 from twinmatch.dynamics.plant import Model, Parameters, Plant
 from twinmatch.dynamics.simulation import (
@@ -65,18 +65,9 @@ def _use(parameters: Parameters) -> None:
     observer.correct(output)
     observer.predict(rest)
     levels = np.full(_SAMPLES, output)
-    closed = law is not None
-    forecast_loop(
-        parameters,
-        states=states,
-        covariance=observer.joint,
-        input=rest,
-        drift=np.ones(states.size),
-        reference=levels if closed else None,
-        inputs=None if closed else np.full(_SAMPLES, rest),
-        period=period,
-        law=law,
-    )
+    foresight = Foresight([(parameters, ())], law, drift=[np.ones(states.size)], period=period)
+    now = foresight.at([states], [observer.joint], rest, None)
+    foresight.ahead(now, np.full(_SAMPLES, rest) if law is None else levels)
     run = simulate_driven(parameters, np.full(_SAMPLES, rest), states=states, period=period)
     if law is not None:
         run = simulate_closed_loop(parameters, levels, states=states, law=law)

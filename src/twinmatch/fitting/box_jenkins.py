@@ -36,7 +36,7 @@ from twinmatch.fitting.starts import Hops, start_values
 from twinmatch.signals import FloatArray
 
 if TYPE_CHECKING:
-    import control
+    pass
 
 Outcome = tuple[Place, bool, int]
 """Final place of a search, whether it converged, and the number of steps."""
@@ -95,47 +95,6 @@ class BoxJenkins:
             values.flags.writeable = False
             object.__setattr__(self, name, values)
 
-    @classmethod
-    def from_transfer_function(
-        cls,
-        system: control.TransferFunction,
-        *,
-        C: Sequence[float] = (1.0,),
-        D: Sequence[float] = (1.0,),
-        variance: float = math.nan,
-    ) -> BoxJenkins:
-        """The model whose B/F is a discrete transfer function, with white output noise unless C, D are given.
-
-        Raises:
-            FittingError: more than one input or output, continuous time, or not proper.
-        """
-        if system.ninputs != 1 or system.noutputs != 1:
-            raise FittingError(
-                f"transfer function: {system.ninputs} inputs and {system.noutputs} outputs; give one of each"
-            )
-        if system.dt is None or not system.dt > 0:
-            msg = f"transfer function: sample time {system.dt}; discretise it first"
-            raise FittingError(msg)
-        numerator = np.trim_zeros(np.atleast_1d(np.asarray(system.num[0][0], dtype=np.float64)), "f")
-        denominator = np.trim_zeros(np.atleast_1d(np.asarray(system.den[0][0], dtype=np.float64)), "f")
-        if numerator.size > denominator.size:
-            msg = "transfer function: more zeros than poles, so it needs future inputs; give a proper one"
-            raise FittingError(msg)
-        delay = denominator.size - max(numerator.size, 1)
-        B = np.concatenate((np.zeros(delay), numerator if numerator.size else np.zeros(1))) / denominator[0]
-        order = Order(B.size - delay, len(C) - 1, len(D) - 1, denominator.size - 1, delay)
-        return cls(
-            order=order,
-            B=B,
-            C=np.asarray(C, dtype=np.float64),
-            D=np.asarray(D, dtype=np.float64),
-            F=denominator / denominator[0],
-            variance=variance,
-            initial_state=np.zeros(order.predictor_state),
-            n_samples=0,
-            period=1.0 if system.dt is True else float(system.dt),
-        )
-
     @property
     def polynomials(self) -> Polynomials:
         """B, C, D and F, as writable copies: kernels are compiled only for those."""
@@ -174,15 +133,6 @@ class BoxJenkins:
     def standard_errors(self) -> FloatArray:
         """One standard deviation of each of `coefficients`, shape (n_parameters,)."""
         return np.asarray(np.sqrt(np.maximum(np.diag(self.covariance), 0.0)))
-
-    @property
-    def transfer_function(self) -> control.TransferFunction:
-        """B/F as a discrete transfer function in z with dt = period."""
-        import control  # noqa: PLC0415  (slow to import, and only this needs it)
-
-        size = max(self.B.size, self.F.size)
-        numerator, denominator = (np.pad(part, (0, size - part.size)) for part in (self.B, self.F))
-        return control.TransferFunction(numerator, denominator, self.period)
 
     def simulate(self, u: ArrayLike, *, outputs: ArrayLike = ()) -> FloatArray:
         """The output of B/F alone for input u, without noise; shape (N,).

@@ -100,13 +100,6 @@ class Match:
         places = [self.free.index(name) for name in names]
         return names, self.covariance[np.ix_(places, places)]
 
-    @property
-    def correlation(self) -> FloatArray:
-        """Correlation of the fitted parameters, shape (n, n)."""
-        errors = self.standard_errors
-        with np.errstate(invalid="ignore", divide="ignore"):
-            return np.asarray(self.covariance / np.outer(errors, errors), dtype=np.float64)
-
 
 def without_fit(
     window: Window, free: tuple[str, ...], start: Parameters, status: Status, reason: str

@@ -85,14 +85,6 @@ def fir(numerator: FloatArray, x: FloatArray) -> FloatArray:
     return out
 
 
-@compiled
-def all_pole(denominator: FloatArray, x: FloatArray) -> FloatArray:
-    """Filter x by 1/denominator from rest; the denominator is monic in q⁻¹; shape (N,)."""
-    out = np.empty(x.size)
-    all_pole_into(denominator, x, out)
-    return out
-
-
 @compiled(inside=True)
 def dot(a: FloatArray, b: FloatArray) -> float:
     """Inner product over the length of a, in eight interleaved sums that fill the vector unit."""

@@ -107,12 +107,13 @@ class _WrittenState(_Quantity, kw_only=True):
     start_bounds: tuple[float, float] | None = None
 
 
-class _Structure(msgspec.Struct, forbid_unknown_fields=True):
-    """An entry under `structures`."""
+class Entry(msgspec.Struct, forbid_unknown_fields=True):
+    """An entry under `structures`, as it is written."""
 
     fmu: str
     variables: dict[str, Any]
     kind: str = ""
+    """Interface type; empty: model exchange if supported."""
     starts: dict[str, str | float] = {}
     free: tuple[str, ...] = ()
     fixed: dict[str, FiniteNumber] = {}
@@ -139,22 +140,16 @@ class FmuMap:
     name: str
     """Name of the structure, as given by the user."""
     file: Path
-    kind: str
-    """Interface type; empty: model exchange if supported."""
+    own: Entry
     links: Mapping[str, Link]
     """By the plant's name: output, drive, disturbances, states, parameters."""
     starts: Mapping[str, Formula]
     """Initial value of every state, in terms of the output, parameters and disturbances."""
-    free: tuple[str, ...]
-    fixed: Mapping[str, float]
-    free_starts: tuple[str, ...]
     searches: tuple[Mapping[str, float], ...]
     """Further starting points of a fit; by default those of the plant's first structure."""
     parameters: Mapping[str, Parameter]
     """Parameters that the plant file does not declare."""
     states: Mapping[str, State]
-    patience: float
-    watched: bool
 
     @property
     def known_states(self) -> tuple[str, ...]:
@@ -189,7 +184,7 @@ def read_maps(file: Path) -> tuple[FmuMap, ...]:
 
 def _map(file: Path, plant: type[Plant], name: str, tree: Any) -> FmuMap:
     place = f"{file}, structure {name!r}"
-    own = decoded(tree, _Structure, place, FmuError)
+    own = decoded(tree, Entry, place, FmuError)
     parameters = _declared(place, Parameter, _WrittenParameter, own.parameters, plant)
     states = _declared(place, State, _WrittenState, own.states, plant)
     links = {key: _link(f"{place}, variable {key}", value) for key, value in own.variables.items()}
@@ -212,17 +207,12 @@ def _map(file: Path, plant: type[Plant], name: str, tree: Any) -> FmuMap:
         plant=plant,
         name=name,
         file=file.parent / own.fmu,
-        kind=own.kind,
+        own=own,
         links=links,
         starts={key: Formula(f"{place}, start of {key}", str(value)) for key, value in own.starts.items()},
-        free=own.free,
-        fixed=own.fixed,
         searches=searches,
-        free_starts=own.free_starts,
         parameters=parameters,
         states=states,
-        patience=own.patience,
-        watched=own.watched,
     )
     _check(fmu)
     return fmu
@@ -230,14 +220,14 @@ def _map(file: Path, plant: type[Plant], name: str, tree: Any) -> FmuMap:
 
 def _check(of: FmuMap) -> None:
     states, parameters = of.known_states, of.known_parameters
-    _subset(of.place, "free", of.free, parameters)
-    _subset(of.place, "fixed", of.fixed, parameters)
+    _subset(of.place, "free", of.own.free, parameters)
+    _subset(of.place, "fixed", of.own.fixed, parameters)
     for search in of.searches:
         _subset(of.place, "searches", search, parameters)
-    _subset(of.place, "free_starts", of.free_starts, states)
+    _subset(of.place, "free_starts", of.own.free_starts, states)
     _subset(of.place, "starts", of.starts, states)
-    if not of.patience > 0:
-        raise FmuError(f"{of.place}: patience is {of.patience:g} s; give a positive number")
+    if not of.own.patience > 0:
+        raise FmuError(f"{of.place}: patience is {of.own.patience:g} s; give a positive number")
     missing = [name for name in states if name not in of.starts]
     if missing:
         msg = f"{of.place}: starts has no entry for {missing[0]}; give its initial value at a known output"
@@ -293,7 +283,7 @@ def loading(of: FmuMap, described: Described) -> tuple[dict[str, Any], str]:
     Raises:
         FmuError: the FMU does not match the map.
     """
-    kind = of.kind or next(iter(described.kinds), "")
+    kind = of.own.kind or next(iter(described.kinds), "")
     if kind not in described.kinds:
         ways = " and ".join(described.kinds) or "neither model exchange nor co-simulation"
         raise FmuError(f"it supports {ways}" + (f", not {kind}" if kind else ""))

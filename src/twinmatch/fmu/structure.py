@@ -254,7 +254,7 @@ class FmuSource:
             "arguments": tree_of(arguments, arrays),
         }
         samples = each * max((len(array) for array in arrays), default=1)
-        limit = self.map.patience * max(samples / _SAMPLES, 1.0)
+        limit = self.map.own.patience * max(samples / _SAMPLES, 1.0)
         with self._lock:
             process = self.start()
             try:
@@ -318,11 +318,11 @@ def _adopt(of: FmuMap) -> Model:
     model = of.plant.adopt(
         name,
         Structure(
-            free=of.free,
-            fixed=of.fixed,
-            free_starts=of.free_starts,
+            free=of.own.free,
+            fixed=of.own.fixed,
+            free_starts=of.own.free_starts,
             starts=of.searches,
-            watched=of.watched,
+            watched=of.own.watched,
             text=f"FMU {of.file.name}",
             external=source,
         ),
@@ -352,11 +352,11 @@ def _digest(of: FmuMap) -> str:
 def _mark(of: FmuMap, digest: str) -> str:
     """First digits of a hash of the FMU and its map, without the path of the file."""
     tables = (
-        of.links, {name: formula.text for name, formula in of.starts.items()}, of.fixed, of.parameters,
+        of.links, {name: formula.text for name, formula in of.starts.items()}, of.own.fixed, of.parameters,
         of.states,
     )  # fmt: skip
     links, starts, fixed, *own = (sorted((n, repr(v)) for n, v in table.items()) for table in tables)
-    what = digest, of.kind, links, starts, of.free, fixed, of.free_starts, *own
+    what = digest, of.own.kind, links, starts, of.own.free, fixed, of.own.free_starts, *own
     return hashlib.sha256(repr(what).encode()).hexdigest()[:8]
 
 

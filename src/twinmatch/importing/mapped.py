@@ -107,10 +107,10 @@ def map_samples(
             range, or a gap is too long.
     """
     sources = {
-        signal: _with_titles(table, source) for signal, source in by_signal(plant, given.sources).items()
+        signal: with_titles(table, source) for signal, source in by_signal(plant, given.sources).items()
     }
     signals, notes = _wanted(table, plant, replace(given, sources=sources))
-    times = _times(table, sources.get(TIME), given.period)
+    times = times_of(table, sources.get(TIME), given.period)
     values = {signal: _values(table, sources[signal], signal, known) for signal, known in signals.items()}
     whole = np.isfinite(times.seconds) & np.all([np.isfinite(v) for v in values.values()], axis=0)
     if whole.sum() < 2:
@@ -202,7 +202,7 @@ def by_signal(plant: type[Plant], sources: Mapping[str, SignalSource]) -> dict[s
     return named
 
 
-def _with_titles(table: Table, source: SignalSource) -> SignalSource:
+def with_titles(table: Table, source: SignalSource) -> SignalSource:
     """The source with the table's own titles; a single text with commas may be several columns."""
     places = source.places
     if len(places) == 1 and "," in places[0]:
@@ -259,7 +259,8 @@ def _wanted(table: Table, plant: type[Plant], given: SignalMap) -> tuple[dict[st
     return signals, notes
 
 
-def _times(table: Table, source: SignalSource | None, period: float | None) -> Times:
+def times_of(table: Table, source: SignalSource | None, period: float | None) -> Times:
+    """The times in a column of a table or, without one, those of rows equally far apart."""
     if source is None:
         return row_times(len(table.lines), period or 1.0)
     if len(source.places) > 1:
