@@ -21,9 +21,10 @@ from tests.support.plant_files import plant_file
 from tests.support.plants import Exchanger, Lag, Motor
 from tests.support.processes import Process, run_twinmatch
 from tests.support.servo import Servo, turns
-from twinmatch.adding import AddingError, Proposal, check_plant, example, files_of, propose
+from twinmatch.adding import Proposal, check_plant, example, files_of, propose
 from twinmatch.adding.data import check_data, compare_structures, loop_findings
 from twinmatch.adding.proposal import noise_of
+from twinmatch.adding.written_files import AddingError
 from twinmatch.cli import main
 from twinmatch.dynamics import PidGains, begin, simulate_closed_loop, simulate_driven
 from twinmatch.fitting import fit_structure
@@ -33,7 +34,8 @@ from twinmatch.importing.tables import Table, read_table
 from twinmatch.offline.judging import judge, judge_samples, terms_from_files
 from twinmatch.plants import Incubator, find_plant
 from twinmatch.sampling.sources import SignalMap, SignalSource, parse_map
-from twinmatch.sessions import RecordingError, Session, samples_of
+from twinmatch.sessions import Session, samples_of
+from twinmatch.sessions.files import RecordingError
 from twinmatch.signals import Sample, Window, stretches
 from twinmatch.twin import TwinSettings
 

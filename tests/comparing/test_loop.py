@@ -19,21 +19,20 @@ from twinmatch.comparing import (
     DiscriminationError,
     GraphSymbol,
     LoopConditions,
-    Scales,
-    graph_symbol,
     identify,
     loop_controller,
-    loop_plant,
     nu_gap,
     plant_gap,
     score,
     spans_of,
     stability_margin,
-    with_margins,
 )
+from twinmatch.comparing.graph_symbol import graph_symbol
+from twinmatch.comparing.margin import Scales, loop_plant
 from twinmatch.comparing.models import operating_level
 from twinmatch.comparing.plant_gap import linearised_in_loop
 from twinmatch.comparing.polynomials import column_of, even_part, exact, multiply, to_half_plane
+from twinmatch.comparing.verdict import with_margins
 from twinmatch.dynamics import (
     Controller,
     Parameters,

@@ -21,8 +21,6 @@ from twinmatch.comparing import (
     LoopConditions,
     akaike_weights,
     chordal,
-    family_uncertainty,
-    graph_symbol,
     identify,
     nu_gap,
     nu_gap_matrix,
@@ -30,8 +28,10 @@ from twinmatch.comparing import (
     score_orders,
     spans_of,
 )
+from twinmatch.comparing.graph_symbol import graph_symbol
 from twinmatch.comparing.plant_gap import ANGLES, response_slopes
 from twinmatch.comparing.polynomials import Polynomial, is_hurwitz, multiply
+from twinmatch.comparing.uncertainty import family_uncertainty
 from twinmatch.dynamics import begin, simulate_closed_loop
 from twinmatch.plants import Peltier
 from twinmatch.signals import KELVIN, FloatArray, Window

@@ -18,11 +18,8 @@ from twinmatch.comparing import (
     CandidateScore,
     DiscriminationError,
     Family,
-    InformationGain,
     LoopConditions,
-    Scales,
     bic,
-    loop_plant,
     mdl,
     nominal_of,
     nu_gap,
@@ -30,6 +27,8 @@ from twinmatch.comparing import (
     plant_gaps,
     spans_of,
 )
+from twinmatch.comparing.code_length import InformationGain
+from twinmatch.comparing.margin import Scales, loop_plant
 from twinmatch.comparing.plant_gap import ANGLES, linearised_in_loop, response_slopes, symbol_in_loop
 from twinmatch.dynamics import (
     Parameters,

@@ -14,22 +14,17 @@ from hypothesis import strategies as st
 from twinmatch.comparing import (
     Candidate,
     CandidateScore,
-    Certainty,
-    Criteria,
     DiscriminationError,
     GraphSymbol,
     LoopConditions,
     OrderScore,
-    PlantGaps,
     bic,
     choose_order,
     code_length,
     common_order,
-    family_uncertainty,
     identify,
     judge_uncertainty,
     loop_controller,
-    loop_plant,
     mdl,
     naic,
     nu_gap,
@@ -39,15 +34,20 @@ from twinmatch.comparing import (
     stability_margin,
     twin_response,
 )
+from twinmatch.comparing.criteria import Criteria
+from twinmatch.comparing.margin import loop_plant
 from twinmatch.comparing.models import ahead, deviations, operating_level
+from twinmatch.comparing.plant_gap import PlantGaps
 from twinmatch.comparing.uncertainty import (
     directions,
     disturbed_pair,
     estimates,
     failing_draws,
+    family_uncertainty,
     fitting_scales,
     turn,
 )
+from twinmatch.comparing.verdict import Certainty
 from twinmatch.dynamics import Parameters, PidGains, begin, law_of, simulate_closed_loop
 from twinmatch.fitting import FittingError
 from twinmatch.plants import Peltier

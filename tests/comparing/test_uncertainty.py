@@ -14,16 +14,9 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from twinmatch.comparing import (
-    Candidate,
-    DiscriminationError,
-    LoopConditions,
-    PlantGaps,
-    family_uncertainty,
-    plant_gaps,
-    spans_of,
-)
-from twinmatch.comparing.uncertainty import covariance_root
+from twinmatch.comparing import Candidate, DiscriminationError, LoopConditions, plant_gaps, spans_of
+from twinmatch.comparing.plant_gap import PlantGaps
+from twinmatch.comparing.uncertainty import covariance_root, family_uncertainty
 from twinmatch.comparing.verdict import DECIDED_FROM
 from twinmatch.dynamics import Parameters, begin, law_of, simulate_closed_loop
 from twinmatch.fitting import match

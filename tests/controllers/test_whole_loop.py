@@ -13,7 +13,8 @@ from scipy.signal import cont2discrete, lfilter
 
 from tests.support.exchanging import Heaters
 from twinmatch.comparing import StateSpace, best_scaling, matrix_nu_gap, nu_gap
-from twinmatch.controllers import UNSTABLE, FilteredPid, WholeLoop, as_linear, pid_law
+from twinmatch.controllers import FilteredPid, WholeLoop, as_linear, pid_law
+from twinmatch.controllers.whole_loop import UNSTABLE
 from twinmatch.dynamics import (
     Linear,
     LinearLaw,

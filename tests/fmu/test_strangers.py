@@ -21,7 +21,8 @@ from tests.support.fmus import RATE, build_c_fmu, build_python_fmu, write_map
 from tests.support.waiting import wait_for
 from twinmatch.cli import main
 from twinmatch.dynamics import Model, PlantError, StructureLostError, begin, simulate_driven
-from twinmatch.fmu import FmuError, adopt_fmus, archive, structure
+from twinmatch.fmu import adopt_fmus, archive, structure
+from twinmatch.fmu.archive import FmuError
 from twinmatch.plants import Peltier
 
 

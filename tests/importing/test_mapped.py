@@ -25,7 +25,8 @@ from twinmatch.importing.times import read_times
 from twinmatch.offline.judging import terms_from_files
 from twinmatch.plants import find_plant
 from twinmatch.sampling.sources import SignalMap, SignalSource, parse_map
-from twinmatch.sessions import RecordingError, read_session, write_session
+from twinmatch.sessions import read_session, write_session
+from twinmatch.sessions.files import RecordingError
 from twinmatch.sessions.metadata import PLANT
 from twinmatch.sessions.recording import EPOCH
 from twinmatch.signals import Sample

@@ -13,7 +13,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from twinmatch.importing import open_any, read_recording
-from twinmatch.sessions import EPOCH, RecordingError, SessionError, write_session
+from twinmatch.sessions import SessionError, write_session
+from twinmatch.sessions.files import RecordingError
+from twinmatch.sessions.recording import EPOCH
 from twinmatch.signals import Sample
 
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from twinmatch.importing import resample
 from twinmatch.importing.tables import read_table
 from twinmatch.importing.times import DAY_FIRST, MONTH_FIRST, in_order, order_of, read_times
-from twinmatch.sessions import RecordingError
+from twinmatch.sessions.files import RecordingError
 
 
 def test_rows_on_a_clock_stay_as_they_are_to_the_last_bit():

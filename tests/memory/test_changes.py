@@ -10,7 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.support.lessons import HOUR, KINDS, LivedRig, Told, lesson, lived_rig, told_of
-from twinmatch.memory import Lesson, ParameterChange, histories_of, report_on, shared_structure
+from twinmatch.memory import Lesson, ParameterChange, report_on, shared_structure
+from twinmatch.memory.changes import histories_of
 from twinmatch.plants import Peltier
 
 HELD = Peltier.model("held sink")

@@ -14,11 +14,13 @@ from hypothesis import strategies as st
 from rclpy.serialization import deserialize_message, serialize_message
 
 from tests.support.exchanging import Heaters
-from twinmatch.comparing import ADMITTED, REFUSED, Criteria, OrderScore, TrustLevel, Verdict
+from twinmatch.comparing import ADMITTED, REFUSED, OrderScore, TrustLevel, Verdict
+from twinmatch.comparing.criteria import Criteria
 from twinmatch.comparing.verdict import CandidateScore
 from twinmatch.description import Quantity
 from twinmatch.dynamics import Parameters, PlantError
-from twinmatch.fitting import Fit, Match, Status
+from twinmatch.fitting import Match, Status
+from twinmatch.fitting.match import Fit
 from twinmatch.forecasting import Band, Forecast
 from twinmatch.nodes.expected import check
 from twinmatch.nodes.fields import MessageError

@@ -32,7 +32,8 @@ from tests.support.ros import Inside, Listener
 from tests.support.verdicts import LED, verdict
 from tests.support.waiting import wait_for
 from twinmatch.comparing import TrustLevel
-from twinmatch.fitting import Fit, Match, Status
+from twinmatch.fitting import Match, Status
+from twinmatch.fitting.match import Fit
 from twinmatch.launching.live import Live, _LiveRun
 from twinmatch.launching.plan import LivePlan
 from twinmatch.launching.watch import Settled, Watch

@@ -34,7 +34,8 @@ from twinmatch.parameters.twin import (
     values_of,
 )
 from twinmatch.plants import PLANTS, Peltier, TCLab, find_plant
-from twinmatch.safety import GuardLimits, OutputGuard, RunawayLimits, SafetyError
+from twinmatch.safety import GuardLimits, OutputGuard, RunawayLimits
+from twinmatch.safety.limits import SafetyError
 from twinmatch.sampling.channels import parse_channel
 from twinmatch.twin import TwinSettings
 

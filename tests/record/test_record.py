@@ -15,28 +15,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.support.places import PROJECT
-from twinmatch.comparing import (
-    CandidateScore,
-    Criteria,
-    ForecastScore,
-    OrderScore,
-    TrustLevel,
-    Verdict,
-)
+from twinmatch.comparing import CandidateScore, ForecastScore, OrderScore, TrustLevel, Verdict
+from twinmatch.comparing.criteria import Criteria
 from twinmatch.fitting import Status
 from twinmatch.fitting.match import without_fit
 from twinmatch.plants import Peltier
-from twinmatch.record import (
-    Form,
-    RecordError,
-    comparable,
-    differences,
-    document_of,
-    fields_of,
-    object_of,
-    tree_of,
-)
-from twinmatch.record.fields import values_name
+from twinmatch.record import comparable, differences, document_of, object_of, tree_of
+from twinmatch.record.fields import Form, RecordError, fields_of, values_name
 from twinmatch.signals import Window
 from twinmatch.twin import MatchReport
 

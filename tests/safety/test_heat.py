@@ -14,15 +14,9 @@ from hypothesis import strategies as st
 from tests.support.faulty_rig import profile
 from tests.support.liar import BEGINS, KIT, LIES, RIG, Bench, lie_to
 from tests.support.peltier_oracle import integrated
-from twinmatch.safety import (
-    Accusations,
-    BudgetLimits,
-    FaultKind,
-    HeatBudget,
-    ObserverLimits,
-    OutputGuard,
-    SafetyError,
-)
+from twinmatch.safety import Accusations, BudgetLimits, FaultKind, HeatBudget, OutputGuard
+from twinmatch.safety.limits import SafetyError
+from twinmatch.safety.observer import ObserverLimits
 from twinmatch.signals import Window
 
 UNLIMITED = BudgetLimits(hold=255.0, least=1e6)

@@ -20,8 +20,8 @@ from twinmatch.safety import (
     Runaway,
     RunawayLimits,
     SafetyClock,
-    SafetyError,
 )
+from twinmatch.safety.limits import SafetyError
 from twinmatch.signals import Window
 
 

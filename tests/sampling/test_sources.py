@@ -12,9 +12,9 @@ from tests.support.plant_files import plant_file
 from twinmatch.importing.mapped import map_samples
 from twinmatch.importing.tables import read_table
 from twinmatch.plants import find_plant
-from twinmatch.sampling import Channel, SamplingError
+from twinmatch.sampling.channels import Channel, SamplingError
 from twinmatch.sampling.sources import SignalSource, parse_map, parse_source
-from twinmatch.sessions import RecordingError
+from twinmatch.sessions.files import RecordingError
 
 KIND = "sensor_msgs/msg/Temperature"
 PRESSURE = "sensor_msgs/msg/FluidPressure"

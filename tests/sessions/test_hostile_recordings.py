@@ -21,8 +21,8 @@ from tests.support.limits import within
 from twinmatch.cli import main
 from twinmatch.importing import open_any, read_recording
 from twinmatch.importing.tables import read_table
-from twinmatch.sessions import RecordingError, SessionError
-from twinmatch.sessions.files import MAX_LINE
+from twinmatch.sessions import SessionError
+from twinmatch.sessions.files import MAX_LINE, RecordingError
 from twinmatch.sessions.scan import MAGIC, Scan
 
 CSV = "time,reference,temperature,pwm\n0,30,25.5,-1\n1,30,26,2\n"

@@ -20,9 +20,9 @@ from rosbags.interfaces import QosDurability, QosReliability
 from rosbags.rosbag2 import Reader
 
 from tests.support.processes import kill_once_it_says
-from twinmatch.sessions import EPOCH, SessionError, SessionWriter, read_session, samples_of, write_session
+from twinmatch.sessions import SessionError, SessionWriter, read_session, samples_of, write_session
 from twinmatch.sessions.messages import PLANT_TOPICS, SAMPLE, encode_sample
-from twinmatch.sessions.recording import DiskFullError, Recording, RecordingLimits
+from twinmatch.sessions.recording import EPOCH, DiskFullError, Recording, RecordingLimits
 from twinmatch.signals import Sample, Window
 
 SECOND = 10**9

@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 from tests.support.colours import contrast, linear
 from tests.support.plants import Motor
 from tests.support.rig import rig, run
-from twinmatch.comparing import Candidate, CandidateScore, Criteria, OrderScore, Verdict, score
+from twinmatch.comparing import Candidate, CandidateScore, OrderScore, Verdict, score
+from twinmatch.comparing.criteria import Criteria
 from twinmatch.dynamics import Plant
 from twinmatch.forecasting import Band, Forecast
 from twinmatch.offline.summary import summarise

@@ -7,7 +7,8 @@ from dataclasses import replace
 from typing import Any
 
 from tests.support.rig import rig
-from twinmatch.comparing import CandidateScore, Criteria, ForecastScore, OrderScore, TrustLevel, Verdict
+from twinmatch.comparing import CandidateScore, ForecastScore, OrderScore, TrustLevel, Verdict
+from twinmatch.comparing.criteria import Criteria
 
 CRITERIA = Criteria(1000, 400, 600, 0.6, 1.5, 900.0, 40.0)
 CANDIDATE = CandidateScore(

@@ -17,7 +17,8 @@ from twinmatch.forecasting.baselines import Arx
 from twinmatch.health import Fault
 from twinmatch.sessions import samples_of
 from twinmatch.signals import Sample, Window
-from twinmatch.twin import Door, Schedule, Twin, TwinSettings, filled, filled_stretches
+from twinmatch.twin import Door, Schedule, Twin, TwinSettings, filled_stretches
+from twinmatch.twin.door import filled
 
 SETTINGS = TwinSettings()
 LONGEST = SETTINGS.schedule.gap

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from tests.support.plants import Box, Lag
 from twinmatch.dynamics import Drive
 from twinmatch.signals import Sample
-from twinmatch.twin import ScheduleSettings, Trigger, TwinSettings
-from twinmatch.twin.schedule import InputSchedule
+from twinmatch.twin import ScheduleSettings, TwinSettings
+from twinmatch.twin.schedule import InputSchedule, Trigger
 
 SETTINGS = ScheduleSettings(min_input_step=10.0)
 CAPACITY, SPAN, LEAD = SETTINGS.capacity, SETTINGS.span, SETTINGS.lead

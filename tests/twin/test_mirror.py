@@ -13,7 +13,8 @@ from twinmatch.dynamics import begin, simulate_closed_loop, simulate_driven
 from twinmatch.plants import Peltier
 from twinmatch.sessions import samples_of
 from twinmatch.signals import Window
-from twinmatch.twin import Mirror, nrmse, residuals, window_fit
+from twinmatch.twin import Mirror, nrmse, window_fit
+from twinmatch.twin.mirror import residuals
 from twinmatch.twin.settings import TwinSettings
 
 HELD = Peltier.model().parameters

@@ -10,7 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from twinmatch.signals import Sample
-from twinmatch.twin import Schedule, ScheduleError, ScheduleSettings, Trigger
+from twinmatch.twin import Schedule, ScheduleSettings
+from twinmatch.twin.schedule import ScheduleError, Trigger
 
 
 def samples(reference: np.ndarray, first: int = 0) -> list[Sample]:

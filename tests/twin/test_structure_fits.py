@@ -14,7 +14,8 @@ from twinmatch.fitting import Noise
 from twinmatch.plants import Peltier
 from twinmatch.sessions import samples_of
 from twinmatch.signals import Window
-from twinmatch.twin import Schedule, StructureChoice, StructureFits, watched
+from twinmatch.twin import Schedule, StructureFits, watched
+from twinmatch.twin.structures import StructureChoice
 
 PLAIN = Peltier.model().parameters(seebeck=0.065, conductance=0.65, heat_capacity=31.0)
 TWO = tuple(map(Peltier.model, ("held sink", "held sink, free ambient")))

@@ -13,7 +13,8 @@ import pytest
 from tests.support.plants import Motor, Tank
 from twinmatch.dynamics import Controller, Parameters, Plant, advance, begin, read
 from twinmatch.plants import PLANTS
-from twinmatch.sessions import EPOCH, write_session
+from twinmatch.sessions import write_session
+from twinmatch.sessions.recording import EPOCH
 from twinmatch.signals import Sample
 
 FOREIGN = re.compile(

@@ -5,16 +5,13 @@ test and its configuration; `check_plant` reports what is wrong with a plant fil
 """
 
 from twinmatch.adding.check import check_plant
-from twinmatch.adding.proposal import Proposal, Signal, example, propose
-from twinmatch.adding.trial import CheckedPlant, Finding
-from twinmatch.adding.written_files import AddingError, files_of
+from twinmatch.adding.proposal import Proposal, example, propose
+from twinmatch.adding.trial import CheckedPlant
+from twinmatch.adding.written_files import files_of
 
 __all__ = [
-    "AddingError",
     "CheckedPlant",
-    "Finding",
     "Proposal",
-    "Signal",
     "check_plant",
     "example",
     "files_of",

@@ -14,15 +14,8 @@ nearest to all others, and `judge_uncertainty` gives the uncertainty of all this
 result.
 """
 
-from twinmatch.comparing.code_length import (
-    InformationGain,
-    code_length,
-    information_gain,
-    two_part_length,
-)
+from twinmatch.comparing.code_length import code_length, information_gain, two_part_length
 from twinmatch.comparing.criteria import (
-    AkaikeWeights,
-    Criteria,
     OrderScore,
     akaike_weights,
     bic,
@@ -33,16 +26,15 @@ from twinmatch.comparing.criteria import (
     score,
     score_orders,
 )
-from twinmatch.comparing.graph_symbol import GraphSymbol, graph_symbol
-from twinmatch.comparing.margin import Scales, loop_controller, loop_plant, stability_margin
+from twinmatch.comparing.graph_symbol import GraphSymbol
+from twinmatch.comparing.margin import loop_controller, stability_margin
 from twinmatch.comparing.matrix_gap import matrix_margin, matrix_nu_gap
 from twinmatch.comparing.models import Candidate, Family, SimoModel, identify, twin_response
 from twinmatch.comparing.nu_gap import nu_gap, nu_gap_matrix
-from twinmatch.comparing.plant_gap import LoopConditions, PlantGaps, plant_gap, plant_gaps, spans_of
+from twinmatch.comparing.plant_gap import LoopConditions, plant_gap, plant_gaps, spans_of
 from twinmatch.comparing.polynomials import DiscriminationError
 from twinmatch.comparing.scaling import Scaling, best_scaling
 from twinmatch.comparing.state_space import StateSpace
-from twinmatch.comparing.uncertainty import FamilyUncertainty, family_uncertainty
 from twinmatch.comparing.verdict import (
     ADMITTED,
     BASELINES,
@@ -50,7 +42,6 @@ from twinmatch.comparing.verdict import (
     LEVEL_WORDS,
     REFUSED,
     CandidateScore,
-    Certainty,
     ForecastScore,
     TrustLevel,
     Verdict,
@@ -58,7 +49,6 @@ from twinmatch.comparing.verdict import (
     judge_uncertainty,
     nominal_of,
     number_list,
-    with_margins,
 )
 
 __all__ = [
@@ -67,21 +57,14 @@ __all__ = [
     "DECIDED_FROM",
     "LEVEL_WORDS",
     "REFUSED",
-    "AkaikeWeights",
     "Candidate",
     "CandidateScore",
-    "Certainty",
-    "Criteria",
     "DiscriminationError",
     "Family",
-    "FamilyUncertainty",
     "ForecastScore",
     "GraphSymbol",
-    "InformationGain",
     "LoopConditions",
     "OrderScore",
-    "PlantGaps",
-    "Scales",
     "Scaling",
     "SimoModel",
     "StateSpace",
@@ -94,13 +77,10 @@ __all__ = [
     "choose_order",
     "code_length",
     "common_order",
-    "family_uncertainty",
-    "graph_symbol",
     "identify",
     "information_gain",
     "judge_uncertainty",
     "loop_controller",
-    "loop_plant",
     "matrix_margin",
     "matrix_nu_gap",
     "mdl",
@@ -117,5 +97,4 @@ __all__ = [
     "stability_margin",
     "twin_response",
     "two_part_length",
-    "with_margins",
 ]

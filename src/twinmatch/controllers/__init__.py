@@ -7,12 +7,10 @@ with filters and set-point weights, `law_from` a law of a document.
 """
 
 from twinmatch.controllers.answer import (
-    CONFIDENCE,
     ControllerAnswer,
     ControllerDecision,
     ControllerError,
     ControllerQuestion,
-    Courses,
     Spread,
     levels_words,
     try_controller,
@@ -21,32 +19,25 @@ from twinmatch.controllers.guarantee import Guarantee
 from twinmatch.controllers.law_document import law_from, pid_document
 from twinmatch.controllers.members import Holding, TriedTwin
 from twinmatch.controllers.pids import FilteredPid, as_linear, pid_law
-from twinmatch.controllers.responses import LOAD, CourseFigure, Run
+from twinmatch.controllers.responses import CourseFigure
 from twinmatch.controllers.retuning import AIMS, Retuned, retune
-from twinmatch.controllers.stability import MemberStability, OpenQuestion
+from twinmatch.controllers.stability import MemberStability
 from twinmatch.controllers.track_record import LawComparison, compared, widened
-from twinmatch.controllers.whole_loop import UNSTABLE, ChannelMargins, WholeLoop
+from twinmatch.controllers.whole_loop import WholeLoop
 
 __all__ = [
     "AIMS",
-    "CONFIDENCE",
-    "LOAD",
-    "UNSTABLE",
-    "ChannelMargins",
     "ControllerAnswer",
     "ControllerDecision",
     "ControllerError",
     "ControllerQuestion",
     "CourseFigure",
-    "Courses",
     "FilteredPid",
     "Guarantee",
     "Holding",
     "LawComparison",
     "MemberStability",
-    "OpenQuestion",
     "Retuned",
-    "Run",
     "Spread",
     "TriedTwin",
     "WholeLoop",

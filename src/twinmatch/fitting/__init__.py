@@ -18,10 +18,10 @@ prediction errors on any data and converts to a transfer function.
 """
 
 from twinmatch.fitting.box_jenkins import BoxJenkins, estimate, estimate_ladder
-from twinmatch.fitting.data import ORDERS, FittingError, Order, parse_order
+from twinmatch.fitting.data import ORDERS, FittingError, parse_order
 from twinmatch.fitting.gate import GateLimits, Status
-from twinmatch.fitting.match import Fit, Match, match
-from twinmatch.fitting.problem import Bounds, Expectation, Noise, Prior
+from twinmatch.fitting.match import Match, match
+from twinmatch.fitting.problem import Expectation, Noise, Prior
 from twinmatch.fitting.structures import (
     StructureFit,
     fit_session,
@@ -32,15 +32,12 @@ from twinmatch.fitting.structures import (
 
 __all__ = [
     "ORDERS",
-    "Bounds",
     "BoxJenkins",
     "Expectation",
-    "Fit",
     "FittingError",
     "GateLimits",
     "Match",
     "Noise",
-    "Order",
     "Prior",
     "Status",
     "StructureFit",

@@ -6,9 +6,7 @@ of a map file to their plant; they are then matched, used for forecasts and scor
 structures. `described_by` reads an FMU's description without executing its code.
 """
 
-from twinmatch.fmu.archive import FmuError
-from twinmatch.fmu.mapping import FmuMap, read_maps
 from twinmatch.fmu.structure import adopt_fmus, unmarked
 from twinmatch.plants.records import is_marked as is_fmu
 
-__all__ = ["FmuError", "FmuMap", "adopt_fmus", "is_fmu", "read_maps", "unmarked"]
+__all__ = ["adopt_fmus", "is_fmu", "unmarked"]

@@ -21,7 +21,6 @@ from twinmatch.forecasting.set_points import SetPoints
 from twinmatch.forecasting.what_if import (
     NEAR,
     Moment,
-    Peak,
     Question,
     WhatIfResult,
     largest_input,
@@ -44,7 +43,6 @@ __all__ = [
     "Ledger",
     "Moment",
     "Outlook",
-    "Peak",
     "Question",
     "SetPoints",
     "StateFilter",

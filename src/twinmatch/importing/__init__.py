@@ -6,6 +6,6 @@ irregular times on one clock.
 """
 
 from twinmatch.importing.recordings import open_any, read_recording
-from twinmatch.importing.resampling import Resampled, resample
+from twinmatch.importing.resampling import resample
 
-__all__ = ["Resampled", "open_any", "read_recording", "resample"]
+__all__ = ["open_any", "read_recording", "resample"]

@@ -5,14 +5,7 @@ session. `Memory` is the file of them. `start_from` gives the candidates that a 
 `report_on` compares the sessions and names steps and trends. All but `Memory` is pure.
 """
 
-from twinmatch.memory.changes import (
-    MemoryReport,
-    ParameterChange,
-    ParameterHistory,
-    histories_of,
-    report_on,
-    shared_structure,
-)
+from twinmatch.memory.changes import MemoryReport, ParameterChange, report_on, shared_structure
 from twinmatch.memory.learning import SessionEvidence, digest_of, lessons_of
 from twinmatch.memory.lesson import Lesson, MemoryFaultError, current_lessons, in_order
 from twinmatch.memory.start import start_from
@@ -24,13 +17,11 @@ __all__ = [
     "MemoryFaultError",
     "MemoryReport",
     "ParameterChange",
-    "ParameterHistory",
     "SessionEvidence",
     "current_lessons",
     "default_file",
     "default_files",
     "digest_of",
-    "histories_of",
     "in_order",
     "lessons_of",
     "report_on",

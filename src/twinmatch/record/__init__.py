@@ -9,7 +9,6 @@ An absent value (`None`) is NaN, −1 or an empty text in a message and null in 
 word, with a number beside it in a message.
 """
 
-from twinmatch.record.fields import Form, RecordError, RecordField, fields_of
 from twinmatch.record.trees import (
     Tree,
     comparable,
@@ -25,14 +24,10 @@ from twinmatch.record.trees import (
 )
 
 __all__ = [
-    "Form",
-    "RecordError",
-    "RecordField",
     "Tree",
     "comparable",
     "differences",
     "document_of",
-    "fields_of",
     "fill",
     "finite",
     "object_of",

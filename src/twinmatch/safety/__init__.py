@@ -11,8 +11,7 @@ from twinmatch.safety.accusations import ACCUSED, Accusations
 from twinmatch.safety.budget import BudgetLimits, HeatBudget
 from twinmatch.safety.clock import ClockLimits, SafetyClock
 from twinmatch.safety.guard import FaultKind, GuardFault, GuardLimits, OutputGuard
-from twinmatch.safety.limits import SafetyError
-from twinmatch.safety.observer import DriveObserver, ObserverLimits
+from twinmatch.safety.observer import DriveObserver
 from twinmatch.safety.runaway import Runaway, RunawayLimits
 
 __all__ = [
@@ -25,10 +24,8 @@ __all__ = [
     "GuardFault",
     "GuardLimits",
     "HeatBudget",
-    "ObserverLimits",
     "OutputGuard",
     "Runaway",
     "RunawayLimits",
     "SafetyClock",
-    "SafetyError",
 ]

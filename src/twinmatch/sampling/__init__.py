@@ -4,8 +4,7 @@ A `SignalMap` says where each signal comes from, live, in a table or in a bag; `
 messages of any topics; a `Sampler` takes values with their times, and gives one sample per tick.
 """
 
-from twinmatch.sampling.channels import Channel, SamplingError
 from twinmatch.sampling.sampler import Sampler
 from twinmatch.sampling.sources import SignalMap, SignalSource
 
-__all__ = ["Channel", "Sampler", "SamplingError", "SignalMap", "SignalSource"]
+__all__ = ["Sampler", "SignalMap", "SignalSource"]

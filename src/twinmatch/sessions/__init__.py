@@ -6,32 +6,21 @@ stops it before the disk is full; `write_session` writes samples, complete or no
 reads both, a truncated file as far as it goes. `twinmatch.importing` makes sessions of other programs' files.
 """
 
-from twinmatch.sessions.files import RecordingError, SessionError
-from twinmatch.sessions.messages import Message, Qos, Topic, plant_messages, plant_topics
+from twinmatch.sessions.files import SessionError
+from twinmatch.sessions.messages import Message, Qos, Topic, plant_topics
 from twinmatch.sessions.reader import Session, read_session
-from twinmatch.sessions.recording import (
-    EPOCH,
-    DiskFullError,
-    Recording,
-    RecordingLimits,
-    samples_of,
-    write_session,
-)
+from twinmatch.sessions.recording import Recording, RecordingLimits, samples_of, write_session
 from twinmatch.sessions.writer import SessionWriter
 
 __all__ = [
-    "EPOCH",
-    "DiskFullError",
     "Message",
     "Qos",
     "Recording",
-    "RecordingError",
     "RecordingLimits",
     "Session",
     "SessionError",
     "SessionWriter",
     "Topic",
-    "plant_messages",
     "plant_topics",
     "read_session",
     "samples_of",

@@ -8,15 +8,15 @@ pushed: no clock, no thread, no random state, so a replay of a recorded session 
 verdicts.
 """
 
-from twinmatch.twin.door import Door, filled, filled_stretches
+from twinmatch.twin.door import Door, filled_stretches
 from twinmatch.twin.engine import Discriminator, Outcome, Step, Twin
 from twinmatch.twin.forecaster import Forecaster, Snapshot
 from twinmatch.twin.matcher import MatchReport, MatchRequest, carry_out
-from twinmatch.twin.mirror import Mirror, MirrorState, Residuals, nrmse, residuals, response_on, window_fit
-from twinmatch.twin.schedule import Schedule, ScheduleError, ScheduleSettings, Trigger
+from twinmatch.twin.mirror import Mirror, MirrorState, nrmse, response_on, window_fit
+from twinmatch.twin.schedule import Schedule, ScheduleSettings
 from twinmatch.twin.settings import ForecastSettings, TrustLimits, TwinError, TwinSettings
 from twinmatch.twin.structure_fits import StructureFits, watched
-from twinmatch.twin.structures import StructureChoice, StructureScore, choose_structure
+from twinmatch.twin.structures import StructureScore, choose_structure
 
 __all__ = [
     "Discriminator",
@@ -28,26 +28,20 @@ __all__ = [
     "Mirror",
     "MirrorState",
     "Outcome",
-    "Residuals",
     "Schedule",
-    "ScheduleError",
     "ScheduleSettings",
     "Snapshot",
     "Step",
-    "StructureChoice",
     "StructureFits",
     "StructureScore",
-    "Trigger",
     "TrustLimits",
     "Twin",
     "TwinError",
     "TwinSettings",
     "carry_out",
     "choose_structure",
-    "filled",
     "filled_stretches",
     "nrmse",
-    "residuals",
     "response_on",
     "watched",
     "window_fit",

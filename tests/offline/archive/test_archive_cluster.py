@@ -17,7 +17,7 @@ import pytest
 from tests.support.processes import Process, run_twinmatch
 from tests.support.waiting import wait_for
 from twinmatch.offline import archive as archives
-from twinmatch.offline.archive import ClusterError
+from twinmatch.offline.archive.files import ClusterError
 from twinmatch.showing.summary import document
 
 pytestmark = pytest.mark.skipif(

@@ -14,8 +14,8 @@ from tests.support.processes import run_twinmatch
 from tests.support.recorded_kits import kit_rows
 from twinmatch.dynamics import begin, simulate_driven
 from twinmatch.importing.recordings import session_of
-from twinmatch.offline.backtest import Backtest, BacktestError, Choices
-from twinmatch.offline.backtest.scoring import LEADER, PEERS
+from twinmatch.offline.backtest import Backtest, Choices
+from twinmatch.offline.backtest.scoring import LEADER, PEERS, BacktestError
 from twinmatch.offline.backtest.several import backtest_each
 from twinmatch.plants import TCLabBoth
 from twinmatch.sessions import Session, samples_of, write_session

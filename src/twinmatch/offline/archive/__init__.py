@@ -11,14 +11,11 @@ Sessions are judged in other processes with one thread of linear algebra each; t
 from __future__ import annotations
 
 from twinmatch.offline.archive.archive import Archive, judge_archive
-from twinmatch.offline.archive.files import ArchiveError, ClusterError, find_sessions, is_single
-from twinmatch.offline.archive.job import Failure
+from twinmatch.offline.archive.files import ArchiveError, find_sessions, is_single
 
 __all__ = [
     "Archive",
     "ArchiveError",
-    "ClusterError",
-    "Failure",
     "find_sessions",
     "is_single",
     "judge_archive",

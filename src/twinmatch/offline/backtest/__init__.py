@@ -7,44 +7,21 @@ peers are the referees of the verdict: persistence and ARX, from the same sample
 """
 
 from twinmatch.offline.backtest.run import Choices, Listener, backtest, graded, portable
-from twinmatch.offline.backtest.scoring import (
-    PEERS,
-    Backtest,
-    BacktestError,
-    Card,
-    Marked,
-    Marks,
-    SignalMarks,
-    best_in_hindsight,
-    cards,
-    common,
-    document,
-    interval_score,
-    marks,
-    over_all,
-)
+from twinmatch.offline.backtest.scoring import PEERS, Backtest, Card, Marked, cards, marks
 from twinmatch.offline.backtest.several import backtest_outputs, backtest_session
 
 __all__ = [
     "PEERS",
     "Backtest",
-    "BacktestError",
     "Card",
     "Choices",
     "Listener",
     "Marked",
-    "Marks",
-    "SignalMarks",
     "backtest",
     "backtest_outputs",
     "backtest_session",
-    "best_in_hindsight",
     "cards",
-    "common",
-    "document",
     "graded",
-    "interval_score",
     "marks",
-    "over_all",
     "portable",
 ]
