@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from tests.support.faulty_rig import profile
 from tests.support.rig import rig, run
 from twinmatch.comparing import Candidate
 from twinmatch.dynamics import Parameters
-from twinmatch.forecasting import ForecastError
+from twinmatch.forecasting import ForecastError, Outlook
 from twinmatch.sessions import samples_of
 from twinmatch.signals import Sample
 from twinmatch.twin import Forecaster, ForecastSettings, Twin, TwinSettings
@@ -106,25 +107,39 @@ def test_bands_of_the_truth_hold(samples: list[Sample]) -> None:
     assert np.mean(inside) == pytest.approx(0.9, abs=0.1)
 
 
-def test_a_forecast_knows_nothing_of_what_comes(samples: list[Sample]) -> None:
+@dataclass
+class Judged:
+    """The whole twin, from nothing, after all samples."""
+
+    twin: Twin
+    leaders: list[str | None]
+    outlooks: dict[str, Outlook]
+    """Of every candidate at sample 1111."""
+
+
+@pytest.fixture(scope="module")
+def judged(samples: list[Sample]) -> Judged:
+    found = Judged(Twin(), [], {})
+    for sample in samples:
+        found.leaders += [v.leader for v in found.twin.push(sample).verdicts]
+        if sample.index == 1111:
+            forecaster = found.twin.discriminator.forecaster
+            found.outlooks |= {name: forecaster.outlook(name) for name in forecaster.names}
+    return found
+
+
+def test_a_forecast_knows_nothing_of_what_comes(samples: list[Sample], judged: Judged) -> None:
     """Whether the session is cut there or continues, the bits are the same, for every candidate."""
-    twin, whole = Twin(), {}
-    for sample in samples[:1300]:
-        twin.push(sample)
-        if sample.index in {900, 1111}:
-            forecaster = twin.discriminator.forecaster
-            whole[sample.index] = {name: forecaster.outlook(name) for name in forecaster.names}
-    for cut in (900, 1111):
-        again = Twin()
-        for sample in samples[: cut + 1]:
-            again.push(sample)
-        forecaster = again.discriminator.forecaster
-        assert set(forecaster.names) == set(whole[cut])
-        for name in forecaster.names:
-            one, other = (o.forecast([60.0] * 300) for o in (whole[cut][name], forecaster.outlook(name)))
-            for band, its in ((one.output, other.output), (one.input, other.input)):
-                for side in ("mean", "low", "high"):
-                    assert getattr(band, side).tobytes() == getattr(its, side).tobytes()
+    again = Twin()
+    for sample in samples[:1112]:
+        again.push(sample)
+    forecaster = again.discriminator.forecaster
+    assert set(forecaster.names) == set(judged.outlooks)
+    for name in forecaster.names:
+        one, other = (o.forecast([60.0] * 300) for o in (judged.outlooks[name], forecaster.outlook(name)))
+        for band, its in ((one.output, other.output), (one.input, other.input)):
+            for side in ("mean", "low", "high"):
+                assert getattr(band, side).tobytes() == getattr(its, side).tobytes()
 
 
 def test_the_mean_is_what_the_plant_does_when_nothing_disturbs_it() -> None:
@@ -202,14 +217,12 @@ def test_a_forecast_says_that_it_leaves_what_was_visited(samples: list[Sample]) 
     assert "was visited" in note
 
 
-def test_a_structure_leads_the_family_on_a_rig_that_has_it(samples: list[Sample]) -> None:
-    """The whole twin, from nothing: structures compete with matches, and the one that is there wins."""
-    twin, leaders = Twin(), []
-    for sample in samples:
-        leaders += [v.leader for v in twin.push(sample).verdicts]
+def test_a_structure_leads_the_family_on_a_rig_that_has_it(judged: Judged) -> None:
+    """Structures compete with matches, and the one that is there wins."""
+    leaders = judged.leaders
     assert leaders[-1] == RICH
     assert leaders.count(RICH) > len(leaders) / 2
-    scores = twin.discriminator.forecaster.scores
+    scores = judged.twin.discriminator.forecaster.scores
     found = next(s for s in scores if s.name == RICH).parameters
     for name, of in (("conductance", 0.1), ("heat_capacity", 0.25), ("seebeck", 0.25)):
         assert found[name] == pytest.approx(TRUTH[name], rel=of), name

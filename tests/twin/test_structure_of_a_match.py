@@ -61,8 +61,7 @@ def structure_of_leader(verdict: Verdict) -> str:
     return leader.parameters.model.structure_name
 
 
-@pytest.mark.parametrize("seed", [1, 2])
-@pytest.mark.parametrize("late", [2, 3])
+@pytest.mark.parametrize(("late", "seed"), [(2, 1), (3, 2)])
 def test_a_dead_time_is_found(late: int, seed: int) -> None:
     found = judged(kit(late, seed))
     first, last = found.matches[0].match, found.verdicts[-1]
@@ -73,7 +72,7 @@ def test_a_dead_time_is_found(late: int, seed: int) -> None:
     assert any(score.name == LATE for score in last.forecasts), "it competes as a structure, too"
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1, 2])
 def test_without_one_the_first_structure_stays(seed: int) -> None:
     found = judged(kit(0, seed))
     assert {structure_of(report.match) for report in found.matches} == {"sensor lag"}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from itertools import cycle
 
 import numpy as np
 import pytest
@@ -77,61 +78,43 @@ def test_verdicts_are_consistent_in_themselves(simulated_outcomes: list[Outcome]
                 assert order.y.explanation <= 1.0
 
 
-def test_a_second_run_gives_the_same_verdicts_to_the_last_bit(
+def test_late_matches_and_those_nobody_waits_for_change_nothing_but_the_time_of_the_verdict(
     simulated_session: list[Sample], simulated_outcomes: list[Outcome]
 ) -> None:
-    twin = Twin()
-    again = verdicts_of([twin.push(s) for s in simulated_session])
-    assert repr(again) == repr(verdicts_of(simulated_outcomes))
+    """The matches are made of what is asked for, and come when they like: the last ones after the session.
 
-
-@pytest.mark.parametrize("late", [1, 37, 10_000])
-def test_late_matches_change_nothing_but_the_time_of_the_verdict(
-    late: int, simulated_session: list[Sample], simulated_outcomes: list[Outcome]
-) -> None:
-    """The matches are made of what is asked for, and come when they like."""
-    judge, settings = Discriminator(), TwinSettings()
-    known = {m.sample: m for m in matches_of(simulated_outcomes)}
+    Nobody waits for one that comes twice, or of a window that was never asked for.
+    """
+    judge, settings, lateness = Discriminator(), TwinSettings(), cycle((1, 37, 250))
+    reports = matches_of(simulated_outcomes)
     due: list[tuple[int, MatchReport]] = []
     verdicts: list[Verdict] = []
 
     def take(step: Step, now: int) -> None:
         verdicts.extend(step.verdicts)
         if step.request is not None:
-            report = known[step.request.sample]
-            if late == 37:  # once is enough: the other cases trust what this one has seen
-                assert repr(carry_out(step.request, settings)) == repr(report)
-            due.append((now + late, report))
+            report = next(m for m in reports if m.answers(step.request))
+            assert repr(carry_out(step.request, settings)) == repr(report)
+            due.append((now + (next(lateness) if now < 1500 else 10_000), report))
+
+    def answer(now: int) -> None:
+        report, request = due.pop(0)[1], judge.request
+        assert judge.push_match(next(m for m in reports if m is not report)) == Step((), None)
+        assert judge.request is request
+        step = judge.push_match(report)
+        if step.request is None:
+            assert judge.push_match(report) == Step((), None)
+        take(step, now)
 
     for sample in simulated_session:
         take(judge.push_sample(sample), sample.index)
         while due and due[0][0] <= sample.index:
-            take(judge.push_match(due.pop(0)[1]), sample.index)
-    assert late == 1 or judge.request is not None or not due
+            answer(sample.index)
+    assert judge.request is not None
     while due:
-        take(judge.push_match(due.pop(0)[1]), simulated_session[-1].index)
+        answer(simulated_session[-1].index)
     assert judge.request is None
     assert judge.settled == simulated_session[-1].index
-    assert repr(verdicts) == repr(verdicts_of(simulated_outcomes))
-
-
-def test_a_match_nobody_waits_for_changes_nothing(
-    simulated_session: list[Sample], simulated_outcomes: list[Outcome]
-) -> None:
-    """One that comes twice, and one of a window that was never asked for."""
-    judge = Discriminator()
-    reports = matches_of(simulated_outcomes)
-    verdicts: list[Verdict] = []
-    for sample in simulated_session:
-        step = judge.push_sample(sample)
-        verdicts += step.verdicts
-        if step.request is not None:
-            report = next(m for m in reports if m.answers(step.request))
-            other = next(m for m in reports if m is not report)
-            assert judge.push_match(other) == Step((), None)
-            assert judge.request is step.request
-            verdicts += judge.push_match(report).verdicts
-            assert judge.push_match(report) == Step((), None)
     assert repr(verdicts) == repr(verdicts_of(simulated_outcomes))
 
 
@@ -215,11 +198,13 @@ def test_a_drive_that_comes_back_is_reported_and_the_family_continues() -> None:
 
 
 def test_who_was_matched_while_a_fault_already_showed_is_dismissed(
-    simulated_session: list[Sample],
+    simulated_session: list[Sample], simulated_outcomes: list[Outcome]
 ) -> None:
-    """An alarm that begins in the past takes back what was admitted since."""
+    """An alarm that begins in the past takes back what was admitted since; until then, a second run gives the
+    same verdicts to the last bit."""
     twin = Twin()
     verdicts = verdicts_of([twin.push(s) for s in simulated_session])
+    assert repr(verdicts) == repr(verdicts_of(simulated_outcomes))
     judge = twin.discriminator
     newest = max(verdicts[-1].candidates, key=lambda c: c.last)
     last = simulated_session[-1]
