@@ -37,11 +37,12 @@ TOGETHER = (
     "tests/fmu/",
     "tests/offline/archive/",
     "tests/offline/backtest/",
+    "tests/offline/test_controller",
     "tests/showing/report/",
     "tests/system/subscribers/",
     "tests/twin/",
 )
-"""Folders whose files share what takes long to make: one worker runs them all."""
+"""Files that share what takes long to make, by how their paths begin: one worker runs them all."""
 
 settings.register_profile("repeatable", derandomize=True, deadline=None, max_examples=40)
 settings.load_profile("repeatable")

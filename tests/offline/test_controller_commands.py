@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -20,15 +20,13 @@ from twinmatch.controllers import (
     as_linear,
 )
 from twinmatch.dynamics import LinearLaw, law_of
-from twinmatch.memory import Memory, digest_of
+from twinmatch.memory import Memory
 from twinmatch.offline.controllers import (
     Ground,
     ground_of,
-    members_from,
     read_law,
     remembered,
 )
-from twinmatch.offline.judging import Watch
 from twinmatch.plants import Peltier
 from twinmatch.sessions import read_session
 
@@ -39,19 +37,11 @@ def ground() -> Ground:
 
 
 @pytest.fixture(scope="module", autouse=True)
-def judged_once() -> Iterator[None]:
-    """A session is judged for the first command that asks; later ones get the same twins."""
-    known: dict[str, tuple[TriedTwin, ...]] = {}
-
-    def members(ground: Ground, *, watch: Watch) -> tuple[TriedTwin, ...]:
-        session = digest_of(ground.session.samples)
-        if session not in known:
-            known[session] = members_from(ground, watch=watch)
-        return known[session]
-
+def judged_once(members_of: Callable[..., tuple[TriedTwin, ...]]) -> Iterator[None]:
+    """Commands get the twins of a session that was judged before."""
     with pytest.MonkeyPatch.context() as patch:
         for command in (try_controller, retune):
-            patch.setattr(command, "members_from", members)
+            patch.setattr(command, "members_from", members_of)
         yield
 
 

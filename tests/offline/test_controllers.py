@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -55,8 +56,8 @@ def ground(session: Session) -> Ground:
 
 
 @pytest.fixture(scope="module")
-def members(ground: Ground) -> tuple[TriedTwin, ...]:
-    return members_from(ground)
+def members(ground: Ground, members_of: Callable[..., tuple[TriedTwin, ...]]) -> tuple[TriedTwin, ...]:
+    return members_of(ground)
 
 
 def test_the_law_that_ran_is_safe_and_the_same_beside_itself(
@@ -192,14 +193,16 @@ def test_a_law_in_python_runs_at_its_own_period_or_not_at_all(tmp_path: Path) ->
         read_law(path, Lag, 0.1)
 
 
-def test_a_real_kit_with_two_heaters_from_its_open_loop_alone(tmp_path: Path) -> None:
+def test_a_real_kit_with_two_heaters_from_its_open_loop_alone(
+    members_of: Callable[..., tuple[TriedTwin, ...]], tmp_path: Path
+) -> None:
     """The law that ran on it: safe and guaranteed, and its cost of 5.16 K² is in the band, within 20 % of the
     median; as foreign laws did, a law with an observer that corrects the disturbance the wrong way fails."""
     path = OTHERS / "tclab_2x2" / "closed_loop_lqg_controller.json"
     ground = ground_of(kit_session("prbs_open_loop", tmp_path))
     references = recorded_profile(kit_session("closed_loop_lqg", tmp_path))
     law = read_law(path, ground.plant, 1.0)
-    twins = members_from(ground)
+    twins = members_of(ground)
     assert len(twins) == 5
     question = ControllerQuestion(law, references, references[0], ground.holding, draws=125)
     answer = try_controller(twins, question)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -55,7 +56,7 @@ from twinmatch.showing.console import Console
 from twinmatch.showing.figures.drawing import save
 from twinmatch.showing.figures.forecasts import draw_backtest
 from twinmatch.showing.forecasts import backtest_tables, backtest_words, card_columns
-from twinmatch.signals import Window
+from twinmatch.signals import Sample, Window
 from twinmatch.twin import TwinSettings
 
 TWIN_ONLY = Choices(every=120.0, peers=())
@@ -100,15 +101,28 @@ def test_a_constant_band_has_the_means_of_the_nominal(shipped: Backtest) -> None
         assert one.width_output != other.width_output
 
 
-def test_a_session_cut_short_gives_the_same_forecasts() -> None:
-    """Nobody looks ahead: what comes after sample 800 does not change what is said up to 700."""
+EARLY = Choices(every=50.0, horizons=(10.0, 60.0, 100.0))
+
+
+def backtest_where(wanted: Callable[[Sample], bool]) -> Backtest:
+    """Of those samples of the sample session."""
     session = open_any(SHIPPED)
-    whole, cut = (replace(session, samples=session.samples[:size]) for size in (1000, 801))
-    choices = Choices(every=50.0, horizons=(10.0, 100.0))
-    one, other = (backtest(s, terms_from_files(s), choices) for s in (whole, cut))
+    kept = replace(session, samples=[s for s in session.samples if wanted(s)])
+    return backtest(kept, terms_from_files(kept), EARLY)
+
+
+@pytest.fixture(scope="module")
+def early() -> Backtest:
+    """The first 1200 samples."""
+    return backtest_where(lambda sample: sample.index < 1200)
+
+
+def test_a_session_cut_short_gives_the_same_forecasts(early: Backtest) -> None:
+    """Nobody looks ahead: what comes after sample 800 does not change what is said up to 700."""
+    cut = backtest_where(lambda sample: sample.index < 801)
     # As texts, in which figures that there are not, NaN, are equal.
-    known = {(*m.place, m.who): repr(m) for m in other.marked if m.sample <= 700}
-    again = {(*m.place, m.who): repr(m) for m in one.marked if m.sample <= 700}
+    known = {(*m.place, m.who): repr(m) for m in cut.marked if m.sample <= 700}
+    again = {(*m.place, m.who): repr(m) for m in early.marked if m.sample <= 700}
     assert len(known) > 60
     assert known == again
 
@@ -130,20 +144,13 @@ def test_without_a_candidate_there_is_nothing_to_judge(tmp_path: Path) -> None:
     assert any("there was no candidate yet" in note for note in tested.notes)
 
 
-def test_a_lost_sample_costs_no_forecast() -> None:
+def test_a_lost_sample_costs_no_forecast(early: Backtest) -> None:
     """Every fifteenth is lost: all are made that do not begin or end there, with nearly the same errors."""
-    whole = open_any(SHIPPED)
-    samples = whole.samples[:1200]
-    lossy = replace(whole, samples=[s for s in samples if s.index % 15 != 7])
-    choices = Choices(every=50.0, horizons=(10.0, 60.0), peers=("persistence",))
-    full, rest = (
-        backtest(session, terms_from_files(session), choices)
-        for session in (replace(whole, samples=samples), lossy)
-    )
+    rest = backtest_where(lambda sample: sample.index < 1200 and sample.index % 15 != 7)
     ends = {(m.sample + round(h)) % 15 for m in rest.marked for h in (m.horizon,)}
     assert 7 not in ends
     before, now = (
-        {(m.sample, m.horizon): m.marks for m in one.marked if m.who == "leader"} for one in (full, rest)
+        {(m.sample, m.horizon): m.marks for m in one.marked if m.who == "leader"} for one in (early, rest)
     )
     kept = [place for place in before if place[0] % 15 != 7 and (place[0] + round(place[1])) % 15 != 7]
     assert len(now.keys() & set(kept)) > 0.9 * len(kept)
