@@ -44,7 +44,7 @@ from twinmatch.dynamics import (
     simulate_closed_loop,
 )
 from twinmatch.errors import TwinmatchError
-from twinmatch.signals import FloatArray
+from twinmatch.signals import FloatArray, finite
 
 HOLD = 240
 """Samples for which a set-point is held."""
@@ -76,6 +76,7 @@ class LoopConditions(NamedTuple):
     """Sample time if the loop is not known, s; otherwise the controller's is used."""
 
 
+@lru_cache(maxsize=64)  # for the response and for the graph symbol
 def linearised_in_loop(parameters: Parameters, set_point: float, loop: LoopConditions) -> Linear:
     """Linearise the plant where its loop holds it, in the units of output and input.
 
@@ -90,9 +91,9 @@ def linearised_in_loop(parameters: Parameters, set_point: float, loop: LoopCondi
         parameters, reference, states=begin(parameters, float(set_point)), law=loop.law
     )
     states, input_ = run.states[-2], float(run.input[-1])
-    finite = np.isfinite(states).all() and np.isfinite(input_)
-    linear = linearised_at(parameters, states, input_, loop.law.period) if finite else None
-    if linear is None or not all(np.isfinite(matrix).all() for matrix in linear[:3]):
+    held = finite(np.append(states, input_))
+    linear = linearised_at(parameters, states, input_, loop.law.period) if held else None
+    if linear is None or not all(map(finite, linear[:3])):
         model = parameters.model
         msg = f"ν-gap: the loop of {model.title} does not hold it at {set_point:g} {model.plant.output.unit}"
         raise DiscriminationError(msg)
@@ -117,27 +118,30 @@ def response_slopes(
 
     Shapes (frequencies,) and (n, frequencies). Raises as `linearised_in_loop`.
     """
-    response = _response(parameters, set_point, loop)
-    slopes = np.zeros((len(free), ANGLES.size), dtype=np.complex128)
-    for row, name in zip(slopes, free, strict=True):
+    twins, steps = [parameters], []
+    for name in free:
         declared, value = parameters.model.declared[name], parameters[name]
         moved = value + STEP * declared.scale
         if not declared.possible(moved):
             moved = value - STEP * declared.scale
-        row[:] = (_response(parameters.replace(**{name: moved}), set_point, loop) - response) / (
-            moved - value
-        )
+        twins.append(parameters.replace(**{name: moved}))
+        steps.append(moved - value)
+    response, *others = _responses([linearised_in_loop(twin, set_point, loop) for twin in twins], loop.scales)
+    slopes = np.zeros((len(free), ANGLES.size), dtype=np.complex128)
+    for row, other, step in zip(slopes, others, steps, strict=True):
+        row[:] = (other - response) / step
     return response, slopes
 
 
-def _response(parameters: Parameters, set_point: float, loop: LoopConditions) -> NDArray[np.complex128]:
-    linear = linearised_in_loop(parameters, set_point, loop)
-    poles = np.linalg.eigvals(linear.A)
-    singular = np.abs(np.exp(1j * ANGLES)[:, None] - poles).min(axis=1) < _OFF / 10
+def _responses(plants: Sequence[Linear], scales: Scales) -> NDArray[np.complex128]:
+    """Of each plant, shape (plants, frequencies)."""
+    A, B, C = (np.stack(matrices)[:, None] for matrices in list(zip(*plants, strict=True))[:3])
+    poles = np.linalg.eigvals(A)
+    singular = np.abs(np.exp(1j * ANGLES)[:, None] - poles).min(axis=2) < _OFF / 10
     z = np.exp(1j * np.where(singular, ANGLES + _OFF, ANGLES))
-    resolvent = z[:, None, None] * np.eye(len(linear.A)) - linear.A
-    states = np.linalg.solve(resolvent, np.broadcast_to(linear.B, (z.size, *linear.B.shape)))
-    return np.asarray(loop.scales.ratio * (linear.C @ states)[:, 0, 0], dtype=np.complex128)
+    resolvent = z[:, :, None, None] * np.eye(A.shape[-1]) - A
+    states = np.linalg.solve(resolvent, np.broadcast_to(B, (*z.shape, *B.shape[2:])))
+    return np.asarray(scales.ratio * (C @ states)[..., 0, 0], dtype=np.complex128)
 
 
 def spans_of(plant: type[Plant]) -> Scales:

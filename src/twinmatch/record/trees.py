@@ -61,7 +61,11 @@ def document_of(record: Any) -> dict[str, Any]:
     """
     document: dict[str, Any] = {}
     for field in fields_of(type(record)):
-        document.update(_entries(field, getattr(record, field.name)))
+        value = getattr(record, field.name)
+        if field.form is Form.PLAIN:  # most are
+            document[field.name] = None if isinstance(value, float) and not math.isfinite(value) else value
+        else:
+            document.update(_entries(field, value))
     return document
 
 
@@ -192,11 +196,11 @@ _READERS: Final[dict[Form, Callable[[RecordField, Tree], Any]]] = {
 
 _SHOWN: Final[dict[Form, Callable[[Any], Any]]] = {
     Form.WORD: lambda v: v.value,
-    Form.ARRAY: lambda v: v.tolist(),
+    Form.ARRAY: lambda v: finite(v.tolist()),
     Form.PART: document_of,
     Form.PARTS: lambda v: [document_of(item) for item in v],
 }
-"""How a value is shown in a document, if not as it is."""
+"""How a value is shown in a document, if not as it is when `finite`."""
 
 
 def _entries(field: RecordField, value: Any) -> dict[str, Any]:
@@ -212,7 +216,7 @@ def _entries(field: RecordField, value: Any) -> dict[str, Any]:
         plant, structure = value.model.key
         shown = {} if name != "parameters" else {"plant": plant, "structure": structure}
         return {**shown, name: dict(value)}
-    return {name: finite(_SHOWN.get(form, lambda v: v)(value))}
+    return {name: _SHOWN.get(form, finite)(value)}
 
 
 def finite(value: Any) -> Any:

@@ -53,6 +53,7 @@ def rc() -> dict[str, Any]:
         "axes.spines.top": False,
         "axes.titlelocation": "left",
         "axes.titlesize": 10,
+        "axes.titley": 1.0,  # otherwise every layout measures the axes again to look for ticks above them
         "figure.facecolor": "white",
         "font.family": ["DejaVu Sans"],
         "font.size": 9,

@@ -361,11 +361,10 @@ def make_report(
     Raises:
         TwinmatchError: one of the files cannot be used.
     """
-    with beside(possible=second) as second_process:
-        second_process.give(import_module, "matplotlib.backends.backend_svg")  # while it has nothing to do
-        session = open_any(path, progress=progress, plant=plant)
-        terms, unlike = _terms(session, config, candidates)
-        work = second_process if portable(terms.settings.plant) else Beside()
+    session = open_any(path, progress=progress, plant=plant)
+    terms, unlike = _terms(session, config, candidates)
+    import_module("matplotlib.backends.backend_svg")  # slow; the second process has it, too
+    with beside(possible=second and portable(terms.settings.plant)) as work:
         judged = _judge(session, terms, unlike, peers=peers, watch=watch, work=work)
         report = build_report(judged, path, command=command, work=work)
     return replace(report, memory=tuple(memory_words(terms.settings.plant, memory, rig)))
