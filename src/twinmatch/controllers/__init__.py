@@ -18,7 +18,7 @@ from twinmatch.controllers.answer import (
     try_controller,
 )
 from twinmatch.controllers.guarantee import Guarantee
-from twinmatch.controllers.law_document import law_from, pid_document
+from twinmatch.controllers.law_document import law_from, pid_document, suited
 from twinmatch.controllers.members import Holding, TriedTwin
 from twinmatch.controllers.pids import FilteredPid, as_linear, pid_law
 from twinmatch.controllers.responses import LOAD, CourseFigure, Run
@@ -57,6 +57,7 @@ __all__ = [
     "pid_document",
     "pid_law",
     "retune",
+    "suited",
     "try_controller",
     "widened",
 ]

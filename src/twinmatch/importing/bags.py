@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 from itertools import chain
 from pathlib import Path
@@ -24,6 +24,7 @@ from twinmatch.sampling.channels import (
     Channel,
     Followed,
     SamplingError,
+    by_name,
     check_path,
     fields_below,
     usual_unit,
@@ -124,13 +125,25 @@ class Bag:
 
     @property
     def topics(self) -> list[BagTopic]:
-        """Its topics, sorted by name."""
-        return [self._topic(name) for name in sorted(self._topics)]
+        """Its topics, sorted by name; elements of lists go by their names, if messages give them any."""
+        topics = {name: self._topic(name) for name in sorted(self._topics)}
+        lists = {name for name, t in topics.items() if len(t.numbers) <= _FIELDS and "[0]" in "".join(t.numbers)}
+        named: dict[str, dict[str, None]] = {name: {} for name in lists}
+        for raw in self._messages(lists, _NAMED):
+            name, numbers = raw.topic.name, topics[raw.topic.name].numbers
+            with suppress(TwinmatchError):  # what is damaged is told where it is read
+                message = self._decoded(raw)
+                named[name] |= dict.fromkeys(each for path in numbers for each in by_name(message, path))
+            if not named[name].keys() - set(numbers):
+                lists.remove(name)
+        return [t._replace(numbers=tuple(named.get(name, ())) or t.numbers) for name, t in topics.items()]
 
     @property
     def columns(self) -> list[Column]:
         """An overview of the numbers of each topic, under the names that a map uses."""
-        listed = [topic for topic in self.topics if topic.messages and len(topic.numbers) <= _FIELDS]
+        topics = self.topics
+        fields = {topic.name: len({path.partition("[")[0] for path in topic.numbers}) for topic in topics}
+        listed = [topic for topic in topics if topic.messages and fields[topic.name] <= _FIELDS]
         channels = [Channel(topic.name, path) for topic in listed for path in topic.numbers]
         columns = [
             described(channel.text, usual_unit(series.kind, series.path), series.values, ordered=False)
@@ -268,5 +281,7 @@ def _stamp(message: Any) -> float:
 
 _ENOUGH: Final = 2000
 """Messages read per topic."""
+_NAMED: Final = 50
+"""Messages read per topic for the names of elements: several publishers may take turns."""
 _FIELDS: Final = 20
 """Most numbers in a listed message; messages with more are images and point clouds."""

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import lru_cache
+from functools import lru_cache, reduce
 from typing import Any, Final, NamedTuple, cast
 
 from twinmatch.errors import TwinmatchError
@@ -155,6 +155,19 @@ def fields_below(kind: str, fields_of: FieldsOf, deep: int = _DEEP) -> Iterator[
         elif field.kind not in TEXTS and deep > 1 and field.kind.rsplit("/", 1)[-1] not in _TIMES:
             for below in fields_below(field.kind, fields_of, deep - 1):
                 yield f"{name}{mark}.{below}"
+
+
+def by_name(message: Any, path: str) -> list[str]:
+    """A path of `fields_below` as often as a message names elements of its lists; as it is without names."""
+    head, mark, tail = path.partition("[0]")
+    *above, last = head.split(".")
+    holder = reduce(getattr, above, message)
+    names = _names_in(holder) if mark else ()
+    elements = getattr(holder, last)
+    if not names or 0 < len(elements) != len(names) or not all(map(_STEP.fullmatch, map("[{}]".format, names))):
+        return [path]
+    below = [by_name(each, tail[1:]) if tail else [""] for each in elements]
+    return [f"{head}[{n}]{tail[:1]}{rest}" for n, rests in zip(names, below, strict=False) for rest in rests]
 
 
 class Followed:
