@@ -197,20 +197,23 @@ def test_a_law_in_python_runs_at_its_own_period_or_not_at_all(tmp_path: Path) ->
 MATRICES = """from twinmatch.dynamics import LinearLaw
 loop = LinearLaw([[1]], [[-1]], [[1]], [[-9]], [[9]], [[1]], [[0]], [0], [0], [0], [100], period=3.0)
 """
-BY_KEY = dict(A=[[1]], B=[[-1]], C=[[1]], D=[[-9]], E=[[9]], F=[[1]], period=3.0, kind="state-space")
+BY_KEY = {"A": [[1]], "B": [[-1]], "C": [[1]], "D": [[-9]], "E": [[9]], "F": [[1]], "period": 3.0}
 
 
 def test_matrices_of_another_period_are_refused_wherever_a_law_is_given(tmp_path: Path) -> None:
     """A PID of a plant file is in seconds, and holds at any period."""
     words = "the law runs every 3 s, the samples come every 1 s; give a law with period=1"
     (tmp_path / "law.py").write_text(MATRICES)
-    (tmp_path / "law.json").write_text(json.dumps(BY_KEY))
+    (tmp_path / "law.json").write_text(json.dumps({"kind": "state-space"} | BY_KEY))
     for name in ("law.py", "law.json"):
         with pytest.raises(ControllerError, match=f"{name}: {words}"):
             read_law(tmp_path / name, Lag, 1.0)
         assert read_law(tmp_path / name, Lag, 3.0).period == 3.0
     loop = MATRICES.splitlines()[1]
-    changes = ("import Disturbance", "import LinearLaw, Disturbance"), ("    structures", f"    {loop}\n    structures")
+    changes = (
+        ("import Disturbance", "import LinearLaw, Disturbance"),
+        ("    structures", f"    {loop}\n    structures"),
+    )
     plant = find_plant(str(plant_file(tmp_path, "looped", *changes)))
     with pytest.raises(PlantError, match=f"plant looped: {words}, or set loop: unknown"):
         TwinSettings.of(plant)

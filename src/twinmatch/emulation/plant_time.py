@@ -35,7 +35,11 @@ from twinmatch.errors import TwinmatchError
 _Own = TypeVar("_Own", bound="VirtualPlantTime")
 
 _CLOCK_EVERY = 0.005
-"""Longest wall time between two updates of the clock, s."""
+"""Wall time between two updates of the clock where plant time is faster, s."""
+_CLOCK_AT_REAL_TIME = 0.02
+"""The same at real time, s: far below every deadline, and every node of the graph receives each update."""
+_CLOCK_IN_STEP = 0.05
+"""The same in step, s, where nobody needs the time more often."""
 _ATTEND_EVERY = 0.01
 """Interval at which commands are obeyed, wall s."""
 _REPEAT = 0.2
@@ -43,7 +47,7 @@ _REPEAT = 0.2
 _BREATH = 0.02
 """The same where only the board's answer is awaited, which usually comes without the time."""
 _SLICE = 20
-"""Longest slice, ms of plant time."""
+"""Longest slice, ms of plant time; it takes half the time between two updates of the clock at real time."""
 _MAX_LATE = 0.2
 """Most plant time caught up after a delay, s, when it runs faster than the wall clock. Longer delays of a
 busy machine are lost: catching up in one jump would look like a silent host to the board, with its deadline
@@ -119,11 +123,11 @@ class VirtualPlantTime(ABC):
         self.ms = 0
         """Plant time since the start, ms."""
         self.pace = RigPace(self.settings.speed)
-        self._longest = max(1, round(min(5 * self.settings.speed, _SLICE)))
+        self._longest = max(1, round(min(10 * self.settings.speed, _SLICE)))
         self.slice = self._longest
         """Plant time of one step, ms."""
-        # In step nobody needs the time more often, and every node of the graph receives it.
-        self._every = _CLOCK_EVERY * (10 if self.settings.in_step and self.settings.speed > 1 else 1)
+        faster = _CLOCK_IN_STEP if self.settings.in_step else _CLOCK_EVERY
+        self._every = faster if self.settings.speed > 1 else _CLOCK_AT_REAL_TIME
         self._clock_sent = 0.0
         self._told = 0
         self._attended = 0.0
@@ -211,7 +215,7 @@ class VirtualPlantTime(ABC):
                 self.rest(wait)
             self.step()
             now = time.monotonic()
-            if now - listened >= self._every or self.slice >= 5 * self.settings.speed:
+            if now - listened >= self._every:
                 listened = now
                 # While driven it stops often, and tells the time there, unless who drives has a wrong time.
                 if not self._clock.driven or now - self._clock_sent >= _REPEAT:

@@ -127,7 +127,9 @@ class Bag:
     def topics(self) -> list[BagTopic]:
         """Its topics, sorted by name; elements of lists go by their names, if messages give them any."""
         topics = {name: self._topic(name) for name in sorted(self._topics)}
-        lists = {name for name, t in topics.items() if len(t.numbers) <= _FIELDS and "[0]" in "".join(t.numbers)}
+        lists = {
+            name for name, t in topics.items() if len(t.numbers) <= _FIELDS and "[0]" in "".join(t.numbers)
+        }
         named: dict[str, dict[str, None]] = {name: {} for name in lists}
         for raw in self._messages(lists, _NAMED):
             name, numbers = raw.topic.name, topics[raw.topic.name].numbers

@@ -39,8 +39,12 @@ IMPORTED: Final = (
     "twinmatch.nodes.recorder",
     "twinmatch.nodes.twin",
     "twinmatch.cli.virtual_rig",
+    "rosidl_generator_py",
+    "service_msgs.msg",
+    "type_description_interfaces.msg",
 )
-"""What most programs of a graph import; others import the rest themselves."""
+"""What most programs of a graph import, the last three when rclpy creates a node: a parser of message types.
+Others import the rest themselves."""
 _MAX_LINE: Final = 1 << 17
 """Longest request, bytes."""
 _POLL: Final = 0.01

@@ -164,7 +164,11 @@ def by_name(message: Any, path: str) -> list[str]:
     holder = reduce(getattr, above, message)
     names = _names_in(holder) if mark else ()
     elements = getattr(holder, last)
-    if not names or 0 < len(elements) != len(names) or not all(map(_STEP.fullmatch, map("[{}]".format, names))):
+    if (
+        not names
+        or 0 < len(elements) != len(names)
+        or not all(map(_STEP.fullmatch, map("[{}]".format, names)))
+    ):
         return [path]
     below = [by_name(each, tail[1:]) if tail else [""] for each in elements]
     return [f"{head}[{n}]{tail[:1]}{rest}" for n, rests in zip(names, below, strict=False) for rest in rests]
