@@ -35,11 +35,7 @@ from twinmatch.errors import TwinmatchError
 _Own = TypeVar("_Own", bound="VirtualPlantTime")
 
 _CLOCK_EVERY = 0.005
-"""Wall time between two updates of the clock where plant time is faster, s."""
-_CLOCK_AT_REAL_TIME = 0.02
-"""The same at real time, s: far below every deadline, and every node of the graph receives each update."""
-_CLOCK_IN_STEP = 0.05
-"""The same in step, s, where nobody needs the time more often."""
+"""Shortest wall time between two updates of the clock, s."""
 _ATTEND_EVERY = 0.01
 """Interval at which commands are obeyed, wall s."""
 _REPEAT = 0.2
@@ -47,7 +43,7 @@ _REPEAT = 0.2
 _BREATH = 0.02
 """The same where only the board's answer is awaited, which usually comes without the time."""
 _SLICE = 20
-"""Longest slice, ms of plant time; it takes half the time between two updates of the clock at real time."""
+"""Longest slice, ms of plant time."""
 _MAX_LATE = 0.2
 """Most plant time caught up after a delay, s, when it runs faster than the wall clock. Longer delays of a
 busy machine are lost: catching up in one jump would look like a silent host to the board, with its deadline
@@ -126,8 +122,8 @@ class VirtualPlantTime(ABC):
         self._longest = max(1, round(min(10 * self.settings.speed, _SLICE)))
         self.slice = self._longest
         """Plant time of one step, ms."""
-        faster = _CLOCK_IN_STEP if self.settings.in_step else _CLOCK_EVERY
-        self._every = faster if self.settings.speed > 1 else _CLOCK_AT_REAL_TIME
+        # At real time and in step nobody needs the time more often, and every node of the graph receives it.
+        self._every = _CLOCK_EVERY * (4 if self.settings.speed <= 1 else 10 if self.settings.in_step else 1)
         self._clock_sent = 0.0
         self._told = 0
         self._attended = 0.0

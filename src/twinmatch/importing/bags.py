@@ -127,12 +127,11 @@ class Bag:
     def topics(self) -> list[BagTopic]:
         """Its topics, sorted by name; elements of lists go by their names, if messages give them any."""
         topics = {name: self._topic(name) for name in sorted(self._topics)}
-        lists = {
-            name for name, t in topics.items() if len(t.numbers) <= _FIELDS and "[0]" in "".join(t.numbers)
-        }
+        few = {name: t.numbers for name, t in topics.items() if len(t.numbers) <= _FIELDS}
+        lists = {name for name, numbers in few.items() if "[0]" in "".join(numbers)}
         named: dict[str, dict[str, None]] = {name: {} for name in lists}
         for raw in self._messages(lists, _NAMED):
-            name, numbers = raw.topic.name, topics[raw.topic.name].numbers
+            name, numbers = raw.topic.name, few[raw.topic.name]
             with suppress(TwinmatchError):  # what is damaged is told where it is read
                 message = self._decoded(raw)
                 named[name] |= dict.fromkeys(each for path in numbers for each in by_name(message, path))
@@ -143,9 +142,9 @@ class Bag:
     @property
     def columns(self) -> list[Column]:
         """An overview of the numbers of each topic, under the names that a map uses."""
-        topics = self.topics
-        fields = {topic.name: len({path.partition("[")[0] for path in topic.numbers}) for topic in topics}
-        listed = [topic for topic in topics if topic.messages and fields[topic.name] <= _FIELDS]
+        listed = [
+            t for t in self.topics if t.messages and len({p.split("[")[0] for p in t.numbers}) <= _FIELDS
+        ]
         channels = [Channel(topic.name, path) for topic in listed for path in topic.numbers]
         columns = [
             described(channel.text, usual_unit(series.kind, series.path), series.values, ordered=False)

@@ -23,7 +23,8 @@ NUMBERS: Final = frozenset(
 )
 TEXTS: Final = frozenset({"string", "wstring"})
 _TIMES: Final = ("Header", "Time", "Duration")
-_STEP: Final = re.compile(r"\.?(?P<name>[A-Za-z]\w*)|\[(?P<index>\d+)\]|\[(?P<label>[A-Za-z_/][^\[\]]*)\]")
+_LABEL: Final = r"[A-Za-z_/][^\[\]]*"
+_STEP: Final = re.compile(rf"\.?(?P<name>[A-Za-z]\w*)|\[(?P<index>\d+)\]|\[(?P<label>{_LABEL})\]")
 _NAMES: Final = ("name", "names", "joint_names", "interface_names")
 """Fields whose texts name the elements of the lists beside them."""
 _DEEP: Final = 4
@@ -164,11 +165,8 @@ def by_name(message: Any, path: str) -> list[str]:
     holder = reduce(getattr, above, message)
     names = _names_in(holder) if mark else ()
     elements = getattr(holder, last)
-    if (
-        not names
-        or 0 < len(elements) != len(names)
-        or not all(map(_STEP.fullmatch, map("[{}]".format, names)))
-    ):
+    usable = 0 in {len(elements), len(names) - len(elements)} and all(re.fullmatch(_LABEL, n) for n in names)
+    if not (names and usable):
         return [path]
     below = [by_name(each, tail[1:]) if tail else [""] for each in elements]
     return [f"{head}[{n}]{tail[:1]}{rest}" for n, rests in zip(names, below, strict=False) for rest in rests]
