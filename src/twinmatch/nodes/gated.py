@@ -326,7 +326,7 @@ class DriverThread(Background, ABC, Generic[Link]):
 
 
 NAN = float("nan")
-_EVERY_MOVE: Final = JumpThreshold(
+EVERY_MOVE: Final = JumpThreshold(
     min_forward=Duration(nanoseconds=1), min_backward=None, on_clock_change=False
 )
 """Of simulated time; other clocks do not jump."""
@@ -376,7 +376,7 @@ class GatedNode(TwinmatchNode):
         if self.step is not None:
             driver.step, driver.link.plant_time = self.step, self.step.breathe
         self._driver = driver
-        self._moves = self.get_clock().create_jump_callback(_EVERY_MOVE, post_callback=self.gate.wake)
+        self._moves = self.get_clock().create_jump_callback(EVERY_MOVE, post_callback=self.gate.wake)
         self.beside.append(driver)
         self._senders = Senders(self, inputs, self._on_senders)
         for place in ("~", "plant"):
