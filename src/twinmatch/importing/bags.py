@@ -127,16 +127,11 @@ class Bag:
     def topics(self) -> list[BagTopic]:
         """Its topics, sorted by name; elements of lists go by their names, if messages give them any."""
         topics = {name: self._topic(name) for name in sorted(self._topics)}
-        few = {name: t.numbers for name, t in topics.items() if len(t.numbers) <= _FIELDS}
-        lists = {name for name, numbers in few.items() if "[0]" in "".join(numbers)}
-        named: dict[str, dict[str, None]] = {name: {} for name in lists}
-        for raw in self._messages(lists, _NAMED):
-            name, numbers = raw.topic.name, few[raw.topic.name]
+        named: dict[str, dict[str, None]] = {n: {} for n, t in topics.items() if len(t.numbers) <= _FIELDS}
+        for raw in self._messages(named, _NAMED):
             with suppress(TwinmatchError):  # what is damaged is told where it is read
-                message = self._decoded(raw)
-                named[name] |= dict.fromkeys(each for path in numbers for each in by_name(message, path))
-            if not named[name].keys() - set(numbers):
-                lists.remove(name)
+                message, numbers = self._decoded(raw), topics[raw.topic.name].numbers
+                named[raw.topic.name] |= dict.fromkeys(p for path in numbers for p in by_name(message, path))
         return [t._replace(numbers=tuple(named.get(name, ())) or t.numbers) for name, t in topics.items()]
 
     @property

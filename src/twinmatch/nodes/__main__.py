@@ -9,13 +9,10 @@ from __future__ import annotations
 import sys
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Any, Final
 
 from twinmatch.errors import EXIT_USER_ERROR, TwinmatchError
 from twinmatch.nodes import require_ros
-
-if TYPE_CHECKING:
-    from twinmatch.nodes.node import TwinmatchNode
 
 PROGRAMS: Final = {
     "camera_bridge": "camera_bridge:CameraBridge",
@@ -36,7 +33,7 @@ PROGRAMS: Final = {
 """Module and class of each node, by program; a program imports only its own."""
 
 
-def nodes_of(program: str) -> list[type[TwinmatchNode]]:
+def nodes_of(program: str) -> list[type[Any]]:
     """The nodes of a program."""
     places = (place.split(":") for place in PROGRAMS[program].split())
     return [getattr(import_module(f"twinmatch.nodes.{module}"), name) for module, name in places]

@@ -163,10 +163,8 @@ def by_name(message: Any, path: str) -> list[str]:
     head, mark, tail = path.partition("[0]")
     *above, last = head.split(".")
     holder = reduce(getattr, above, message)
-    names = _names_in(holder) if mark else ()
-    elements = getattr(holder, last)
-    usable = 0 in {len(elements), len(names) - len(elements)} and all(re.fullmatch(_LABEL, n) for n in names)
-    if not (names and usable):
+    names, elements = (_names_in(holder), getattr(holder, last)) if mark else ((), ())
+    if len(elements) not in (0, len(names)) or not names or not all(re.fullmatch(_LABEL, n) for n in names):
         return [path]
     below = [by_name(each, tail[1:]) if tail else [""] for each in elements]
     return [f"{head}[{n}]{tail[:1]}{rest}" for n, rests in zip(names, below, strict=False) for rest in rests]
