@@ -129,7 +129,7 @@ class Bag:
         topics = {name: self._topic(name) for name in sorted(self._topics)}
         named: dict[str, dict[str, None]] = {n: {} for n, t in topics.items() if len(t.numbers) <= _FIELDS}
         for raw in self._messages(named, _NAMED):
-            with suppress(TwinmatchError):  # what is damaged is told where it is read
+            with suppress(TwinmatchError):  # damage is reported where a channel is read
                 message, numbers = self._decoded(raw), topics[raw.topic.name].numbers
                 named[raw.topic.name] |= dict.fromkeys(p for path in numbers for p in by_name(message, path))
         return [t._replace(numbers=tuple(named.get(name, ())) or t.numbers) for name, t in topics.items()]

@@ -219,6 +219,9 @@ def main() -> None:
         return
     for name in IMPORTED:
         import_module(name)
+    from twinmatch.compiled import start_runtime  # noqa: PLC0415 — the launcher waits for this module
+
+    start_runtime()
     # The tracer that ROS loads has threads; they hold no lock that a program needs.
     warnings.filterwarnings("ignore", ".*multi-threaded, use of fork", DeprecationWarning)
     gc.collect()
