@@ -59,6 +59,12 @@ import sys
 for name in ("rclpy", "diagnostic_msgs", "sensor_msgs", "std_msgs", "std_srvs", "twinmatch_msgs"):
     sys.modules[name] = None  # as if it were not installed
 from twinmatch.cli import main
+from twinmatch.nodes.__main__ import main as node
+for sys.argv in (["sampler"], ["/usr/bin/rig"], ["-m", "matcher"]):
+    try:
+        node()
+    except SystemExit as end:
+        assert end.code == 2
 for command in (["demo"], ["live"], ["attach"], ["play", "session"], ["dashboard"], ["foxglove"]):
     assert main(command) == 2
 """
@@ -67,9 +73,8 @@ for command in (["demo"], ["live"], ["attach"], ["play", "session"], ["dashboard
 def test_commands_of_the_graph_say_that_they_need_ros() -> None:
     done = subprocess.run([sys.executable, "-c", WITHOUT_ROS], capture_output=True, text=True, check=True)
     needs = "needs ROS 2: rclpy, diagnostic_msgs, twinmatch_msgs cannot be found; run make setup"
-    for command, line in zip(
-        ("demo", "live", "attach", "play", "dashboard", "foxglove"), done.stderr.splitlines(), strict=True
-    ):
+    programs = ("sampler", "rig", "matcher", "demo", "live", "attach", "play", "dashboard", "foxglove")
+    for command, line in zip(programs, done.stderr.splitlines(), strict=True):
         assert line.startswith(f"twinmatch: {command} {needs}"), line
 
 

@@ -35,6 +35,11 @@ from numba.core.registry import cpu_target
 from numba.core.runtime import rtsys
 
 
+def start_runtime() -> None:
+    """Do what the first kernel of a process does, which takes longer than to load it."""
+    rtsys.initialize(cpu_target.target_context)
+
+
 def _number_apart() -> None:
     """Start numba's numbers of compiled functions somewhere else than in any other process.
 

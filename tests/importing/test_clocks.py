@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
@@ -16,6 +17,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 
 from tests.support.bags import START, STORE, number, temperature
 from tests.support.plant_files import plant_file
+from twinmatch.cli import main
 from twinmatch.dynamics import Plant
 from twinmatch.importing.mapped import Mapped, map_samples
 from twinmatch.importing.mapped_bags import map_bag
@@ -230,6 +232,18 @@ def test_a_joint_is_followed_by_its_name_and_not_by_an_index_that_changes(
     run = mapped(source, plant, [entry.format("arm/elbow") for entry in by])
     assert readings(run) == [round(value, 6) for _, value in ticks()]
     assert run.period == STEP
+
+
+def test_joints_are_listed_and_proposed_by_their_names(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    every = [message for k, (at, value) in enumerate(ticks()) for message in with_gripper(k, at, value)]
+    assert main(["import", str(bag_of(tmp_path / "bag", SETPOINT + every)), "--list"]) == 0
+    told = capsys.readouterr().out
+    numbers = "position[arm/elbow], effort[arm/elbow], position[gripper], effort[gripper]"
+    assert numbers in " ".join(re.sub("[│┃|]", " ", told).split())
+    assert "[0]" not in told
+    assert "'output=/joint_states:position[arm/elbow]'" in told
 
 
 def test_radians_of_a_joint_become_the_degrees_of_the_plant(tmp_path: Path) -> None:

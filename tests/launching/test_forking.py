@@ -65,6 +65,18 @@ def test_a_module_is_run_like_with_m(tmp_path: Path) -> None:
     assert (tmp_path / "output").read_text() == alone.stderr
 
 
+def test_what_every_program_would_do_first_is_done_for_all_of_them(tmp_path: Path) -> None:
+    """Creating a node imports a parser of message types, and the first kernel starts numba."""
+    path = tmp_path / "first.py"
+    path.write_text(
+        "import sys\nfrom numba.core.runtime import rtsys\n"
+        "print(rtsys._init, *({'lark', 'service_msgs', 'type_description_interfaces'} - set(sys.modules)))\n"
+    )
+    output = tmp_path / "output"
+    assert start(fork_server(), output, str(path)).wait(PATIENCE) == 0, output.read_text()
+    assert lines_of(output, 1) == ["True"]
+
+
 def test_it_is_signalled_and_waited_for(tmp_path: Path, program: str) -> None:
     output = tmp_path / "output"
     forked = start(fork_server(), output, program, "wait")

@@ -20,6 +20,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.support.lessons import HOUR, comparison, lesson
+from twinmatch.cli import main
 from twinmatch.memory import Memory, MemoryFaultError, default_file
 from twinmatch.memory.store import VERSION
 
@@ -295,11 +296,15 @@ def test_a_file_that_takes_too_long_is_one_sentence(tmp_path, monkeypatch):
         memory.lessons()
 
 
-def test_only_the_newest_lessons_are_read(tmp_path, monkeypatch):
+def test_only_the_newest_lessons_are_read_and_the_command_says_so(tmp_path, monkeypatch, capsys):
     memory = Memory(tmp_path / "rig.sqlite")
     memory.add([lesson(n, began=HOUR) for n in range(20)])
     monkeypatch.setattr("twinmatch.memory.store.MOST", 3)
     assert [held.name for held in memory.lessons()] == ["run_17", "run_18", "run_19"]
+    assert (memory.unread(), memory.unread("another"), Memory(tmp_path / "none").unread()) == (17, 0, 0)
+    monkeypatch.setattr("twinmatch.cli.memory.MOST", 3)
+    main(["memory", "--memory", str(memory.path)])
+    assert "rig.sqlite: the newest 3 lessons are read; 17 older ones are not\n" in capsys.readouterr().out
 
 
 def test_an_empty_file_becomes_a_memory(tmp_path):

@@ -5,8 +5,10 @@ from __future__ import annotations
 import threading
 
 import pytest
+from rclpy.clock import ROSClock
+from rclpy.time import Time
 
-from twinmatch.nodes.gated import ClockTimes, OutputGate
+from twinmatch.nodes.gated import EVERY_MOVE, ClockTimes, OutputGate
 from twinmatch.safety import FaultKind
 
 SECOND = 1_000_000_000
@@ -48,6 +50,21 @@ def armed_gate() -> tuple[Clocks, OutputGate]:
 
 def kind_of(gate: OutputGate) -> FaultKind | None:
     return None if gate.fault is None else gate.fault.kind
+
+
+def test_simulated_time_that_moves_wakes_who_waits_at_the_gate() -> None:
+    gate, clock = OutputGate(Clocks()), ROSClock()
+    clock._set_ros_time_is_active(True)
+    moves = clock.create_jump_callback(EVERY_MOVE, post_callback=gate.wake)
+    driver = threading.Thread(target=gate.wait, args=(1e6,), daemon=True)
+    driver.start()
+    for k in range(1, 10_000):  # it may not wait yet
+        clock.set_ros_time_override(Time(nanoseconds=k, clock_type=clock.clock_type))
+        driver.join(0.001)
+        if not driver.is_alive():
+            break
+    moves.unregister()
+    assert not driver.is_alive()
 
 
 def test_age_is_that_of_the_stamp_not_of_the_arrival() -> None:

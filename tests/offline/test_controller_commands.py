@@ -12,7 +12,7 @@ import pytest
 
 from tests.support.laws import kit_session, law_file
 from tests.support.lessons import comparison, lesson
-from tests.support.places import OTHERS, SHIPPED
+from tests.support.places import OTHERS, PROJECT, SHIPPED
 from twinmatch.cli import main, retune, try_controller
 from twinmatch.controllers import (
     ControllerError,
@@ -150,6 +150,12 @@ def test_a_real_kit_was_predicted_and_the_comparison_is_kept(
     assert float(largest[1]) == pytest.approx(5.19, rel=0.05)
     found = json.loads(out.read_text("utf-8"))["comparison"]
     assert found["measured"] == pytest.approx(5.16, abs=0.02)
+    quoted = re.search(
+        r"closed_loop_lqg: .* (\d+) % of the readings",
+        (PROJECT / "docs" / "controllers.md").read_text("utf-8"),
+    )
+    assert quoted
+    assert 100 * found["share"] == pytest.approx(float(quoted[1]), abs=2)  # fewer draws than on the page
     (kept,) = Memory(file).comparisons("tclab-both")
     assert (kept.measured, kept.inside, kept.name) == (found["measured"], True, "closed_loop_lqg")
     document = json.loads(law.read_text("utf-8"))

@@ -13,6 +13,7 @@ import pytest
 from tests.support.exchanging import Heaters
 from tests.support.laws import kit_session, law_file
 from tests.support.places import OTHERS, SHIPPED
+from tests.support.plant_files import plant_file
 from tests.support.plants import Lag
 from tests.support.steps import drive_lost
 from twinmatch.controllers import (
@@ -24,7 +25,7 @@ from twinmatch.controllers import (
     law_from,
     try_controller,
 )
-from twinmatch.dynamics import LinearLaw, PidGains, law_of
+from twinmatch.dynamics import LinearLaw, PidGains, PlantError, law_of
 from twinmatch.errors import TwinmatchError
 from twinmatch.offline.controllers import (
     Ground,
@@ -38,9 +39,10 @@ from twinmatch.offline.controllers import (
     usual_profile,
 )
 from twinmatch.offline.track_record import LawThatRan
-from twinmatch.plants import Peltier
+from twinmatch.plants import Peltier, find_plant
 from twinmatch.sessions import Session, read_session, write_session
 from twinmatch.signals import Sample
+from twinmatch.twin import TwinSettings
 
 LEVEL = np.array([45.0, 38.0])
 
@@ -191,6 +193,33 @@ def test_a_law_in_python_runs_at_its_own_period_or_not_at_all(tmp_path: Path) ->
         ControllerError, match=r"runs every 1 s, the samples come every 0\.1 s; give a law with"
     ):
         read_law(path, Lag, 0.1)
+
+
+MATRICES = """from twinmatch.dynamics import LinearLaw
+loop = LinearLaw([[1]], [[-1]], [[1]], [[-9]], [[9]], [[1]], [[0]], [0], [0], [0], [100], period=3.0)
+"""
+BY_KEY = {"A": [[1]], "B": [[-1]], "C": [[1]], "D": [[-9]], "E": [[9]], "F": [[1]], "period": 3.0}
+
+
+def test_matrices_of_another_period_are_refused_wherever_a_law_is_given(tmp_path: Path) -> None:
+    """A PID of a plant file is in seconds, and holds at any period."""
+    words = "the law runs every 3 s, the samples come every 1 s; give a law with period=1"
+    (tmp_path / "law.py").write_text(MATRICES)
+    (tmp_path / "law.json").write_text(json.dumps({"kind": "state-space"} | BY_KEY))
+    for name in ("law.py", "law.json"):
+        with pytest.raises(ControllerError, match=f"{name}: {words}"):
+            read_law(tmp_path / name, Lag, 1.0)
+        assert read_law(tmp_path / name, Lag, 3.0).period == 3.0
+    loop = MATRICES.splitlines()[1]
+    changes = (
+        ("import Disturbance", "import LinearLaw, Disturbance"),
+        ("    structures", f"    {loop}\n    structures"),
+    )
+    plant = find_plant(str(plant_file(tmp_path, "looped", *changes)))
+    with pytest.raises(PlantError, match=f"plant looped: {words}, or set loop: unknown"):
+        TwinSettings.of(plant)
+    assert TwinSettings.of(plant, period=3.0).law is plant.loop
+    assert law_of(Peltier, 0.5) == replace(law_of(Peltier, 1.0), period=0.5)
 
 
 def test_a_real_kit_with_two_heaters_from_its_open_loop_alone(

@@ -16,6 +16,7 @@ from twinmatch.sampling.channels import (
     Field,
     Followed,
     SamplingError,
+    by_name,
     check_path,
     fields_below,
     parse_channel,
@@ -297,6 +298,26 @@ def test_the_numbers_of_a_message_are_listed_without_its_header() -> None:
         "first.value",
         "first.good",
     ]
+
+
+@pytest.mark.parametrize(
+    ("names", "path", "listed"),
+    [
+        (["elbow", "l/wrist"], "position[0]", ["position[elbow]", "position[l/wrist]"]),
+        (["elbow", "l/wrist"], "stiff", ["stiff"]),
+        (["elbow", "l/wrist"], "empty[0]", []),
+        (["elbow"], "position[0]", ["position[0]"]),
+        (["1", "2"], "position[0]", ["position[0]"]),
+        ([], "position[0]", ["position[0]"]),
+        (["elbow", "wrist"], "of[0].value", ["of[elbow].value", "of[wrist].value"]),
+    ],
+)
+def test_elements_are_listed_by_the_names_that_a_message_gives_them(
+    names: list[str], path: str, listed: list[str]
+) -> None:
+    parts = [SimpleNamespace(value=1.0), SimpleNamespace(value=2.0)]
+    message = SimpleNamespace(name=names, position=[1.0, 2.0], stiff=3.0, empty=[], of=parts)
+    assert by_name(message, path) == listed
 
 
 @given(

@@ -11,12 +11,12 @@ import gc
 import sys
 from collections.abc import Callable, Sequence
 from importlib import import_module
-from importlib.util import find_spec
 from typing import Any, Final
 
 from twinmatch import __version__
 from twinmatch.cli.starting import started
 from twinmatch.errors import EXIT_INTERRUPTED, EXIT_USER_ERROR, TwinmatchError
+from twinmatch.nodes import require_ros
 from twinmatch.offline.processes import GARBAGE
 from twinmatch.printing import printable_output
 
@@ -81,7 +81,8 @@ def _run(arguments: Sequence[str] | None) -> int:
     options = parser.parse_args(arguments)
     command: Callable[[argparse.Namespace], int] = options.command
     try:
-        _require_ros(command.__module__.rpartition(".")[2])
+        if (name := command.__module__.rpartition(".")[2]) in _OF_ROS:
+            require_ros(name)
         if getattr(options, "allow_fmu", None) is not None:
             from twinmatch.fmu import adopt_fmus  # noqa: PLC0415 — few commands need it
 
@@ -104,16 +105,6 @@ def _run(arguments: Sequence[str] | None) -> int:
         # A path from any option: the file system rejects the name, or a folder may not be entered.
         print(f"twinmatch: {error.filename}: cannot be used ({error.strerror})", file=sys.stderr)
         return EXIT_USER_ERROR
-
-
-def _require_ros(command: str) -> None:
-    parts = ("rclpy", "diagnostic_msgs", "twinmatch_msgs") if command in _OF_ROS else ()
-    missing = [name for name in parts if find_spec(name) is None]
-    if missing:
-        raise TwinmatchError(
-            f"{command} needs ROS 2: {', '.join(missing)} cannot be found; run make setup in a clone of "
-            "twinmatch, or source a ROS 2 workspace that has them"
-        )
 
 
 def _parser() -> argparse.ArgumentParser:

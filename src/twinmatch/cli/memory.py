@@ -7,6 +7,7 @@ import argparse
 from twinmatch.cli.shared import add_options, check_writable, console_for, write_json
 from twinmatch.errors import TwinmatchError
 from twinmatch.memory import Memory, default_files, in_order
+from twinmatch.memory.store import MOST
 from twinmatch.plants import find_plant, plant_named
 from twinmatch.showing.memory import RememberedRig, remembered
 
@@ -25,7 +26,8 @@ def run(options: argparse.Namespace) -> int:
     if options.plant is not None:
         find_plant(options.plant)
     files = [options.memory] if options.memory else default_files()
-    lessons = in_order(lesson for file in files for lesson in Memory(file).lessons(rig=options.rig))
+    memories = [Memory(file) for file in files]
+    lessons = in_order(lesson for each in memories for lesson in each.lessons(rig=options.rig))
     rigs = [
         remembered([one for one in lessons if (one.plant, one.rig) == key], plant_named(key[0]), key[1])
         for key in dict.fromkeys((one.plant, one.rig) for one in lessons)
@@ -34,6 +36,9 @@ def run(options: argparse.Namespace) -> int:
         _print(rig)
     if not rigs:
         print("Nothing is remembered yet; add sessions with twinmatch remember SESSION")
+    for each in memories:
+        if unread := each.unread(options.rig):
+            print(f"{each.path}: the newest {MOST} lessons are read; {unread} older ones are not")
     write_json(options.json, lambda: [rig.document() for rig in rigs])
     if options.figure is not None:
         if len(rigs) != 1:

@@ -16,7 +16,7 @@ from twinmatch.controllers.answer import (
     try_controller,
 )
 from twinmatch.controllers.guarantee import Guarantee
-from twinmatch.controllers.law_document import law_from, pid_document
+from twinmatch.controllers.law_document import law_from, pid_document, suited
 from twinmatch.controllers.members import Holding, TriedTwin
 from twinmatch.controllers.pids import FilteredPid, as_linear, pid_law
 from twinmatch.controllers.responses import CourseFigure
@@ -48,6 +48,7 @@ __all__ = [
     "pid_document",
     "pid_law",
     "retune",
+    "suited",
     "try_controller",
     "widened",
 ]

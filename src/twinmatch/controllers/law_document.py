@@ -64,13 +64,24 @@ def law_from(document: Any, plant: type[Plant], period: float) -> Law:
     makers = {"pid": _pid, "two-level": _two_level, "state-space": _state_space, "regulator": _regulator}
     if not isinstance(kind, str) or kind not in makers:
         raise ControllerError(f"kind: {kind!r:.80} is not a kind of law; give one of {', '.join(makers)}")
-    _check_about(_read(_About, document), plant, period)
+    about = _read(_About, document)
+    _check_about(about, plant)
     given = {
         key: value.tolist() if isinstance(value, np.ndarray) else value
         for key, value in document.items()
         if key not in _ABOUT
     }
-    law = makers[kind](given, plant, period)
+    made = makers[kind](given, plant, period if about.period is None else about.period)
+    return suited(made, plant, period)
+
+
+def suited(law: Law, plant: type[Plant], period: float) -> Law:
+    """The law itself, if it is one for a plant and a sample time, s.
+
+    Raises:
+        ControllerError: it is for other numbers of signals.
+        PlantError: it is for another sample time.
+    """
     sizes, of = (law.n_outputs, law.n_inputs), (len(plant.outputs), len(plant.drives))
     if sizes != of or law.n_references != of[0]:
         raise ControllerError(
@@ -78,6 +89,7 @@ def law_from(document: Any, plant: type[Plant], period: float) -> Law:
             f"{plant.name} has {of[0]} outputs ({', '.join(plant.outputs)}) and {of[1]} inputs "
             f"({', '.join(plant.drives)})"
         )
+    law.require_period(period)
     return law
 
 
@@ -88,7 +100,7 @@ def pid_document(gains: PidGains) -> dict[str, Any]:
     return {"kind": "pid", "period": gains.period} | known
 
 
-def _check_about(about: _About, plant: type[Plant], period: float) -> None:
+def _check_about(about: _About, plant: type[Plant]) -> None:
     for key, named, declared in (
         ("outputs", about.outputs, plant.outputs),
         ("inputs", about.inputs, plant.drives),
@@ -108,11 +120,6 @@ def _check_about(about: _About, plant: type[Plant], period: float) -> None:
             raise ControllerError(
                 f"units: {name} is in {unit:.80}, the plant's is in {units[name]}; convert the law"
             )
-    if about.period not in (None, period):
-        raise ControllerError(
-            f"period: the law runs every {about.period:g} s, the samples come every {period:g} s; "
-            "give a law for that period"
-        )
 
 
 def _read(kind: type[msgspec.Struct], tree: Any, place: str = "") -> Any:

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq, minimize_scalar
 
-from twinmatch.dynamics import Linear, LinearLaw, PlantError
+from twinmatch.dynamics import Linear, LinearLaw
 from twinmatch.signals import FloatArray
 
 _SLOWEST: Final = 1e-6
@@ -106,11 +106,7 @@ class WholeLoop(NamedTuple):
         Raises:
             PlantError: plant and law have different sample times.
         """
-        if self.plant.period != self.law.period:
-            raise PlantError(
-                f"loop: the plant is sampled every {self.plant.period:g} s, the law every "
-                f"{self.law.period:g} s; give both the same period"
-            )
+        self.law.require_period(self.plant.period)
         channels = range(self.plant.B.shape[1])
         if not self.stable:
             return tuple(UNSTABLE for _ in channels)

@@ -97,11 +97,8 @@ class Experiment:
         self.model, self.base, self.window = model, base, window
         self.free, self.free_starts = tuple(free), tuple(free_starts)
         self.free_gains, self.closed = tuple(free_gains), loop is not None
-        if loop is not None and loop.period != window.period:
-            raise PlantError(
-                f"{model.title}: the controller runs every {loop.period} s but the window's samples "
-                f"come every {window.period} s; give both the same period"
-            )
+        if loop is not None:
+            loop.require_period(window.period)
         code, memory = law_code(loop, None if loop is None else loop.state(window))
         references = window.inputs if loop is None else window.references
         columns = n_references(model.plant, loop)

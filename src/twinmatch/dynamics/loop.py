@@ -32,9 +32,21 @@ class Law(ABC):
         """Sample time, s."""
 
     def at_period(self, period: float) -> Law:
-        """The same law at another sample time, s."""
+        """The same law at another sample time, s: its gains are per second, and its times in seconds.
+
+        Raises:
+            PlantError: its numbers hold at its own sample time only.
+        """
         changes: dict[str, Any] = {"period": period}
         return self if period == self.period else replace(self, **changes)
+
+    def require_period(self, period: float) -> None:
+        """Raise `PlantError` if its sample time is another one, s."""
+        if period != self.period:
+            raise PlantError(
+                f"the law runs every {self.period:g} s, the samples come every {period:g} s; give a law with "
+                f"period={period:g}"
+            )
 
     @property
     @abstractmethod
@@ -353,6 +365,15 @@ class LinearLaw(Law):
                 raise PlantError(f"linear law: {name} has shape {value.shape}; give numbers of shape {shape}")
         if not (self.low < self.high).all() or not (math.isfinite(self.period) and self.period > 0):
             raise PlantError("linear law: give limits in increasing order, and a positive period")
+
+    def at_period(self, period: float) -> Law:
+        """The law itself; its matrices hold at its own sample time, s.
+
+        Raises:
+            PlantError: another one is given.
+        """
+        self.require_period(period)
+        return self
 
     @property
     def GAINS(self) -> Mapping[str, int]:  # noqa: N802 (a constant of the other laws)

@@ -38,10 +38,17 @@ LoopLaw = Law | FromPlantFile | None
 
 
 def law_for(plant: type[Plant], period: float, law: LoopLaw = FROM_PLANT_FILE) -> Law | None:
-    """The controller of a closed-loop twin at a sample time, s; None for a driven twin."""
+    """The controller of a closed-loop twin at a sample time, s; None for a driven twin.
+
+    Raises:
+        PlantError: the plant file's holds at another sample time only.
+    """
     if not isinstance(law, FromPlantFile):
         return law
-    return plant.loop and plant.loop.at_period(period)
+    try:
+        return plant.loop and plant.loop.at_period(period)
+    except PlantError as error:
+        raise PlantError(f"plant {plant.name}: {error}, or set loop: unknown") from None
 
 
 def law_of(plant: type[Plant], period: float) -> Law:

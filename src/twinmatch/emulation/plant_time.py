@@ -35,7 +35,7 @@ from twinmatch.errors import TwinmatchError
 _Own = TypeVar("_Own", bound="VirtualPlantTime")
 
 _CLOCK_EVERY = 0.005
-"""Longest wall time between two updates of the clock, s."""
+"""Shortest wall time between two updates of the clock, s."""
 _ATTEND_EVERY = 0.01
 """Interval at which commands are obeyed, wall s."""
 _REPEAT = 0.2
@@ -119,11 +119,11 @@ class VirtualPlantTime(ABC):
         self.ms = 0
         """Plant time since the start, ms."""
         self.pace = RigPace(self.settings.speed)
-        self._longest = max(1, round(min(5 * self.settings.speed, _SLICE)))
+        self._longest = max(1, round(min(10 * self.settings.speed, _SLICE)))
         self.slice = self._longest
         """Plant time of one step, ms."""
-        # In step nobody needs the time more often, and every node of the graph receives it.
-        self._every = _CLOCK_EVERY * (10 if self.settings.in_step and self.settings.speed > 1 else 1)
+        # At real time and in step nobody needs the time more often, and every node of the graph receives it.
+        self._every = _CLOCK_EVERY * (4 if self.settings.speed <= 1 else 10 if self.settings.in_step else 1)
         self._clock_sent = 0.0
         self._told = 0
         self._attended = 0.0
@@ -211,7 +211,7 @@ class VirtualPlantTime(ABC):
                 self.rest(wait)
             self.step()
             now = time.monotonic()
-            if now - listened >= self._every or self.slice >= 5 * self.settings.speed:
+            if now - listened >= self._every:
                 listened = now
                 # While driven it stops often, and tells the time there, unless who drives has a wrong time.
                 if not self._clock.driven or now - self._clock_sent >= _REPEAT:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 from itertools import chain
 from pathlib import Path
@@ -24,6 +24,7 @@ from twinmatch.sampling.channels import (
     Channel,
     Followed,
     SamplingError,
+    by_name,
     check_path,
     fields_below,
     usual_unit,
@@ -124,13 +125,21 @@ class Bag:
 
     @property
     def topics(self) -> list[BagTopic]:
-        """Its topics, sorted by name."""
-        return [self._topic(name) for name in sorted(self._topics)]
+        """Its topics, sorted by name; elements of lists go by their names, if messages give them any."""
+        topics = {name: self._topic(name) for name in sorted(self._topics)}
+        named: dict[str, dict[str, None]] = {n: {} for n, t in topics.items() if len(t.numbers) <= _FIELDS}
+        for raw in self._messages(named, _NAMED):
+            with suppress(TwinmatchError):  # damage is reported where a channel is read
+                message, numbers = self._decoded(raw), topics[raw.topic.name].numbers
+                named[raw.topic.name] |= dict.fromkeys(p for path in numbers for p in by_name(message, path))
+        return [t._replace(numbers=tuple(named.get(name, ())) or t.numbers) for name, t in topics.items()]
 
     @property
     def columns(self) -> list[Column]:
         """An overview of the numbers of each topic, under the names that a map uses."""
-        listed = [topic for topic in self.topics if topic.messages and len(topic.numbers) <= _FIELDS]
+        listed = [
+            t for t in self.topics if t.messages and len({p.split("[")[0] for p in t.numbers}) <= _FIELDS
+        ]
         channels = [Channel(topic.name, path) for topic in listed for path in topic.numbers]
         columns = [
             described(channel.text, usual_unit(series.kind, series.path), series.values, ordered=False)
@@ -268,5 +277,7 @@ def _stamp(message: Any) -> float:
 
 _ENOUGH: Final = 2000
 """Messages read per topic."""
+_NAMED: Final = 50
+"""Messages read per topic for the names of elements: several publishers may take turns."""
 _FIELDS: Final = 20
 """Most numbers in a listed message; messages with more are images and point clouds."""

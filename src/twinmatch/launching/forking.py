@@ -39,8 +39,12 @@ IMPORTED: Final = (
     "twinmatch.nodes.recorder",
     "twinmatch.nodes.twin",
     "twinmatch.cli.virtual_rig",
+    "rosidl_generator_py",
+    "service_msgs.msg",
+    "type_description_interfaces.msg",
 )
-"""What most programs of a graph import; others import the rest themselves."""
+"""What most programs of a graph import, the last three when rclpy creates a node: a parser of message types.
+Others import the rest themselves."""
 _MAX_LINE: Final = 1 << 17
 """Longest request, bytes."""
 _POLL: Final = 0.01
@@ -215,6 +219,9 @@ def main() -> None:
         return
     for name in IMPORTED:
         import_module(name)
+    from twinmatch.compiled import start_runtime  # noqa: PLC0415 — the launcher waits for this module
+
+    start_runtime()
     # The tracer that ROS loads has threads; they hold no lock that a program needs.
     warnings.filterwarnings("ignore", ".*multi-threaded, use of fork", DeprecationWarning)
     gc.collect()

@@ -227,7 +227,8 @@ class _LiveRun(Supervised):
         self._refuse_second_graph(node)
         if plan.virtual is not None:
             self.processes.wait_for_line("virtual_rig", self._ready, VIRTUAL_RIG_START)
-            self._start("plant_clock")
+            if plan.simulated:
+                self._start("plant_clock")
         self._start("twin")
         if plan.session is not None:
             self._start("recorder")

@@ -176,8 +176,9 @@ class LivePlan:
 
     @property
     def simulated(self) -> bool:
-        """Whether the nodes have the time of /clock."""
-        return self.virtual is not None
+        """Whether the nodes have the time of /clock. At real time they need none, as on a real plant: each of
+        its messages would cost every node as much as a sample."""
+        return self.virtual is not None and self.virtual.speed != 1
 
     def _time(self) -> dict[str, str]:
         return {"use_sim_time": "true"} if self.simulated else {}

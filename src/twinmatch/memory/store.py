@@ -118,6 +118,13 @@ class Memory:
             rows = [] if database is None else database.execute(query, [*chain(*wanted.values())])
             return in_order([self._lesson_of(row) for row in rows])
 
+    def unread(self, rig: str | None = None) -> int:
+        """Number of lessons on a rig (None: on all) that are older than those that `lessons` reads."""
+        with self._opened() as database:
+            query = "SELECT count(*) FROM lesson WHERE rig = ifnull(?, rig)"
+            (held,) = (0,) if database is None else database.execute(query, [rig]).fetchone()
+        return max(0, held - MOST)
+
     def add_comparison(self, found: LawComparison) -> bool:
         """Keep what a session has shown of a prediction; the first one of a session stays. Returns whether it
         is new."""

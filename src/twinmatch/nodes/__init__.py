@@ -16,10 +16,11 @@ import os
 import sys
 from collections.abc import Mapping, Sequence
 from importlib.abc import MetaPathFinder
+from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType
 
-from twinmatch.errors import EXIT_USER_ERROR
+from twinmatch.errors import EXIT_USER_ERROR, TwinmatchError
 
 VARIABLE = "RMW_IMPLEMENTATION"
 _INDEX = Path("share", "ament_index", "resource_index", "rmw_typesupport")
@@ -44,6 +45,20 @@ def problem(environment: Mapping[str, str] = os.environ, own: str = sys.prefix) 
         f"network: {VARIABLE} is {named[:80]!r}, which is not installed (installed: {there}); "
         "install it, or unset the variable"
     )
+
+
+def require_ros(program: str) -> None:
+    """Check that there is what a program that runs or shows the graph imports.
+
+    Raises:
+        TwinmatchError: ROS 2, or our messages, cannot be found.
+    """
+    missing = [name for name in ("rclpy", "diagnostic_msgs", "twinmatch_msgs") if find_spec(name) is None]
+    if missing:
+        raise TwinmatchError(
+            f"{program} needs ROS 2: {', '.join(missing)} cannot be found; run make setup in a clone of "
+            "twinmatch, or source a ROS 2 workspace that has them"
+        )
 
 
 class BeforeRos(MetaPathFinder):

@@ -9,11 +9,10 @@ from __future__ import annotations
 import sys
 from importlib import import_module
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
-from twinmatch.errors import EXIT_USER_ERROR
-from twinmatch.nodes.node import TwinmatchNode
-from twinmatch.nodes.runner import run
+from twinmatch.errors import EXIT_USER_ERROR, TwinmatchError
+from twinmatch.nodes import require_ros
 
 PROGRAMS: Final = {
     "camera_bridge": "camera_bridge:CameraBridge",
@@ -34,7 +33,7 @@ PROGRAMS: Final = {
 """Module and class of each node, by program; a program imports only its own."""
 
 
-def nodes_of(program: str) -> list[type[TwinmatchNode]]:
+def nodes_of(program: str) -> list[type[Any]]:
     """The nodes of a program."""
     places = (place.split(":") for place in PROGRAMS[program].split())
     return [getattr(import_module(f"twinmatch.nodes.{module}"), name) for module, name in places]
@@ -46,6 +45,13 @@ def main() -> None:
     if not arguments or (name := Path(arguments[0]).stem) not in PROGRAMS:
         print(f"usage: python -m twinmatch.nodes {{{','.join(PROGRAMS)}}} [--help]", file=sys.stderr)
         sys.exit(EXIT_USER_ERROR)
+    try:
+        require_ros(name)
+    except TwinmatchError as error:
+        print(f"twinmatch: {error}", file=sys.stderr)
+        sys.exit(EXIT_USER_ERROR)
+    from twinmatch.nodes.runner import run  # noqa: PLC0415 — needs ROS
+
     sys.exit(run(nodes_of(name), arguments))
 
 

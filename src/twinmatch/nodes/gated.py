@@ -15,8 +15,10 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
+from typing import Any, ClassVar, Final, Generic, NamedTuple, TypeVar
 
+from rclpy.clock import JumpThreshold
+from rclpy.duration import Duration
 from std_srvs.srv import Trigger
 
 from twinmatch.comparing import TrustLevel, Verdict
@@ -153,6 +155,11 @@ class OutputGate:
         """Sleep until there is a new input, `timeout` seconds of the wall clock at most."""
         with self._news:
             self._news.wait(timeout)
+
+    def wake(self, *_: object) -> None:
+        """Let `wait` return: a clock that may run many times faster than the wall clock has moved."""
+        with self._news:
+            self._news.notify_all()
 
     def _take(self, take: Callable[..., None], *values: object, stamp: int | None = None) -> None:
         """Hand values to the guard with the time now, and with their age if they have a stamp (ns)."""
@@ -319,8 +326,10 @@ class DriverThread(Background, ABC, Generic[Link]):
 
 
 NAN = float("nan")
-SIMULATED_POLL = 0.004
-"""Longest sleep of the driver when the plant's clock may run many times faster than the wall clock, s."""
+EVERY_MOVE: Final = JumpThreshold(
+    min_forward=Duration(nanoseconds=1), min_backward=None, on_clock_change=False
+)
+"""Of simulated time; other clocks do not jump."""
 UNWATCHED = 5.0
 """Time without `plant/sample` after which a warning says that runaway is not monitored, s."""
 
@@ -359,12 +368,6 @@ class GatedNode(TwinmatchNode):
             highest=limits.highest,
         )
 
-    @property
-    def pace(self) -> DriverPace:
-        """Pace of the driver, which sleeps less if the plant's clock may run faster than the wall clock."""
-        simulated = self.get_parameter("use_sim_time").value
-        return DriverPace(self.values["repeat"], SIMULATED_POLL if simulated else DriverPace.poll)
-
     def drive(self, driver: DriverThread[Any], *inputs: str) -> None:
         """Start the thread that talks to the hardware; services and reports are offered from now on.
 
@@ -373,6 +376,7 @@ class GatedNode(TwinmatchNode):
         if self.step is not None:
             driver.step, driver.link.plant_time = self.step, self.step.breathe
         self._driver = driver
+        self._moves = self.get_clock().create_jump_callback(EVERY_MOVE, post_callback=self.gate.wake)
         self.beside.append(driver)
         self._senders = Senders(self, inputs, self._on_senders)
         for place in ("~", "plant"):

@@ -18,7 +18,7 @@ from twinmatch.links.pwm_link import (
     PwmVersionError,
 )
 from twinmatch.links.pwm_protocol import Banner, Flags
-from twinmatch.nodes.gated import NAN, Decision, DriverThread, GatedNode, fault_text, gate_table
+from twinmatch.nodes.gated import NAN, Decision, DriverPace, DriverThread, GatedNode, fault_text, gate_table
 from twinmatch.nodes.health import Level, Report
 from twinmatch.nodes.messages import nanoseconds
 from twinmatch.nodes.topics import RELIABLE
@@ -160,7 +160,7 @@ class PwmBridge(GatedNode):
         self.create_subscription(PwmCommand, commands, self._on_command, qos_profile_sensor_data)
         self._applied = self.create_publisher(PwmApplied, "plant/pwm_applied", RELIABLE)
         self.health.set("port", self.values["port"])
-        driver = PwmDriver(self._link, self.gate, self._tell, self.health, self.pace)
+        driver = PwmDriver(self._link, self.gate, self._tell, self.health, DriverPace(self.values["repeat"]))
         self.drive(driver, commands, temperatures)
 
     def report(self) -> Report:

@@ -9,7 +9,7 @@ import numpy as np
 from rclpy.qos import qos_profile_sensor_data
 
 from twinmatch.links.kit_link import KitAbsentError, KitError, KitLink, KitReading, KitSilentError
-from twinmatch.nodes.gated import NAN, Decision, DriverThread, GatedNode, fault_text, gate_table
+from twinmatch.nodes.gated import NAN, Decision, DriverPace, DriverThread, GatedNode, fault_text, gate_table
 from twinmatch.nodes.messages import nanoseconds
 from twinmatch.nodes.topics import RELIABLE
 from twinmatch.parameters.declared import Setting
@@ -112,7 +112,7 @@ class TCLabBridge(GatedNode):
         self.create_subscription(PlantCommand, "plant/command", self._on_command, qos_profile_sensor_data)
         self._readings = self.create_publisher(PlantReading, "plant/reading", qos_profile_sensor_data)
         self._applied = self.create_publisher(PlantApplied, "plant/applied", RELIABLE)
-        driver = KitDriver(self._link, self.gate, self._tell, self.health, self.pace)
+        driver = KitDriver(self._link, self.gate, self._tell, self.health, DriverPace(self.values["repeat"]))
         driver.other = self.values["second"]
         self.gate.beside = np.array([driver.other])
         self.drive(driver, "plant/command", "plant/reading")

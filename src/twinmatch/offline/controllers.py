@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from twinmatch.comparing import LEVEL_WORDS, TrustLevel, Verdict
-from twinmatch.controllers import ControllerError, Holding, TriedTwin, law_from
+from twinmatch.controllers import ControllerError, Holding, TriedTwin, law_from, suited
 from twinmatch.dynamics import SKIPPED, Law, Plant, advance, simulate_window
 from twinmatch.dynamics.pace import plant_scale, time_scale
 from twinmatch.errors import TwinmatchError
@@ -55,7 +55,7 @@ def read_law(path: Path, plant: type[Plant], period: float) -> Law:
     """
     try:
         if path.suffix == ".py":
-            return _at_period(load_law(str(path)), plant, period)
+            return suited(load_law(str(path)), plant, period)
         return law_from(parse_json(read_text(path), str(path)), plant, period)
     except TwinmatchError as error:
         known = str(error).startswith(str(path))
@@ -68,21 +68,6 @@ def resting_point(path: Path) -> FloatArray | None:
         return np.array(parse_json(read_text(path), str(path))["y0"], dtype=np.float64).ravel()
     except (ValueError, LookupError, TypeError):
         return None
-
-
-def _at_period(law: Law, plant: type[Plant], period: float) -> Law:
-    sizes, of = (law.n_outputs, law.n_inputs), (len(plant.outputs), len(plant.drives))
-    if sizes != of:
-        raise ControllerError(
-            f"is a law for {sizes[0]} outputs and {sizes[1]} inputs; plant {plant.name} has {of[0]} and "
-            f"{of[1]}"
-        )
-    if law.period != period:
-        raise ControllerError(
-            f"the law runs every {law.period:g} s, the samples come every {period:g} s; give a law with "
-            f"period={period:g}"
-        )
-    return law
 
 
 class Ground(NamedTuple):

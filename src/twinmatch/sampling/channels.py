@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import lru_cache
+from functools import lru_cache, reduce
 from typing import Any, Final, NamedTuple, cast
 
 from twinmatch.errors import TwinmatchError
@@ -23,7 +23,8 @@ NUMBERS: Final = frozenset(
 )
 TEXTS: Final = frozenset({"string", "wstring"})
 _TIMES: Final = ("Header", "Time", "Duration")
-_STEP: Final = re.compile(r"\.?(?P<name>[A-Za-z]\w*)|\[(?P<index>\d+)\]|\[(?P<label>[A-Za-z_/][^\[\]]*)\]")
+_LABEL: Final = r"[A-Za-z_/][^\[\]]*"
+_STEP: Final = re.compile(rf"\.?(?P<name>[A-Za-z]\w*)|\[(?P<index>\d+)\]|\[(?P<label>{_LABEL})\]")
 _NAMES: Final = ("name", "names", "joint_names", "interface_names")
 """Fields whose texts name the elements of the lists beside them."""
 _DEEP: Final = 4
@@ -155,6 +156,18 @@ def fields_below(kind: str, fields_of: FieldsOf, deep: int = _DEEP) -> Iterator[
         elif field.kind not in TEXTS and deep > 1 and field.kind.rsplit("/", 1)[-1] not in _TIMES:
             for below in fields_below(field.kind, fields_of, deep - 1):
                 yield f"{name}{mark}.{below}"
+
+
+def by_name(message: Any, path: str) -> list[str]:
+    """A path of `fields_below` as often as a message names elements of its lists; as it is without names."""
+    head, mark, tail = path.partition("[0]")
+    *above, last = head.split(".")
+    holder = reduce(getattr, above, message)
+    names, elements = (_names_in(holder), getattr(holder, last)) if mark else ((), ())
+    if len(elements) not in (0, len(names)) or not names or not all(re.fullmatch(_LABEL, n) for n in names):
+        return [path]
+    below = [by_name(each, tail[1:]) if tail else [""] for each in elements]
+    return [f"{head}[{n}]{tail[:1]}{rest}" for n, rests in zip(names, below, strict=False) for rest in rests]
 
 
 class Followed:

@@ -361,9 +361,9 @@ def update_sentence(state: DashboardState, settings: TwinSettings) -> None:
     samples = [Sample(int(k), int(k), r, y, u) for k, r, y, u in rows if not math.isnan(r)]  # NaN: a gap
     summed_up = ""
     if samples and verdict is not None and (verdict.leader or verdict.nominal):
-        law = settings.law and settings.law.at_period(period)
-        own = replace(settings, period=period, law=law)
         with suppress(TwinmatchError):  # so few samples that there is no window
+            law = settings.law and settings.law.at_period(period)
+            own = replace(settings, period=period, law=law)
             held = filled_stretches(samples, own, taught)
             longest = max(held, key=len)
             summed_up = sentence(conclude(tally, lambda: (longest, len(held)), law, period=period))
