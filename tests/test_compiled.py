@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import importlib
 import inspect
 import operator
@@ -13,8 +14,10 @@ from typing import Any
 
 import numba
 import pytest
+from numba.core import event
 
 from tests.support.processes import Process
+from twinmatch.compiled import compiled
 
 OURS = "from twinmatch.compiled import compiled"
 NUMBAS = "import numba\ncompiled = numba.njit(cache=True)"
@@ -123,6 +126,7 @@ INSIDES = {
     "dispatcher:_FunctionCompiler.compile": ("self", "args", "return_type"),
     "environment:Environment._memo": None,
     "environment:lookup_environment": ("env_name",),
+    "event:broadcast": ("event",),
     "funcdesc:PythonFunctionDescriptor.llvm_cpython_wrapper_name": None,
     "registry:cpu_target.target_context.codegen": ("self",),
     "runtime:rtsys.initialize": ("self", "ctx"),
@@ -281,3 +285,16 @@ def test_a_cache_that_knows_a_class_of_arguments_that_is_gone_is_left(tmp_path: 
     assert first == "7.0 compiled"
     assert run(tmp_path) == "7.0 compiled"
     assert run(tmp_path) == "7.0 kept"
+
+
+def test_after_a_kernel_cannot_be_compiled_the_collector_runs_again() -> None:
+    @compiled
+    def wrong(x: float) -> Any:
+        return x + "no sum"  # type: ignore[operator]
+
+    heard = event.broadcast
+    assert gc.isenabled()
+    with pytest.raises(numba.TypingError):
+        wrong(1.0)
+    assert gc.isenabled()
+    assert event.broadcast is heard

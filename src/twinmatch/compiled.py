@@ -10,7 +10,9 @@ A module generated at run time is cached like any other if it is in `sys.modules
 
 from __future__ import annotations
 
+import contextlib
 import functools
+import gc
 import hashlib
 import importlib.util
 import itertools
@@ -26,6 +28,7 @@ from typing import Any, Final, TypeVar, overload
 import llvmlite.binding
 import numba
 from numba import types
+from numba.core import event
 from numba.core.bytecode import FunctionIdentity
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, NullCache
 from numba.core.codegen import JITCodeLibrary
@@ -156,6 +159,24 @@ class _Part(JITCodeLibrary):
         return 0
 
 
+@contextlib.contextmanager
+def _undisturbed() -> Iterator[None]:
+    """Compile without what costs a tenth of the time: the collector, which looks at all objects again and
+    again and finds little, and numba's events, which tell listeners how long each pass took.
+
+    numba's lock is held, so no other thread compiles.
+    """
+    collects, broadcast = gc.isenabled(), event.broadcast
+    gc.disable()
+    event.broadcast = lambda _: None
+    try:
+        yield
+    finally:
+        event.broadcast = broadcast
+        if collects:
+            gc.enable()
+
+
 def _compile_part(compile_: Callable[..., Any], *args: Any) -> Any:
     """Compile for other kernels only: nothing that could be called."""
     codegen = cpu_target.target_context.codegen()
@@ -174,7 +195,8 @@ def _compile_entry(part: Any, addressed: bool, args: Any, return_type: Any) -> A
     """
     for tell in told:
         tell(part.py_func.__name__.strip("_").replace("_", " "))
-    part.compile(tuple(args))
+    with _undisturbed():
+        part.compile(tuple(args))
     found = part.overloads[tuple(args)]
     context = found.target_context
     library = context.codegen().create_library(found.fndesc.qualname)
