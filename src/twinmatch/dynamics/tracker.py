@@ -177,6 +177,16 @@ class Tracker:
             covariance[i, i] = start.covariance[i, i]
         return Belief(values, covariance)
 
+    def returned(self, belief: Belief, before: Belief) -> Belief:
+        """The belief about a plant whose parameters are again what they were `before`: what passes is as now."""
+        passes = [*range(len(self.parameters.model.states)), self.passing, self.fading]
+        values, covariance = before.values.copy(), before.covariance.copy()
+        values[passes], covariance[passes, :], covariance[:, passes] = belief.values[passes], 0.0, 0.0
+        both = np.ix_(passes, passes)
+        opened = np.diag(np.append(self._first[: len(passes) - 2], [0.0, self._fading]) ** 2)
+        covariance[both] = belief.covariance[both] + opened
+        return Belief(values, covariance)
+
     def run(
         self, belief: Belief, readings: Readings, level: int, *, traces: Traces | None = None
     ) -> tuple[Belief, float]:

@@ -23,7 +23,7 @@ from twinmatch.dynamics.filters import Readings, Traces
 from twinmatch.dynamics.pace import plant_scale, slow_scale, time_scale
 from twinmatch.dynamics.tracker import Belief, TrackedCourse, Tracker
 from twinmatch.health.late_input import later_inputs
-from twinmatch.health.track_record import TrackRecord
+from twinmatch.health.track_record import HORIZONS, TrackRecord
 from twinmatch.health.tracking import REACH, TrackedBlocks, joined
 from twinmatch.signals import FloatArray, Sample
 
@@ -255,6 +255,9 @@ class ChangeDetector:
         self._jumps = list({h.index: h for h in lasting}.values())
         self._offset = next(h for h in self.hypotheses if h.kind is Kind.SENSOR)
         self._best: tuple[DetectedChange, _Found] | None = None
+        self.changed = False
+        """Whether the plant is known to be changed, and to come back some time."""
+        self._changed_at = -HORIZONS[-1]  # block at which it was so last
         self._reset()
 
     @property
@@ -319,14 +322,20 @@ class ChangeDetector:
         self._tracked.take(stretch, self._traces, settled=self.suspected)
         if self._tracked.moved_level:
             self._clear()
-        newcomer = self._tracked.known < _LEARN
-        self.track_record.push(
-            self._tracked.blocks, self._tracked.count, self._tracked.level, newcomer=newcomer
-        )
+        self._record()
         if not self.compares:
             self._best = None
             return None
         return self._search()
+
+    def _record(self) -> None:
+        """Compare what was forecast of the newest blocks with them, unless the plant was changed then."""
+        tracked = self._tracked
+        if self.changed:
+            self._changed_at = tracked.count
+        if tracked.count - self._changed_at >= HORIZONS[-1]:
+            newcomer = tracked.known < _LEARN
+            self.track_record.push(tracked.blocks, tracked.count, tracked.level, newcomer=newcomer)
 
     def pushes(self) -> FloatArray:
         """What has passed: how far it pushed the output in every block since its onset, in its unit."""
@@ -350,10 +359,16 @@ class ChangeDetector:
             gone.append(float(after.stretch.output[2]) - expected)
         return np.diff(gone[: int(np.nanargmax(np.abs(gone))) + 1])
 
-    def adopt(self) -> None:
-        """Accept the change returned last as the new state of the plant."""
+    @property
+    def before(self) -> Sequence[Belief]:
+        """What was believed before the change returned last, at every level."""
+        assert self._best is not None  # noqa: S101 — only a returned change is asked about
+        return self._tracked.blocks[-self._best[1].age].before
+
+    def adopt(self, before: Sequence[Belief] = ()) -> None:
+        """Accept the change returned last as the new state of the plant; `before`: it is what it was then."""
         assert self._best is not None  # noqa: S101 — only a returned change is adopted
-        self._tracked.adopt(self._best[1].belief)
+        self._tracked.adopt(self._best[1].belief, before)
         self._reset()
 
     def _reset(self) -> None:

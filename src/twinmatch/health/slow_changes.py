@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
+from twinmatch.dynamics.tracker import Belief
 from twinmatch.health.changes import ChangeDetector, DetectedChange, Hypothesis, Kind
 from twinmatch.health.faults import Evidence, Fault, FaultSentences, signed
 from twinmatch.health.settings import HealthSettings
@@ -31,6 +33,8 @@ _CAUSES: Final = {
     Kind.PASSING: "something that passes",
 }
 _NAMED: Final = frozenset(_NAMES.values()) - {Fault.DRIFT, Fault.DISTURBANCE}
+_SPOILED: Final = frozenset({Fault.LOSSES_CHANGED, Fault.ROOM_CHANGED, Fault.DRIVE_WEAK})
+"""What is forecast of a plant so changed, before it is back, says nothing of its twin."""
 _AGREEING: Final = 2
 """Consecutive comparisons that must agree on the kind of change."""
 _UNNAMED_FACTOR: Final = 2.0
@@ -57,6 +61,8 @@ class _Reported:
     hypothesis: Hypothesis
     before: float
     at: int
+    beliefs: Sequence[Belief]
+    """Before it, at every level."""
 
 
 @dataclass
@@ -159,7 +165,9 @@ class SlowChanges:
         """Note that the evidence was reported; the changed plant is the baseline from now on."""
         change = self._change
         assert change is not None and self.evidence is not None  # noqa: S101, PT018 — only evidence are reported
-        self._reported = _Reported(self.evidence.fault, change.hypothesis, change.before, index)
+        self._reported = _Reported(
+            self.evidence.fault, change.hypothesis, change.before, index, self._detector.before
+        )
         self._over = False
         if self.evidence.fault is Fault.SENSOR_DRIFT and not (self._shift and self._shift.named):
             self._shift = _Shift(change.shift, index, change.before, named=True, open=False)
@@ -184,6 +192,7 @@ class SlowChanges:
         shift = self._shift
         if shift and shift.named and abs(self.offset - shift.before) <= _REMAINDER * abs(shift.size):
             self._end_shift()
+        self._detector.changed = self.reported in _SPOILED
         change = self._detector.push(sample)
         if change is None:
             if not self._detector.suspected:
@@ -275,6 +284,11 @@ class SlowChanges:
         left = change.value - usual
         if abs(left) <= max(_REMAINDER * max(abs(change.shift), abs(change.before - usual)), h.least):
             self._over = self._over or same
+            if same and reported is not None and reported.fault in _SPOILED:
+                self._detector.track_record.forget_newest()
+                self._detector.adopt(reported.beliefs)
+                self._clear_suspicion()
+                return True
         elif not same or change.lead < self._settings.lead:
             return False
         self._detector.track_record.forget_newest()

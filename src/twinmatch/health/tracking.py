@@ -104,9 +104,9 @@ class TrackedBlocks:
         self._gap = bool(self._beliefs)
         self._opening = opening or self._opening
 
-    def adopt(self, belief: Belief) -> None:
-        """Continue from another belief at every level."""
-        self._beliefs = (belief,) * len(LEVELS)
+    def adopt(self, belief: Belief, before: Sequence[Belief] = ()) -> None:
+        """Continue from another belief at every level, of a plant that is what it was `before`, if given."""
+        self._beliefs = tuple(self.tracker.returned(belief, b) for b in before) or (belief,) * len(LEVELS)
         self.blocks.clear()
 
     def full(self, sample: Sample) -> Readings | None:
