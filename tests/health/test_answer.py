@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
+import numpy as np
 import pytest
 
 from tests.support.faulty_kit import (
@@ -18,9 +20,10 @@ from tests.support.faulty_kit import (
     watch,
 )
 from tests.support.plants import Lag, Motor
-from twinmatch.health import Alarm, Fault
+from twinmatch.health import Alarm, Fault, HealthSettings, Monitor
 from twinmatch.health.lagged_effect import is_lagged
 from twinmatch.plants import Peltier, TCLab
+from twinmatch.signals import Sample
 
 pytest.importorskip("tclab", reason="no kit to simulate; pip install 'twinmatch[tclab]'")
 
@@ -100,6 +103,18 @@ def test_a_gap_while_the_kit_cools_does_not_look_like_a_lost_heater(seed: int, g
     """How warm the heater is, is not known behind its lag, until the readings after the gap have shown it."""
     samples = run(Simulated(seed), levels(1060))
     assert watch([s for s in samples if s.index != gap]) == ()
+
+
+def test_a_kit_under_another_law_is_left_alone(others_kits: Path) -> None:
+    """Twenty minutes with a sample in five seconds: a heater full on and off in turn, and one more that acts.
+    In the first minutes what looks missing is how late this kit follows."""
+    tables = [np.genfromtxt(path, delimiter=",", names=True) for path in sorted(others_kits.glob("*.csv"))]
+    assert tables
+    for table in tables:
+        monitor = Monitor(HealthSettings.of(TCLab, 5.0))
+        for k, (y, u, given) in enumerate(zip(table["T1"], table["Q1"], table["Q2"], strict=True)):
+            monitor.push(Sample(k, 5_000_000_000 * k, float(y), float(y), float(u), (float(given),)))
+        assert monitor.alarms == ()
 
 
 def test_it_stays_lost_until_it_is_back() -> None:

@@ -86,6 +86,15 @@ def test_the_real_failure_is_reported_in_time_and_by_name(recorded_hour: Callabl
     assert monitor.fault_between(1560, 2155) is None
 
 
+def test_a_drive_that_was_dead_from_the_beginning_is_reported(recorded_hour: Callable[[int], Window]) -> None:
+    """An hour of full command, and the plate stays at 17 °C. Nobody has predicted this plant, and a drive that
+    is lost must not pass for a balance that is rough."""
+    (alarm,) = rig.watch(samples_of(recorded_hour(29))[:900])[0].alarms
+    assert alarm.fault is Fault.DRIVE_LOST
+    assert alarm.flagged <= 75
+    assert alarm.last is None
+
+
 @pytest.mark.parametrize(
     ("level", "broken", "fault", "within"),
     [

@@ -10,6 +10,7 @@ from twinmatch.importing import resample
 from twinmatch.signals import FloatArray, Window
 
 FIRST, SECOND, LID = "exp1_ht3_hg2", "exp2_ht20_hg30", "lid_opening_jan_2021"
+LIDS = "lid_opening_mar_2021_first"
 PERIOD = 3.0
 
 
@@ -34,6 +35,15 @@ def read_run(folder: Path, name: str) -> Window:
     ).columns
     box, room = held["box"], held["room"]
     return Window(np.full(box.size, box[0]), box, held["heater"], period=PERIOD, disturbances=room[:, None])
+
+
+def read_events(folder: Path, name: str) -> FloatArray:
+    """When the lid was opened and closed in turn, s after the run's first row."""
+    begin, events = (
+        np.loadtxt(folder / f"{name}{of}.csv", dtype=np.int64, delimiter=",", skiprows=1, usecols=0)
+        for of in ("", "_events")
+    )
+    return np.asarray((events - begin[0]) * 1e-9, dtype=np.float64)
 
 
 def published_twin(folder: Path, name: str, parameters: int) -> tuple[FloatArray, FloatArray]:

@@ -178,7 +178,8 @@ class Tracker:
         return Belief(values, covariance)
 
     def returned(self, belief: Belief, before: Belief) -> Belief:
-        """The belief about a plant whose parameters are again what they were `before`: what passes is as now."""
+        """The belief about a plant whose parameters are what they were `before`; what passes is as it is now,
+        and as uncertain as at the beginning, for what the equations leave out was moved, too."""
         passes = [*range(len(self.parameters.model.states)), self.passing, self.fading]
         values, covariance = before.values.copy(), before.covariance.copy()
         values[passes], covariance[passes, :], covariance[:, passes] = belief.values[passes], 0.0, 0.0

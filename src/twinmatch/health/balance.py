@@ -104,9 +104,12 @@ class Balance:
         self._waiting: deque[tuple[FloatArray, float]] = deque()
         self._past: deque[Sample] = deque(maxlen=TRIAL * self._block)
         self._errors: deque[float] = deque(maxlen=TRIAL)
+        self._resting: deque[float] = deque(maxlen=TRIAL)  # the same, if the drive had no effect
         self._record, self._unsettled = Record(), deque[tuple[float, float]]()
         self.roughness = 0.0
         """RMS error of the corrected balance over the newest blocks, per second."""
+        self.at_rest = 0.0
+        """The same of the balance without a drive: what a lost one would leave of it."""
         self._clear()
 
     @property
@@ -156,7 +159,10 @@ class Balance:
             self._waiting.clear()
             return
         self._errors.append(self._error_of(parts, surplus))
-        self.roughness = math.sqrt(sum(e * e for e in self._errors) / len(self._errors))
+        self._resting.append(surplus + float(parts[0]))
+        self.roughness, self.at_rest = (
+            math.sqrt(sum(e * e for e in errors) / len(errors)) for errors in (self._errors, self._resting)
+        )
         self._waiting.append((parts, surplus))
         if len(self._waiting) > _CONFIRMING:
             self._correction.learn(*self._waiting.popleft())

@@ -79,6 +79,11 @@ class ErrorModel:
         share = max(math.sqrt(self.share), _MIN_SHARE)
         return math.hypot(math.sqrt(self.rest), min(share, _MOVING_SHARE) * moved, share * turned_down)
 
+    @property
+    def mean(self) -> float:
+        """RMS error of the first stretches, at rest or not; of more than are remembered, an upper bound."""
+        return math.sqrt(self.record.error / max(self.seen[0] - _FIRST[0], 1.0))
+
     def learned(self, error: float, moved: float) -> ErrorModel:
         """After one more stretch: its error, and how far the equations moved the plant in it."""
         at_rest, moving = self.rest, self.share * moved**2
@@ -244,6 +249,8 @@ class LaggedEffect(DriveEffect):
         self._frozen, self._shift = False, 0.0
         self.restart()
 
+    newcomer = True
+    """Whether too little was seen of the plant to tell its errors at rest from those of movements."""
     delays: tuple[int, ...] = ()
     """By how much later than it is given the input may act, samples."""
 
@@ -379,13 +386,16 @@ class LaggedEffect(DriveEffect):
             return
         share = 1.0 + error / effect
         likely = errors.error(stretch.moved, changed if changed * effect < 0.0 else 0.0)
+        if self.newcomer:
+            likely = max(likely, errors.mean)
         least = max(_MIN_NOISES * self._noise, _MIN_ERRORS * likely)
         nothing = len(stretch) >= self._spans[-1] and share <= NOTHING
-        if share < FOLLOWS[0] and not (nothing or errors.record.sees_drive(self._noise)):
+        sees = errors.record.sees_drive(self._noise)
+        if share < FOLLOWS[0] and not (nothing or sees):
             return
         missing = abs(error) if share < 1.0 else 0.0
         counts = abs(effect) >= least
-        if len(stretch) >= self._spans[_LONG]:
+        if len(stretch) >= self._spans[_LONG] and sees:
             counts = counts or _MISSING * least <= missing <= _MAX_MISSING * abs(effect)
         if share >= self.share or not counts:
             return

@@ -219,15 +219,18 @@ class Monitor:
         stood = self._repeats.stands
         after, acting = movement, self._acting(sample)
         if self._late is not None:
+            self._late.newcomer = not self._slow.compares
             self._late.freeze(self._open and self._alarms[-1].fault is Fault.DRIVE_LOST)
             after = self._late.push(sample, self._slow.offset)
-        self._repeats.push(sample.output - before.output, after, inward, earned=self._predictor.earned)
+        error = self._balance.roughness * self.settings.pace if self._prompt else 0.0
+        self._repeats.push(sample.output - before.output, after, inward, error, earned=self._predictor.earned)
         if stood and not self._repeats.stands:  # it moves again, from wherever the plant went meanwhile
             self._restart_traces()
             return None
         self._lag.push(movement)
         if self._prompt and isinstance(self._effect, Effect):
-            self._effect.push(movement, self._balance.roughness, earned=self._balance.sees_drive)
+            rough = min(self._balance.roughness, self._balance.at_rest)  # a lost drive makes it rough, too
+            self._effect.push(movement, rough, earned=self._balance.sees_drive)
         self._learn()
         self._track(acting)
         return self._weigh(sample)
@@ -288,6 +291,8 @@ class Monitor:
         if lag is not None:
             lag *= self.settings.period / self.settings.pace
         sure = self._contrary >= _CONFIRM
+        if self._prompt and not self._balance.earned:  # it may not know how late this plant follows
+            sure = sure and (self._contrary + self._effect.length) * self.settings.pace >= _SHOWS
         if lag is not None:
             return self._sentences.late(index, self._effect, lag, sure=sure)
         weakly = self._balance.smooth and self._feeble * self.settings.pace >= _WEAKLY

@@ -236,9 +236,10 @@ class SlowChanges:
         since = index if self._shift is None else self._shift.since
         return (index - since) * self._settings.pace >= _NAME_WAIT
 
-    def _adopt(self, *, lasting: bool) -> None:
-        """Learn the change; `lasting`: a doubt that came up with it stays."""
-        self._detector.adopt()
+    def _adopt(self, before: Sequence[Belief] = (), *, lasting: bool) -> None:
+        """Learn the change, or that the plant is what it was `before`; `lasting`: a doubt that came up with it
+        stays."""
+        self._detector.adopt(before)
         self._leave_doubt(lasting=lasting)
         self._clear_suspicion()
 
@@ -282,17 +283,15 @@ class SlowChanges:
             return False
         usual = reported.before if reported is not None and same else 0.0
         left = change.value - usual
-        if abs(left) <= max(_REMAINDER * max(abs(change.shift), abs(change.before - usual)), h.least):
-            self._over = self._over or same
-            if same and reported is not None and reported.fault in _SPOILED:
-                self._detector.track_record.forget_newest()
-                self._detector.adopt(reported.beliefs)
-                self._clear_suspicion()
-                return True
-        elif not same or change.lead < self._settings.lead:
+        back = abs(left) <= max(_REMAINDER * max(abs(change.shift), abs(change.before - usual)), h.least)
+        if not back and (not same or change.lead < self._settings.lead):
             return False
+        before: Sequence[Belief] = ()
+        if back and same and reported is not None:
+            self._over = True
+            before = reported.beliefs if reported.fault in _SPOILED else ()
         self._detector.track_record.forget_newest()
-        self._adopt(lasting=True)
+        self._adopt(before, lasting=True)
         return True
 
     def _is_return(self, change: DetectedChange) -> bool:

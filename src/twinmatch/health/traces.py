@@ -158,12 +158,16 @@ class Repeats:
         self.count = 0
         """How many times the newest reading has been repeated."""
         self.expected = 0.0
-        """Movement expected since the first of them."""
+        """Movement expected since the first of them …"""
+        self._error = 0.0  # … and how far it may be wrong
         self._inward = 0.0
 
-    def push(self, change: float, movement: Movement, inward: float = 0.0, *, earned: bool = True) -> None:
-        """Take the newest change of the reading and the movement it belongs to; this counts if the one who
-        expected it has `earned` that.
+    def push(
+        self, change: float, movement: Movement, inward: float = 0.0, error: float = 0.0, *,
+        earned: bool = True,
+    ) -> None:  # fmt: skip
+        """Take the newest change of the reading and the movement it belongs to, with its usual `error`; this
+        counts if the one who expected it has `earned` that.
 
         `inward`: 1 for a reading at the low end of the sensor's span, -1 at the high end, 0 between them.
         """
@@ -171,6 +175,7 @@ class Repeats:
         if change == 0.0:
             self.count += 1
             self.expected += (movement.drive + movement.passive) if earned else 0.0
+            self._error += error
             return
         if not self.stands:
             for repeats in (1.0,) * self.count + (0.0,):
@@ -184,7 +189,7 @@ class Repeats:
             self._moves += 1
             self._step = min(self._step, abs(change))
             self._longest = max(self._longest, self.count)
-        self.count, self.expected = 0, 0.0
+        self.count, self.expected, self._error = 0, 0.0, 0.0
 
     @property
     def _coarse(self) -> bool:
@@ -210,7 +215,7 @@ class Repeats:
         # A reading whose noise is smaller than its last digit repeats whenever the plant is at rest.
         noisy = noisy and not self._coarse and self._jitter >= _STEPS * self._step
         noisy = noisy and self.count >= _LONGER * self._longest
-        return abs(self.expected) > _MOVED * self._noise or (noisy and chance < _CHANCE)
+        return abs(self.expected) > _MOVED * self._noise + self._error or (noisy and chance < _CHANCE)
 
 
 class Lag:
