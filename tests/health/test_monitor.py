@@ -87,8 +87,8 @@ def test_the_real_failure_is_reported_in_time_and_by_name(recorded_hour: Callabl
 
 
 def test_a_drive_that_was_dead_from_the_beginning_is_reported(recorded_hour: Callable[[int], Window]) -> None:
-    """An hour of full command, and the plate stays at 17 °C: nobody has predicted this plant, and a lost drive
-    is not to pass for a rough balance."""
+    """An hour of full command, and the plate stays at 17 °C: nobody has predicted this plant, and what a lost
+    drive leaves unexplained is not to pass for a rough balance."""
     (alarm,) = rig.watch(samples_of(recorded_hour(29))[:900])[0].alarms
     assert alarm.fault is Fault.DRIVE_LOST
     assert alarm.flagged <= 75

@@ -237,7 +237,7 @@ class SlowChanges:
         return (index - since) * self._settings.pace >= _NAME_WAIT
 
     def _adopt(self, before: Sequence[Belief] = (), *, lasting: bool) -> None:
-        """Learn the change, or that the plant is as `before`; `lasting`: a doubt that came up with it stays."""
+        """Learn the change, or that all is as `before`; `lasting`: a doubt that came up with it stays."""
         self._detector.adopt(before)
         self._leave_doubt(lasting=lasting)
         self._clear_suspicion()
