@@ -214,7 +214,7 @@ def test_what_it_refuses() -> None:
         pid_law([], 1.0)
     with pytest.raises(PlantError, match="not linear"):
         as_linear(TwoLevel(0.0, 1.0, 0.5, 0.5))
-    with pytest.raises(PlantError, match=r"sampled every 1 s, the law every 2 s"):
+    with pytest.raises(PlantError, match=r"the law runs every 2 s, the samples come every 1 s"):
         WholeLoop(linearised(PLANT, POINT, 1.0), TWO).margins()
 
 
