@@ -64,7 +64,7 @@ def main() -> int:
 def available() -> list[str]:
     """Modules here whose source defines `run`."""
     here = Path(benchmarks.__file__).parent
-    names = [module.name for module in pkgutil.iter_modules([str(here)])]
+    names = [module.name for module in pkgutil.iter_modules([str(here)]) if not module.ispkg]
     return [name for name in sorted(names) if "\ndef run(" in (here / f"{name}.py").read_text()]
 
 
