@@ -343,7 +343,7 @@ class Bank:
         self._frozen = np.where(given.repeated, self._frozen + _STANDS - gained, fresh)
 
     def _score_forecasts(self, values: FloatArray, seen: FloatArray) -> None:
-        """Compare forecasts with what came, and begin another."""
+        """Compare forecasts with the readings, and begin another."""
         members, free = self.members, -1
         for k, b in enumerate(range(self._healthy, members.alive.size)):
             age = self.count - self._begun[k]

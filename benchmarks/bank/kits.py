@@ -22,7 +22,7 @@ MISHAPS = {
     "Q1 × 0.8": ("drive-weak", 0), "Q2 × 0.8": ("drive-weak", 1),
     "losses × 2.5": ("losses-changed", None), "T1 frozen": ("sensor-frozen", 0),
 }  # fmt: skip
-"""What may happen; by what name, and of which channel, it is to be told."""
+"""What may happen; by what name, and of which channel, it is to be reported."""
 _NOISE = 0.043
 
 
