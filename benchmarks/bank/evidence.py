@@ -2,8 +2,8 @@
 
 Healthy is a mixture: the equations at five sizes of their error, with inputs that act at once, later or
 through a lag; and no equations at all, each reading being like the one before. Switching between them costs
-nats (Herbster and Warmuth 1998). A change begins again every two seconds at each of the five; what it saves of
-the code of the readings since is its evidence.
+nats (Herbster and Warmuth 1998). A change begins again every two seconds at each of the five; what it saves
+of the code of the readings since is its evidence.
 """
 
 from __future__ import annotations
