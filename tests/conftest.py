@@ -184,15 +184,6 @@ def kit_recording() -> Callable[[str], Window]:
 
 
 @pytest.fixture(scope="session")
-def others_kits() -> Path:
-    """Where the recordings of another person's kit in its loops are."""
-    path = OTHERS / "tclab_other"
-    if not path.is_dir():
-        pytest.skip(f"no {path}; set TWINMATCH_PLANT_RECORDINGS to the folder of other plants' recordings")
-    return path
-
-
-@pytest.fixture(scope="session")
 def incubator_folder() -> Path:
     """Where the recordings of the published incubator are."""
     path = OTHERS / "incubator"

@@ -20,8 +20,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from twinmatch.compiled import compiled
-from twinmatch.dynamics.filters import _carry, _expected, _move
-from twinmatch.dynamics.kernels import N_UNKNOWN, OUTPUT_SLOPES, OUTPUTS, Code, Work, call, prepare, work_for
+from twinmatch.dynamics.filters import _carry, _expected, _move, _use
+from twinmatch.dynamics.kernels import N_UNKNOWN, OUTPUT_SLOPES, OUTPUTS, Code, call, work_for
 from twinmatch.signals import FloatArray
 
 WIDE, WIDENED = 0.03, 4.0
@@ -185,15 +185,6 @@ def _read(
     return math.log(total), moved, gone
 
 
-@compiled(inside=True)
-def _use(fixed: Fixed, code: Code, at: FloatArray, n: int, vector: FloatArray, work: Work) -> None:
-    """Write the parameters of a belief into `vector`, and use them."""
-    for j in range(fixed.places.size):
-        start, q = fixed.vector[fixed.places[j]], at[n + j]
-        vector[fixed.places[j]] = start * math.exp(q) if fixed.logged[j] else start + q
-    prepare(code, vector, work)
-
-
 @compiled
 def step(
     code: Code, fixed: Fixed, members: Members, traces: Traces, rows: Rows, readings: Readings, now: int
@@ -218,7 +209,7 @@ def step(
         if not members.alive[b]:
             continue
         at, covariance = members.at[b], members.covariance[b]
-        _use(fixed, code, at, n, vector, work)
+        _use(code, fixed, at, vector, work)  # type: ignore[arg-type]  # it has the names that this reads
         for i in range(o):
             call(code[OUTPUTS], at, inputs, given, work.p, work.b, work.seen)
             call(code[OUTPUT_SLOPES], at, inputs, given, work.p, work.b, work.shown)
@@ -282,7 +273,7 @@ def step(
                 + (u - fixed.rest[j]) * (1.0 + min(max(at[share + j], -1.0), 1.0))
                 + at[push + j]
             )
-        _use(fixed, code, at, n, vector, work)
+        _use(code, fixed, at, vector, work)  # type: ignore[arg-type]  # it has the names that this reads
         call(code[OUTPUTS], at, inputs, given, work.p, work.b, work.seen)
         call(code[OUTPUT_SLOPES], at, inputs, given, work.p, work.b, work.shown)
         for i in range(o):

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
-import numpy as np
 import pytest
 
 from tests.support.faulty_kit import (
@@ -20,6 +18,7 @@ from tests.support.faulty_kit import (
     watch,
 )
 from tests.support.plants import Lag, Motor
+from tests.support.recorded_kits import kit_rows
 from twinmatch.health import Alarm, Fault, HealthSettings, Monitor
 from twinmatch.health.lagged_effect import is_lagged
 from twinmatch.plants import Peltier, TCLab
@@ -105,16 +104,14 @@ def test_a_gap_while_the_kit_cools_does_not_look_like_a_lost_heater(seed: int, g
     assert watch([s for s in samples if s.index != gap]) == ()
 
 
-def test_a_kit_under_another_law_is_left_alone(others_kits: Path) -> None:
+@pytest.mark.parametrize("name", ["mpc_1", "mpc_44", "mpc_45", "mpc_54"])
+def test_a_kit_under_another_law_is_left_alone(name: str) -> None:
     """Twenty minutes with a sample in five seconds: a heater full on and off in turn, and one more that acts.
     In the first minutes what looks missing is how late this kit follows."""
-    tables = [np.genfromtxt(path, delimiter=",", names=True) for path in sorted(others_kits.glob("*.csv"))]
-    assert tables
-    for table in tables:
-        monitor = Monitor(HealthSettings.of(TCLab, 5.0))
-        for k, (y, u, given) in enumerate(zip(table["T1"], table["Q1"], table["Q2"], strict=True)):
-            monitor.push(Sample(k, 5_000_000_000 * k, float(y), float(y), float(u), (float(given),)))
-        assert monitor.alarms == ()
+    monitor = Monitor(HealthSettings.of(TCLab, 5.0))
+    for k, row in enumerate(kit_rows("tclab_other", name)):
+        monitor.push(Sample(k, 5_000_000_000 * k, row["T1"], row["T1"], row["Q1"], (row["Q2"],)))
+    assert monitor.alarms == ()
 
 
 def test_it_stays_lost_until_it_is_back() -> None:
