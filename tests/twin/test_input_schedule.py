@@ -9,18 +9,32 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.support.plants import Box, Lag
-from twinmatch.dynamics import Drive
+from tests.support.plants import Lag
+from twinmatch.dynamics import Equations, maximum
+from twinmatch.dynamics.movement import Effect, Movement, effect_of
 from twinmatch.signals import Sample
-from twinmatch.twin import ScheduleSettings, TwinSettings
-from twinmatch.twin.schedule import InputSchedule, Trigger
+from twinmatch.twin import ScheduleSettings
+from twinmatch.twin.schedule import Schedule, Trigger
 
-SETTINGS = ScheduleSettings(min_input_step=10.0)
+SETTINGS = ScheduleSettings(min_step=10.0)
+
+
+class Unmoved(Lag, name="unmoved"):
+    """Its input is at a limit: it moves nothing there."""
+
+    def equations(self, parts: frozenset[str]) -> Equations:  # noqa: ARG002
+        """The input acts above 5 V only; the plant is linearised at rest."""
+        rate = (self.gain * maximum(self.u - 5.0, 0.0) - self.x) / self.lag
+        return Equations(rates={self.x: rate}, output=self.x, start={self.x: self.y})
+
+
+PROMPT = Effect(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.ones((1, 1)))
+"""The output follows the input at once, unit by unit."""
 CAPACITY, SPAN, LEAD = SETTINGS.capacity, SETTINGS.span, SETTINGS.lead
 
 
 def run(heater: np.ndarray, output: np.ndarray | None = None, first: int = 0) -> list[Trigger]:
-    schedule = InputSchedule(SETTINGS, width=5.0)
+    schedule = Schedule(SETTINGS, effect=PROMPT, width=5.0)
     output = np.zeros(heater.size) if output is None else output
     pushed = (
         schedule.push(Sample(first + k, k, 0.0, float(y), float(u)))
@@ -75,22 +89,32 @@ def test_an_input_that_switches_all_the_time_is_judged_every_span() -> None:
 
 
 def test_noise_is_not_a_step() -> None:
-    """A controller's output that trembles: 20 units of noise are never reached."""
+    """A controller's output that trembles: least steps are 20 units of noise."""
     tremble = 50.0 + 0.5 * np.random.default_rng(4).standard_normal(2000)
-    assert Drive(unit="%", limits=(0.0, 100.0), noise=0.5).least_step == SETTINGS.min_input_step
     assert excited(tremble) == []
 
 
-def test_a_noisy_drive_still_switches() -> None:
-    """However noisy a drive is said to be, a quarter of what it can do is a movement."""
-    assert TwinSettings.of(Box).schedule.min_input_step == 0.25
-    assert TwinSettings.of(Lag).schedule.min_input_step == 2.0
-    assert Drive(unit="", limits=(0.0, 1.0), noise=10.0).least_step == 0.25
+def test_what_counts_is_what_the_output_does() -> None:
+    """Of a lag with a gain of 2 and a time constant of 5 s: 63 % after 5 s, and never more than twice the
+    input's movement. However noisy a drive is said to be, what it moves is a movement."""
+    movement = Movement(effect_of(Lag, 1.0))
+    course = [float(movement.take(np.array([u]))[0]) for u in steps((0.0, 3), (10.0, 60))]
+    gain = Lag.model().typical()["gain"]
+    assert course[3 + 5] == pytest.approx(10.0 * gain * (1.0 - np.exp(-1.0)), rel=1e-3)
+    assert course[-1] == pytest.approx(10.0 * gain, rel=1e-3)
+
+
+def test_equations_that_say_nothing_leave_a_quarter_of_the_range() -> None:
+    """A drive that does nothing where the plant is linearised: its range has to do."""
+    moved = Movement(effect_of(Unmoved, 1.0))
+    moved.take(np.zeros(1))
+    low, high = Unmoved.drive.limits
+    assert moved.take(np.array([(high - low) / 4]))[0] == pytest.approx(Unmoved.output.least_step)
 
 
 @pytest.mark.parametrize(("width", "point"), [(5.0, 37.2), (50.0, 37.0), (100.0, 40.0)])
 def test_the_operating_point_is_where_the_output_came_to(width: float, point: float) -> None:
-    schedule = InputSchedule(SETTINGS, width=width)
+    schedule = Schedule(SETTINGS, effect=PROMPT, width=width)
     heater, output = steps((0.0, 100), (50.0, 300)), np.linspace(20.0, 37.2, 400)
     output[280:] = 37.2
     pushed = [schedule.push(Sample(k, k, 0.0, output[k], heater[k])) for k in range(400)]
@@ -98,7 +122,7 @@ def test_the_operating_point_is_where_the_output_came_to(width: float, point: fl
 
 
 def test_a_gap_starts_over() -> None:
-    schedule = InputSchedule(SETTINGS)
+    schedule = Schedule(SETTINGS, effect=PROMPT)
     for k in range(200):
         schedule.push(Sample(k, k, 0.0, 0.0, 50.0 * (k >= 100)))
     later = [schedule.push(Sample(1000 + k, k, 0.0, 0.0, 20.0 * (k >= 50))) for k in range(400)]
@@ -126,7 +150,7 @@ def test_excited_windows_hold_a_movement_and_do_not_come_too_often(
 ) -> None:
     found = excited(steps((0.0, 50), *regimes))
     for trigger in found:
-        assert np.ptp(trigger.window.input) >= SETTINGS.min_input_step
+        assert np.ptp(trigger.window.input) >= 0.1 * SETTINGS.min_step
         assert len(trigger.window) <= CAPACITY
         assert trigger.window.last in {trigger.sample, trigger.sample - 1}
     ends = [t.window.last for t in found]

@@ -52,8 +52,7 @@ class Stated(Lag, name="stated"):
 @pytest.mark.parametrize(("plant", "period"), [(Peltier, 1.0), (TCLab, 1.0), (Incubator, 3.0)])
 def test_shipped_plants_keep_their_windows_and_horizons(plant: type[Plant], period: float) -> None:
     settings = TwinSettings.of(plant, period=period)
-    steps = {"min_step": plant.output.least_step, "min_input_step": plant.drive.least_step}
-    assert settings.schedule == replace(ScheduleSettings(), **steps)
+    assert settings.schedule == replace(ScheduleSettings(), min_step=plant.output.least_step)
     assert settings.forecasts == ForecastSettings()
 
 

@@ -106,13 +106,6 @@ class Drive(Declaration):
             raise PlantError(msg)
 
     @property
-    def least_step(self) -> float:
-        """Step that excites the plant: far above the noise, but at most a quarter of the drive's range, so
-        that switching the drive on counts whatever its noise."""
-        low, high = self.limits
-        return min(_STEP * self.noise, (high - low) / 4)
-
-    @property
     def decimals(self) -> int:
         """Decimal places with which a value is shown; of errors and residuals one more is."""
         return _decimals(self.noise)

@@ -11,10 +11,8 @@ from typing import Final
 
 import numpy as np
 
-from twinmatch.dynamics.declarations import PlantError
-from twinmatch.dynamics.linear import rest_at
+from twinmatch.dynamics.movement import rest_of
 from twinmatch.dynamics.plant import Parameters, Plant
-from twinmatch.dynamics.simulation import begin
 from twinmatch.signals import FloatArray
 
 _USUAL: Final = 100.0
@@ -77,11 +75,7 @@ def time_constant(plant: type[Plant]) -> float:
 
 def _slowest(parameters: Parameters) -> float:
     model = parameters.model
-    levels = np.array([np.mean(y.set_points or y.span) for y in model.plant.outputs.values()])
-    try:
-        states, inputs = rest_at(parameters, levels)
-    except PlantError:  # nothing holds it there: linearised where it begins
-        states, inputs = begin(parameters, levels), model.rest
+    states, inputs = rest_of(parameters)
     _, fx, fu, _, hx, _ = model.kernels.slopes_at(parameters.vector, states, inputs, model.disturbances)
     with np.errstate(all="ignore"):
         return _slow_mode(fx, fu, hx)

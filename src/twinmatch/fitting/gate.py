@@ -53,6 +53,8 @@ class GateLimits:
 
     chi2: float = 40.0
     """Mean squared weighted residual above which the best fit does not explain the window."""
+    driven: float = 4.0
+    """Factor on it for a driven twin: no controller takes its errors back."""
     relative_error: float = 0.5
     """Largest standard error of a free parameter relative to its value, a kept one being known."""
     condition: float = 1000.0
@@ -66,8 +68,12 @@ class GateLimits:
     least_samples: int = 20
     """Least samples between the first excitation and the held-back part, and in that part."""
 
+    def most(self, *, driven: bool) -> float:
+        """The largest mean squared weighted residual that explains a window."""
+        return self.chi2 * (self.driven if driven else 1.0)
+
     def __post_init__(self) -> None:
-        for name in ("chi2", "relative_error", "condition", "slack", "least_samples"):
+        for name in ("chi2", "relative_error", "condition", "slack", "least_samples", "driven"):
             if not getattr(self, name) > 0:
                 msg = f"gate: the limit {name} is {getattr(self, name)}; it must be positive"
                 raise FittingError(msg)
@@ -108,13 +114,14 @@ def first_excited(moved: FloatArray, least: float) -> int | None:
     return int(far[0]) + 1 if far.size else None
 
 
-def judge(evidence: FitEvidence, limits: GateLimits) -> tuple[Status, str]:
+def judge(evidence: FitEvidence, limits: GateLimits, *, driven: bool = False) -> tuple[Status, str]:
     """The status of a fit, and a sentence with the reason."""
     # Negated comparisons, so that residuals that are not numbers count as not explained.
-    if not evidence.chi2 <= limits.chi2:
+    most = limits.most(driven=driven)
+    if not evidence.chi2 <= most:
         return Status.NOT_EXPLAINED, (
             f"even the best fit leaves residuals of {evidence.chi2:.3g} times the noise variance, more than "
-            f"{limits.chi2:g}: the plant did something that the model cannot"
+            f"{most:g}: the plant did something that the model cannot"
         )
     if not evidence.converged:
         return Status.DID_NOT_CONVERGE, "least squares did not converge within its number of evaluations"

@@ -7,11 +7,12 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from operator import itemgetter
 from types import MappingProxyType
-from typing import ClassVar, NamedTuple
+from typing import ClassVar, Final, NamedTuple
 
 import numpy as np
 
-from twinmatch.dynamics import FROM_PLANT_FILE, Drive, Law, LoopLaw, Output, Parameters
+from twinmatch.dynamics import FROM_PLANT_FILE, Law, LoopLaw, Parameters
+from twinmatch.dynamics.movement import Movement, effect_of
 from twinmatch.errors import TwinmatchError
 from twinmatch.fitting.estimation import Estimate, Uncertainty, on_bounds, solve, starts_for
 from twinmatch.fitting.gate import FitEvidence, GateLimits, Status, first_excited, judge, undetermined
@@ -30,6 +31,10 @@ class Fit(NamedTuple):
     """Fit of the input; NaN for a driven twin."""
 
 
+_SHOWS: Final = 0.25
+"""Share of a least step that a fit may be made from: what has moved so far for long says as much."""
+_KNOWN: Final = 0.1
+"""Relative standard error from which a parameter counts as determined before a fit is made."""
 _NO_FIT = Fit(float("nan"), float("nan"))
 
 
@@ -159,8 +164,8 @@ def match(
         noise: standard deviations that weight the residuals; default: the plant's.
         law: that of the plant's controller, None if it is not known; default: the plant file's, at the
             window's period.
-        min_step: least step of the set-point (for a driven twin, of the input) that excites the plant, in its
-            unit; default: the declared `least_step`.
+        min_step: movement of the output, in its unit, that makes a window (for a driven twin, as expected of
+            its inputs); a quarter of it must show; default: the declared `least_step`.
         limits: limits of the gate.
         prior: what is known of the parameters beforehand, such as from earlier sessions.
 
@@ -195,7 +200,7 @@ def explaining(
     charged: list[tuple[float, Parameters]] = []
     for start in starts:
         best = usable_fit(window, start, noise, law)
-        if best is not None and best.chi2 <= GateLimits().chi2:
+        if best is not None and best.chi2 <= GateLimits().most(driven=law is None):
             independent = best.residuals.size / LASTING
             charged.append((independent * best.chi2 + best.values.size * math.log(independent), start))
     return [start for _, start in sorted(charged, key=itemgetter(0))]
@@ -214,16 +219,18 @@ def usable_fit(window: Window, start: Parameters, noise: Noise, law: Law | None)
 def _split(problem: Problem, min_step: float | None, limits: GateLimits) -> tuple[int, str]:
     """Number of samples for the test fit, or the reason why none can be made."""
     window, plant = problem.window, problem.base.model.plant
-    driven = problem.law is None
-    what, signals = ("input", window.inputs) if driven else ("set-point", window.references)
-    declared: list[Drive | Output] = [*(plant.drives if driven else plant.outputs).values()]
-    declared = declared[: signals.shape[1]]
-    least = [signal.least_step if min_step is None else min_step for signal in declared]
-    moved = [first_excited(column, step) for column, step in zip(signals.T, least, strict=True)]
-    excited = min((at for at in moved if at is not None), default=None)
+    moved, what = window.references, "set-point"
+    if problem.law is None:
+        movement, what = Movement(effect_of(plant, window.period)), "input"
+        moved = np.array([movement.take(row) for row in window.inputs])
+    outputs = [*plant.outputs.values()][: moved.shape[1]]
+    least = [_SHOWS * (y.least_step if min_step is None else min_step) for y in outputs]
+    places = [first_excited(column, step) for column, step in zip(moved.T, least, strict=True)]
+    excited = min((at for at in places if at is not None), default=None)
     if excited is None:
-        steps = " or ".join(f"{step:g} {signal.unit}" for step, signal in zip(least, declared, strict=True))
-        return 0, f"the {what} did not move by {steps} within the window's {len(window)} samples"
+        steps = " or ".join(f"{step:g} {y.unit}" for step, y in zip(least, outputs, strict=True))
+        means = "" if what == "set-point" else "so far that the output would show it, "
+        return 0, f"the {what} did not move {means}by {steps} within the window's {len(window)} samples"
     split = max(int((1.0 - limits.held_back) * len(window)), excited + limits.least_samples)
     if len(window) - split < limits.least_samples:
         return 0, (
@@ -233,13 +240,33 @@ def _split(problem: Problem, min_step: float | None, limits: GateLimits) -> tupl
     return split, ""
 
 
+def not_determined(
+    window: Window, start: Parameters, free: Iterable[str], noise: Noise, law: Law | None
+) -> str:
+    """In words, which parameters a window does not determine yet, judged by the twin's tangents at the start
+    of a search; empty if it determines all."""
+    problem = Problem(window, checked_free(start.model, free), start, noise, law)
+    try:
+        fisher = problem.evaluate(problem.values_of(start)).hessian * np.outer(problem.scales, problem.scales)
+        variances = LASTING * np.diag(np.linalg.inv(fisher))
+    except (TwinmatchError, np.linalg.LinAlgError):
+        return "it determines nothing yet"
+    errors = [math.sqrt(v) if v > 0 else math.inf for v in variances.tolist()]  # rounding of a singular one
+    each = zip(problem.unknowns, errors, strict=True)
+    wanted = [(unknown.name, error) for unknown, error in each if not unknown.initial]
+    known = ", ".join(f"{name} to {error:.1%}" for name, error in wanted if error <= _KNOWN)
+    still = ", ".join(name for name, error in wanted if not error <= _KNOWN)
+    so_far = f"it determines {known}, not yet {still}" if known else f"it does not determine {still} yet"
+    return so_far if still else ""
+
+
 def _with_fit(problem: Problem, split: int, rival: Parameters, limits: GateLimits) -> Match:
     window = problem.window
     seen = replace(problem, window=window.part(window.first, window.first + split - 1))
     starts = starts_for(problem, problem.base)
     test = solve(seen, starts)
     best = solve(problem, [test.values, *starts])
-    explained = best.converged and best.chi2 <= limits.chi2
+    explained = best.converged and best.chi2 <= limits.most(driven=problem.law is None)
 
     def stands(known: Uncertainty, values: FloatArray) -> bool:
         errors = np.sqrt(np.diag(known.covariance))
@@ -265,7 +292,7 @@ def _with_fit(problem: Problem, split: int, rival: Parameters, limits: GateLimit
         incumbent_chi2=problem.mean_square(standing),
         kept=_kept_sentence(problem, found),
     )
-    status, reason = judge(evidence, limits)
+    status, reason = judge(evidence, limits, driven=problem.law is None)
     return Match(
         parameters=problem.experiment.parameters_at(final.values),
         free=problem.names,

@@ -111,6 +111,7 @@ _RENAMED: Final[Mapping[str, tuple[str, ...]]] = {
 _MONITOR: Final = "only the health monitor reports faults"
 _BANDS: Final = "limits.doubtful sets how far beyond its bands a twin is doubtful"
 _GONE: Final = {
+    "schedule.min_input_step": "schedule.min_step is how far the output has to move, as expected of inputs",
     "limits.fault_y": _MONITOR,
     "limits.fault_u": _MONITOR,
     "limits.doubtful_y": _BANDS,
@@ -363,7 +364,6 @@ def _plant(model: Model) -> tuple[Setting, ...]:
 def _numbers(has: TwinSettings) -> tuple[Setting, ...]:
     """Schedule, sensor, family, trust and health: the numbers in the settings under the same names."""
     names = {"y": has.plant.output.unit, "u": unit_of(has.plant.drive)}
-    absent = "schedule.min_step" if has.law is None else "schedule.min_input_step"
     sensor = (
         ("noise", "Noise of the simulated sensor of the twin (1 σ).", names["y"]),
         ("resolution", "Resolution of its readings; 0: continuous.", names["y"]),
@@ -371,7 +371,7 @@ def _numbers(has: TwinSettings) -> tuple[Setting, ...]:
         ("pause_duration", "Duration of a pause.", "s"),
     )
     return (
-        *(one for one in parameters_of(has.schedule, "schedule.", **names) if one.name != absent),
+        *parameters_of(has.schedule, "schedule.", **names),
         *(
             Setting(f"sensor.{name}", getattr(has.sensor, name) or 0.0, text, unit, 0.0, 1e6)
             for name, text, unit in sensor

@@ -9,8 +9,10 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from twinmatch.comparing import ADMITTED, REFUSED, Candidate, Verdict
+from twinmatch.dynamics.movement import effect_of
 from twinmatch.errors import TwinmatchError
 from twinmatch.fitting import Status
+from twinmatch.fitting.match import not_determined
 from twinmatch.health import SLOW, Alarm, Health, HealthState, Monitor
 from twinmatch.signals import Sample, Window
 from twinmatch.twin.candidates import UNSCORED, CandidatePool
@@ -19,7 +21,7 @@ from twinmatch.twin.forecaster import Forecaster, Snapshot
 from twinmatch.twin.knowledge import Knowledge, MatchResult, verdict_of
 from twinmatch.twin.matcher import MatchReport, MatchRequest, carry_out, one_thread
 from twinmatch.twin.mirror import Residuals, residuals
-from twinmatch.twin.schedule import InputSchedule, Schedule, Trigger
+from twinmatch.twin.schedule import Schedule, Trigger
 from twinmatch.twin.settings import TwinSettings
 from twinmatch.twin.structure_fits import watched
 from twinmatch.twin.trust import BandCheck, BandHistory
@@ -386,7 +388,11 @@ class Twin:
 
 
 def _schedule(settings: TwinSettings) -> Schedule:
-    """A schedule by the set-point if the loop is known; otherwise by the input."""
-    if settings.law is None:
-        return InputSchedule(settings.schedule, settings.period, settings.regime_width)
-    return Schedule(settings.schedule, settings.period)
+    """A schedule by the set-point if the loop is known; otherwise by the inputs."""
+    effect = effect_of(settings.plant, settings.period) if settings.law is None else None
+
+    def left_open(window: Window) -> str:
+        with one_thread():
+            return not_determined(window, settings.start, settings.free, settings.noise, settings.law)
+
+    return Schedule(settings.schedule, settings.period, effect, settings.regime_width, left_open)

@@ -110,7 +110,7 @@ def _matched(
             incumbent=request.incumbent,
             noise=settings.noise,
             law=settings.law,
-            min_step=settings.least_movement,
+            min_step=settings.schedule.min_step,
             prior=settings.prior.get(start.model.structure_name, {}),
         )
     except TwinmatchError as error:

@@ -196,12 +196,6 @@ class TwinSettings:
         return replace(self, prior=prior, start=start, free=start.model.structure.free)
 
     @property
-    def least_movement(self) -> float:
-        """Least step that excites the plant: of the set-point, or of the input if the loop is not known."""
-        schedule = self.schedule
-        return schedule.min_input_step if self.law is None else schedule.min_step
-
-    @property
     def model_scale(self) -> float | None:
         """`scale` for `identify` if models are from input to output; None if the loop is known and models are
         from its set-point."""

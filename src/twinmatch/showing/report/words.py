@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
+import numpy as np
+
 from twinmatch.comparing import CandidateScore, TrustLevel, Verdict
+from twinmatch.dynamics.movement import Movement, effect_of
 from twinmatch.offline.judging import Judgement
 from twinmatch.offline.summary import ShownTwin, nominal_score, shown_twin
 from twinmatch.showing.quantities import ShownSignals, number, percent, signal_names
@@ -114,13 +117,11 @@ def _matching(judgement: Judgement) -> str:
 def _nothing(judgement: Judgement) -> str:
     if any(v.match for v in judgement.verdicts):
         return "There is no valid match, so there is no twin to trust."
+    step = f"{judgement.settings.schedule.min_step:g} {_signals(judgement).output.unit}".rstrip()
     if judgement.settings.law is None:
-        unit, least = judgement.settings.plant.drive.unit, judgement.settings.least_movement
-        step = f"{least:g} {unit}".rstrip()
-        return f"The control has to move by {step} or more, for some minutes in total."
+        return f"The control has to move so far and for so long that it moves the output by {step} or more."
     return (
-        f"The loop needs set-point steps of {judgement.settings.schedule.min_step:g} "
-        f"{_signals(judgement).output.unit} or more, some "
+        f"The loop needs set-point steps of {step} or more, some "
         "minutes apart; a recording of one or two set-points held for a few minutes each is enough."
     )
 
@@ -230,13 +231,16 @@ def _matches(judgement: Judgement) -> str:
 
 
 def _steps(samples: Sequence[Sample], settings: TwinSettings) -> str:
-    least, driven = settings.least_movement, settings.law is None
-    moving = [s.input if driven else s.reference for s in samples]
-    count, anchor = 0, moving[0]
-    for value in moving:
-        if abs(value - anchor) >= least:
-            count, anchor = count + 1, value
-    return f"{count} of {least:g} {(settings.plant.drive if driven else settings.plant.output).unit} or more"
+    least, driven = settings.schedule.min_step, settings.law is None
+    movement = Movement(effect_of(settings.plant, settings.period))
+    count, anchor = 0, samples[0].references
+    for sample in samples:
+        moved = movement.take(np.array(sample.inputs)) if driven else np.subtract(sample.references, anchor)
+        if np.max(np.abs(moved)) >= least:
+            count, anchor = count + 1, sample.references
+            movement.rest()
+    means = "the output moved by the input " if driven else ""
+    return f"{count} of {means}{least:g} {settings.plant.output.unit} or more"
 
 
 def _signals(judgement: Judgement) -> ShownSignals:

@@ -1,0 +1,95 @@
+"""How far a plant's outputs are expected to move, as its inputs move."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+
+from twinmatch.dynamics.declarations import PlantError
+from twinmatch.dynamics.linear import Linear, linearised_at, rest_at
+from twinmatch.dynamics.plant import Parameters, Plant
+from twinmatch.dynamics.simulation import begin
+from twinmatch.signals import FloatArray
+
+_SHARE = 0.25
+"""Share of a drive's range that moves an output by its least step, where the equations do not say."""
+
+
+class Effect(NamedTuple):
+    """x[k+1] = A·x[k] + B·Δu[k], Δy[k] = C·x[k] + D·Δu[k]."""
+
+    A: FloatArray
+    """Shape (n, n)."""
+    B: FloatArray
+    """Shape (n, m)."""
+    C: FloatArray
+    """Shape (o, n)."""
+    D: FloatArray
+    """Shape (o, m)."""
+
+
+def rest_of(parameters: Parameters) -> tuple[FloatArray, FloatArray]:
+    """States, shape (n,), and inputs, shape (m,), in the middle of the outputs' ranges; where nothing holds
+    the plant there, those that it begins with."""
+    model = parameters.model
+    levels = np.array([np.mean(y.set_points or y.span) for y in model.plant.outputs.values()])
+    try:
+        states, inputs = rest_at(parameters, levels)
+    except PlantError:
+        states, inputs = begin(parameters, levels), model.rest
+    return states, inputs
+
+
+@cache
+def effect_of(plant: type[Plant], period: float) -> Effect:
+    """The effect of the inputs of a plant in its first structure with typical parameters; `period` is the
+    sample time, s.
+
+    It is linearised in the middle of the outputs' ranges. Where that says nothing, a quarter of a drive's
+    range counts as a step.
+    """
+    linear = _linear(plant.model().typical(), period)
+    if linear is not None:
+        return Effect(*linear[:3], np.zeros((linear.C.shape[0], linear.B.shape[1])))
+    steps = np.array([y.least_step for y in plant.outputs.values()])
+    ranges = np.array([high - low for low, high in (u.limits for u in plant.drives.values())])
+    direct = np.outer(steps, 1.0 / (_SHARE * ranges))
+    return Effect(np.zeros((0, 0)), np.zeros((0, ranges.size)), np.zeros((steps.size, 0)), direct)
+
+
+def _linear(parameters: Parameters, period: float) -> Linear | None:
+    """The linearisation, if there is one in which the inputs act."""
+    if parameters.model.is_external:
+        return None
+    try:
+        with np.errstate(all="ignore"):
+            found = linearised_at(parameters, *rest_of(parameters), period)
+    except PlantError:  # too fast for this period
+        return None
+    return found if all(np.isfinite(one).all() and one.any() for one in found[:3]) else None
+
+
+class Movement:
+    """Expected deviation of the outputs from where they were, as the inputs leave where they were."""
+
+    def __init__(self, effect: Effect) -> None:
+        """Begin at rest; where, the first inputs say."""
+        self._effect = effect
+        self._from: FloatArray | None = None
+        self._states = np.zeros(effect.A.shape[0])
+
+    def rest(self) -> None:
+        """Take the next inputs as those at rest."""
+        self._from = None
+        self._states = np.zeros_like(self._states)
+
+    def take(self, inputs: FloatArray) -> FloatArray:
+        """Take the inputs of a sample, shape (m,); return the deviation of the outputs, shape (o,)."""
+        if self._from is None:
+            self._from = inputs
+        moved, of = inputs - self._from, self._effect
+        deviation = of.C @ self._states + of.D @ moved
+        self._states = of.A @ self._states + of.B @ moved
+        return np.asarray(deviation)
