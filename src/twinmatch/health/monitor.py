@@ -93,14 +93,13 @@ class Monitor:
         twin, period = settings.reference, settings.period
         self._balance = Balance(twin, period)
         late = is_lagged(twin, period)
-        # On a plant that is switched elsewhere, an open lid looks like a dead heater for half a minute.
-        self._late = LaggedEffect(twin, period) if late and twin.model.plant.loop is not None else None
+        self._late = LaggedEffect(twin, period) if late else None
         """For a plant whose output the drive moves only after many samples."""
         self._prompt = not late
         """Whether what the drive does within a sample is its effect; otherwise it is a small part of it, and
         smaller than the errors of the states that the output does not show."""
         self._effect: DriveEffect = self._late or Effect(settings.pace, self._balance.noise)
-        self._slow = SlowChanges(settings, self._sentences, steps=late and twin.model.plant.loop is not None)
+        self._slow = SlowChanges(settings, self._sentences, steps=late)
         self._timing = LateInput(settings.followed, period) if late else None
         self._delay = 0
 
