@@ -22,15 +22,16 @@ pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; r
 from twinmatch.showing.foxglove.layout import TOPICS
 
 PAGE = PROJECT / "docs" / "your_plant.md"
+HOT_END = PROJECT / "docs" / "hot_end.md"
 
 
-def commands() -> list[list[str]]:
-    blocks = re.findall(r"^```console\n(.*?)^```", PAGE.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
+def commands(page: Path) -> list[list[str]]:
+    blocks = re.findall(r"^```console\n(.*?)^```", page.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
     return [shlex.split(line.removeprefix("$ ")) for block in blocks for line in block.splitlines()]
 
 
-def files(folder: Path) -> None:
-    text = PAGE.read_text(encoding="utf-8")
+def files(page: Path, folder: Path) -> None:
+    text = page.read_text(encoding="utf-8")
     for name, code in re.findall(r"^```python (\w+\.py)\n(.*?)^```", text, re.DOTALL | re.MULTILINE):
         (folder / name).write_text(code, encoding="utf-8")
 
@@ -40,18 +41,39 @@ def python(*arguments: str, folder: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
 
 
-@pytest.mark.slow
-def test_the_page_leads_from_a_table_to_a_verdict(tmp_path: Path) -> None:
-    files(tmp_path)
-    assert python("make_log.py", folder=tmp_path).returncode == 0
+def followed(page: Path, folder: Path) -> list[tuple[list[str], int, str]]:
+    """What the commands of a page say in a folder with its files, with their exit codes."""
+    files(page, folder)
+    assert python("make_log.py", folder=folder).returncode == 0
     said: list[tuple[list[str], int, str]] = []
-    for program, *arguments in commands():
+    for program, *arguments in commands(page):
         if program == "twinmatch":
-            done = run_twinmatch(*arguments, folder=tmp_path)
+            done = run_twinmatch(*arguments, folder=folder)
         else:
-            done = python(*arguments, folder=tmp_path)
+            done = python(*arguments, folder=folder)
         assert "Traceback" not in done.stderr, done.stderr
         said.append((arguments, done.returncode, done.stdout + done.stderr))
+    return said
+
+
+@pytest.mark.slow
+def test_a_lead_that_breaks_has_its_name_in_the_last_line(tmp_path: Path) -> None:
+    """And what the twin was before is what the page's table was made with."""
+    said = followed(HOT_END, tmp_path)
+    assert all(code == 0 for _, code, _ in said), said
+    faults = re.search(r"Faults: (.*)", said[-1][2])
+    assert faults is not None
+    *before, last = faults[1].rstrip(".").split("; ")
+    assert re.match(r"drive-lost since 21\d\d s", last)
+    assert all(one.startswith("drift from 21") for one in before), "until losses and drive are told apart"
+    found = dict(re.findall(r"(power|losses|blown|lag) ([\d.]+) (?:m?W/%|W/K|mW/K|s)", said[-1][2]))
+    wanted = {"power": 0.4, "losses": 0.07, "blown": 40.0, "lag": 4.0}
+    assert {name: float(value) for name, value in found.items()} == pytest.approx(wanted, rel=0.05)
+
+
+@pytest.mark.slow
+def test_the_page_leads_from_a_table_to_a_verdict(tmp_path: Path) -> None:
+    said = followed(PAGE, tmp_path)
     looked = [(code, text) for arguments, code, text in said if "--data" in arguments]
     others = [(arguments, code) for arguments, code, _ in said if "--data" not in arguments]
     assert all(code == 0 for _, code in others), others
