@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from tests.support.plants import Lag
 from twinmatch.dynamics import Equations, maximum
-from twinmatch.dynamics.movement import Effect, Movement, effect_of
+from twinmatch.dynamics.movement import ExpectedMovement, InputEffect, effect_of
 from twinmatch.signals import Sample
 from twinmatch.twin import ScheduleSettings
 from twinmatch.twin.schedule import Schedule, Trigger
@@ -28,7 +28,7 @@ class Unmoved(Lag, name="unmoved"):
         return Equations(rates={self.x: rate}, output=self.x, start={self.x: self.y})
 
 
-PROMPT = Effect(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.ones((1, 1)))
+PROMPT = InputEffect(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.ones((1, 1)))
 """The output follows the input at once, unit by unit."""
 CAPACITY, SPAN, LEAD = SETTINGS.capacity, SETTINGS.span, SETTINGS.lead
 
@@ -97,7 +97,7 @@ def test_noise_is_not_a_step() -> None:
 def test_what_counts_is_what_the_output_does() -> None:
     """Of a lag with a gain of 2 and a time constant of 5 s: 63 % after 5 s, and never more than twice the
     input's movement. However noisy a drive is said to be, what it moves is a movement."""
-    movement = Movement(effect_of(Lag, 1.0))
+    movement = ExpectedMovement(effect_of(Lag, 1.0))
     course = [float(movement.take(np.array([u]))[0]) for u in steps((0.0, 3), (10.0, 60))]
     gain = Lag.model().typical()["gain"]
     assert course[3 + 5] == pytest.approx(10.0 * gain * (1.0 - np.exp(-1.0)), rel=1e-3)
@@ -106,7 +106,7 @@ def test_what_counts_is_what_the_output_does() -> None:
 
 def test_equations_that_say_nothing_leave_a_quarter_of_the_range() -> None:
     """A drive that does nothing where the plant is linearised: its range has to do."""
-    moved = Movement(effect_of(Unmoved, 1.0))
+    moved = ExpectedMovement(effect_of(Unmoved, 1.0))
     moved.take(np.zeros(1))
     low, high = Unmoved.drive.limits
     assert moved.take(np.array([(high - low) / 4]))[0] == pytest.approx(Unmoved.output.least_step)

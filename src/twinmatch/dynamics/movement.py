@@ -17,7 +17,7 @@ _SHARE = 0.25
 """Share of a drive's range that moves an output by its least step, where the equations do not say."""
 
 
-class Effect(NamedTuple):
+class InputEffect(NamedTuple):
     """x[k+1] = A·x[k] + B·Δu[k], Δy[k] = C·x[k] + D·Δu[k]."""
 
     A: FloatArray
@@ -43,7 +43,7 @@ def rest_of(parameters: Parameters) -> tuple[FloatArray, FloatArray]:
 
 
 @cache
-def effect_of(plant: type[Plant], period: float) -> Effect:
+def effect_of(plant: type[Plant], period: float) -> InputEffect:
     """The effect of the inputs of a plant in its first structure with typical parameters; `period` is the
     sample time, s.
 
@@ -52,11 +52,11 @@ def effect_of(plant: type[Plant], period: float) -> Effect:
     """
     linear = _linear(plant.model().typical(), period)
     if linear is not None:
-        return Effect(*linear[:3], np.zeros((linear.C.shape[0], linear.B.shape[1])))
+        return InputEffect(*linear[:3], np.zeros((linear.C.shape[0], linear.B.shape[1])))
     steps = np.array([y.least_step for y in plant.outputs.values()])
     ranges = np.array([high - low for low, high in (u.limits for u in plant.drives.values())])
     direct = np.outer(steps, 1.0 / (_SHARE * ranges))
-    return Effect(np.zeros((0, 0)), np.zeros((0, ranges.size)), np.zeros((steps.size, 0)), direct)
+    return InputEffect(np.zeros((0, 0)), np.zeros((0, ranges.size)), np.zeros((steps.size, 0)), direct)
 
 
 def _linear(parameters: Parameters, period: float) -> Linear | None:
@@ -71,10 +71,10 @@ def _linear(parameters: Parameters, period: float) -> Linear | None:
     return found if all(np.isfinite(one).all() and one.any() for one in found[:3]) else None
 
 
-class Movement:
+class ExpectedMovement:
     """Expected deviation of the outputs from where they were, as the inputs leave where they were."""
 
-    def __init__(self, effect: Effect) -> None:
+    def __init__(self, effect: InputEffect) -> None:
         """Begin at rest; where, the first inputs say."""
         self._effect = effect
         self._from: FloatArray | None = None

@@ -12,7 +12,7 @@ from typing import ClassVar, Final, NamedTuple
 import numpy as np
 
 from twinmatch.dynamics import FROM_PLANT_FILE, Law, LoopLaw, Parameters
-from twinmatch.dynamics.movement import Movement, effect_of
+from twinmatch.dynamics.movement import ExpectedMovement, effect_of
 from twinmatch.errors import TwinmatchError
 from twinmatch.fitting.estimation import Estimate, Uncertainty, on_bounds, solve, starts_for
 from twinmatch.fitting.gate import FitEvidence, GateLimits, Status, first_excited, judge, undetermined
@@ -221,7 +221,7 @@ def _split(problem: Problem, min_step: float | None, limits: GateLimits) -> tupl
     window, plant = problem.window, problem.base.model.plant
     moved, what = window.references, "set-point"
     if problem.law is None:
-        movement, what = Movement(effect_of(plant, window.period)), "input"
+        movement, what = ExpectedMovement(effect_of(plant, window.period)), "input"
         moved = np.array([movement.take(row) for row in window.inputs])
     outputs = [*plant.outputs.values()][: moved.shape[1]]
     least = [_SHOWS * (y.least_step if min_step is None else min_step) for y in outputs]

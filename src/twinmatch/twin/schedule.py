@@ -30,7 +30,7 @@ import numpy as np
 
 from twinmatch.comparing.models import LEAD
 from twinmatch.dynamics import Plant
-from twinmatch.dynamics.movement import Effect, Movement
+from twinmatch.dynamics.movement import ExpectedMovement, InputEffect
 from twinmatch.dynamics.pace import plant_scale
 from twinmatch.errors import TwinmatchError
 from twinmatch.settings import setting
@@ -118,7 +118,7 @@ class Schedule:
         self,
         settings: ScheduleSettings | None = None,
         period: float = 1.0,
-        effect: Effect | None = None,
+        effect: InputEffect | None = None,
         width: float = 10.0,
         determines: Callable[[Window], str] = lambda _: "",
     ) -> None:
@@ -134,7 +134,7 @@ class Schedule:
         """
         self.settings = settings or ScheduleSettings()
         self.period = period
-        self._movement = None if effect is None else Movement(effect)
+        self._movement = None if effect is None else ExpectedMovement(effect)
         self._decimals = -math.floor(math.log10(width / 10))
         self._open = determines
         self._samples: deque[Sample] = deque(maxlen=self.settings.capacity + 1)

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from twinmatch.comparing import CandidateScore, TrustLevel, Verdict
-from twinmatch.dynamics.movement import Movement, effect_of
+from twinmatch.dynamics.movement import ExpectedMovement, effect_of
 from twinmatch.offline.judging import Judgement
 from twinmatch.offline.summary import ShownTwin, nominal_score, shown_twin
 from twinmatch.showing.quantities import ShownSignals, number, percent, signal_names
@@ -232,7 +232,7 @@ def _matches(judgement: Judgement) -> str:
 
 def _steps(samples: Sequence[Sample], settings: TwinSettings) -> str:
     least, driven = settings.schedule.min_step, settings.law is None
-    movement = Movement(effect_of(settings.plant, settings.period))
+    movement = ExpectedMovement(effect_of(settings.plant, settings.period))
     count, anchor = 0, samples[0].references
     for sample in samples:
         moved = movement.take(np.array(sample.inputs)) if driven else np.subtract(sample.references, anchor)
