@@ -388,6 +388,27 @@ def spawn(
 
 
 @compiled
+def weigh(
+    members: BankMembers, log_weights: FloatArray, prior: FloatArray, switch: float, walked: float
+) -> float:
+    """Weigh the healthy ones by a sample, of log-probability `walked` for the last of them, which has no
+    equations; returns that of all. A share `switch` of the weights is spread by the prior."""
+    joint, highest = log_weights.copy(), -np.inf
+    for b in range(joint.size):
+        if b == joint.size - 1:
+            joint[b] += walked
+        elif members.alive[b]:
+            joint[b] += members.gained[b].sum()
+        else:
+            joint[b] = -np.inf
+        highest = max(highest, joint[b])
+    total = highest + math.log(np.sum(np.exp(joint - highest)))
+    for b in range(joint.size):
+        log_weights[b] = math.log((1.0 - switch) * math.exp(joint[b] - total) + switch * prior[b])
+    return total
+
+
+@compiled
 def tally(
     traces: ChangeTraces, rows: ChangeRows, levels: int, healthy: float, doubts: FloatArray, now: int,
     totals: FloatArray, best: Any,

@@ -111,7 +111,8 @@ class ChannelMonitor:
 
     def shows(self, f: Suspect) -> bool:
         """Whether it shows: a sensor that repeats its reading is frozen once the plant should have moved."""
-        return f.cause[0] is not Fault.SENSOR_FROZEN or bool(self.competition.missed[f.cause[1]])
+        fault, output = f.cause
+        return fault is not Fault.SENSOR_FROZEN or self.competition.frozen(output, self._values[output])
 
     def _counts(self, f: Suspect) -> bool:
         """A push explains anything while it lasts; so it counts once it has passed."""
@@ -143,7 +144,7 @@ class ChannelMonitor:
 
     def _over(self, on: ChannelAlarm, found: list[Suspect]) -> bool:
         if on.fault is Fault.SENSOR_FROZEN:
-            return bool(self.competition.sensors.repeats[on.found[0].cause[1]] == 0)
+            return self.competition.sensors[on.found[0].cause[1]].repeats == 0
         if on.fault is Fault.DISTURBANCE:
             return self._index - on.flagged > _PASSED * self.competition.second
         return on.fault is Fault.DRIFT and (not found or found[0].evidence < 0.0)

@@ -17,7 +17,7 @@ from twinmatch.dynamics.bank import ChangeRows, ChangeTraces, Reading, spawn, st
 from twinmatch.health.faults import Fault
 from twinmatch.health.hypotheses import ChangeRow, Named, rows_of
 from twinmatch.health.mixture import HealthyMixture
-from twinmatch.health.sensors import LearnedSensors
+from twinmatch.health.sensors import LearnedSensor
 from twinmatch.signals import BoolArray, FloatArray, Sample
 
 EVERY: Final = 2.0
@@ -59,7 +59,8 @@ class Competition:
         self._model = parameters.model
         self.healthy = HealthyMixture(parameters, period)
         self.second = self.healthy.second
-        self.sensors = LearnedSensors(self._model, self.second)
+        outputs = self._model.plant.outputs.values()
+        self.sensors = [LearnedSensor(output.noise, output.span, self.second) for output in outputs]
         self._usual, self._suspected = rows_of(self._model), False
         self.expect_back([])
         self.restart()
@@ -73,10 +74,9 @@ class Competition:
         """Start over after a gap, keeping what was learned about the plant."""
         self.count = 0
         """Samples since."""
-        self.missed = np.zeros(self._model.noise.size, dtype=bool)
-        """Whether each reading is far from a forecast that was made before it began to repeat itself."""
         self.healthy.restart()
-        self.sensors.restart()
+        for sensor in self.sensors:
+            sensor.restart()
         self._clear()
 
     def _clear(self) -> None:
@@ -124,18 +124,25 @@ class Competition:
             spawn(traces, table, healthy.members.at, weights, _COUNTS, reach, self.count)
         row, u = self._model.disturbance_row(sample.disturbances or None), np.array(sample.inputs)
         healthy.open(values, u, row)
-        pauses = sensors.read(values, seen)
-        given = Reading(
-            values, seen, sensors.repeated, sensors.noise, sensors.steps, pauses, healthy.acting(u), row
+        readings = list(zip(sensors, values.tolist(), seen.tolist(), strict=True))
+        for sensor, value, counts in readings:
+            sensor.read(value, counts)
+        learned = np.array(
+            [(one.repeated, one.noise, one.step, one.pause, one.variance) for one in sensors]
+        ).T
+        repeated, noise, digit, pause, variance = learned
+        given = Reading(values, seen, repeated, noise, digit, pause, healthy.acting(u), row)
+        code, levels = self._model.kernels.code, healthy.levels
+        step(code, healthy.fixed, healthy.members, traces, table, levels, given, self.count)
+        gained = healthy.members.gained[healthy.best].tolist()
+        total = healthy.weigh(
+            sum(one.walked(y, on, g) for (one, y, on), g in zip(readings, gained, strict=True))
         )
-        code = self._model.kernels.code
-        step(code, healthy.fixed, healthy.members, traces, table, healthy.levels, given, self.count)
-        total = healthy.weigh(sensors.walked(values, seen, pauses, healthy.gained))
-        tally(traces, table, healthy.levels, total, healthy.doubts, self.count, self._totals, self._likeliest)
-        variance = sensors.noise**2 + sensors.steps**2 / 12.0
-        self.missed = healthy.missed(self.count, sensors.repeats, values, variance)
+        tally(traces, table, levels, total, healthy.doubts, self.count, self._totals, self._likeliest)
         healthy.score_forecasts(self.count, values, seen, variance, reach)
-        sensors.learn(values, seen, healthy.gained)
+        gained = healthy.members.gained[healthy.best].tolist()
+        for (sensor, value, counts), nats in zip(readings, gained, strict=True):
+            sensor.learn(value, counts, nats)
         self.count += 1
         healthy.known += 1
 
@@ -150,14 +157,19 @@ class Competition:
             shift, error = float(self._traces.mean[t]), math.sqrt(self._traces.variance[t])
             evidence = float(self._totals[c]) - dear
             suspects.append(Suspect(self._causes[c], evidence, row, shift * share, error * share, born, t))
-        for i, nats in enumerate(self.sensors.frozen.tolist()):
-            evidence = nats - math.log(_HOUR * self.second) - dear
+        for i, sensor in enumerate(self.sensors):
+            evidence = sensor.frozen - math.log(_HOUR * self.second) - dear
             if evidence >= _INTERESTING:
-                row, born = ChangeRow((Fault.SENSOR_FROZEN, i), ""), self.count - int(self.sensors.repeats[i])
+                row, born = ChangeRow((Fault.SENSOR_FROZEN, i), ""), self.count - sensor.repeats
                 suspects.append(Suspect(row.cause, evidence, row, 0.0, 0.0, born, -1))
         suspects.sort(key=lambda one: -one.evidence)
         self._suspected = bool(suspects) and suspects[0].evidence > 0.0
         return suspects
+
+    def frozen(self, output: int, value: float) -> bool:
+        """Whether a reading is far from a forecast that was made before it began to repeat itself."""
+        sensor = self.sensors[output]
+        return self.healthy.missed(self.count - 1 - sensor.repeats, output, value, sensor.variance)
 
     @property
     def rough(self) -> bool:

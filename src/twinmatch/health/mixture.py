@@ -12,10 +12,9 @@ from collections import deque
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from twinmatch.dynamics import Parameters
-from twinmatch.dynamics.bank import BankConstants, BankMembers
+from twinmatch.dynamics.bank import BankConstants, BankMembers, weigh
 from twinmatch.dynamics.pace import plant_scale, slow_scale
 from twinmatch.dynamics.simulation import begin
 from twinmatch.dynamics.tracker import Assumed
@@ -69,10 +68,11 @@ class HealthyMixture:
         self._n = len(model.states)
         self.fixed = self._constants(Assumed.of(parameters, period))
         delays, lags = _WAYS
-        self._ways = [(late, 0.0) for late in dict.fromkeys(round(delay * swift) for delay in delays)]
-        self._ways += [(0, lag * swift) for lag in lags]
+        late = list(dict.fromkeys(round(delay * swift) for delay in delays))
+        self._late, ways = np.array(late + [0] * len(lags)), len(late) + len(lags)
+        self._lagging = np.array([0.0] * len(late) + [1.0 - math.exp(-1.0 / (lag * swift)) for lag in lags])
         self.levels = len(LEVELS)
-        self.healthy = self.levels + len(self._ways)  # after them, forecasts
+        self.healthy = self.levels + ways  # after them, forecasts
         self._ahead = [max(1, round(ahead * self.second)) for ahead in AHEAD]
         count, size = self.healthy + _FORECASTS, len(names)
         self.members = BankMembers(
@@ -108,8 +108,8 @@ class HealthyMixture:
 
     def restart(self) -> None:
         """Start over after a gap, keeping what was learned about the plant."""
-        self._inputs: deque[FloatArray] = deque(maxlen=max(late for late, _ in self._ways) + 1)
-        self._behind = np.zeros((len(self._ways), self._model.rest.size))
+        self._inputs: FloatArray | None = None  # the newest first
+        self._behind = np.zeros((self._late.size, self._model.rest.size))
         self.forget_newest()
         self._again = True
         self.log_weights = np.log(self._prior())
@@ -122,7 +122,7 @@ class HealthyMixture:
 
     def _prior(self) -> FloatArray:
         """Of the healthy ones, and of no equations."""
-        prior = np.full(self.healthy + 1, _SHARES[1] / (len(self._ways) - 1))
+        prior = np.full(self.healthy + 1, _SHARES[1] / (self._late.size - 1))
         prior[: self.levels] = _SHARES[0] / self.levels
         prior[self.levels + self._way], prior[-1] = 1e-12, _SHARES[2]
         self._usual = np.asarray(prior / prior.sum())
@@ -154,43 +154,27 @@ class HealthyMixture:
 
     def acting(self, u: FloatArray) -> FloatArray:
         """The inputs as they act now, in each way."""
-        if not self._inputs:
-            self._behind[:] = u
-        self._inputs.append(u)
-        for w, (late, lag) in enumerate(self._ways):
-            if lag:
-                self._behind[w] += (u - self._behind[w]) * (1.0 - math.exp(-1.0 / lag))
-            else:
-                self._behind[w] = self._inputs[max(0, len(self._inputs) - 1 - late)]
-        return self._behind
-
-    @property
-    def gained(self) -> FloatArray:
-        """Log-probabilities of the readings of this sample, by the most probable level."""
-        return np.asarray(self.members.gained[self.best])
+        if self._inputs is None:
+            self._behind[:], self._inputs = u, np.tile(u, (self._late.max() + 1, 1))
+        self._inputs[1:] = self._inputs[:-1].copy()
+        self._inputs[0] = u
+        lagging = self._lagging[:, np.newaxis]
+        self._behind += (u - self._behind) * lagging
+        return np.where(lagging > 0.0, self._behind, self._inputs[self._late])
 
     def weigh(self, walked: float) -> float:
         """Weigh all by a sample, `walked` without equations; its log-probability if the plant is healthy."""
-        members = self.members
-        gained = np.where(members.alive, members.gained.sum(axis=1), -np.inf)[: self.healthy]
-        joint = self.log_weights + np.append(gained, walked)
-        total = float(np.logaddexp.reduce(joint))
         switch = self.period / (_SWITCH * self.scale)
-        self.log_weights = np.log((1.0 - switch) * np.exp(joint - total) + switch * self._usual)
+        total = weigh(self.members, self.log_weights, self._usual, switch, walked)
         self.best = int(np.argmax(self.log_weights[: self.levels]))
         return total
 
-    def missed(
-        self, count: int, repeats: NDArray[np.int64], values: FloatArray, variance: FloatArray
-    ) -> BoolArray:
-        """Whether readings are far from a forecast that was made before they began to repeat themselves."""
-        missed = np.zeros(values.size, dtype=bool)
-        for b, begun in zip(range(self.healthy, self.members.alive.size), self._begun, strict=True):
-            if self.members.alive[b]:
-                squares = (values - self.members.expected[b]) ** 2
-                far = squares > _FAR**2 * (self.members.variance[b] + variance)
-                missed |= far & (begun < count - repeats)
-        return missed
+    def missed(self, since: int, output: int, value: float, variance: float) -> bool:
+        """Whether this reading, of this variance, is far from a forecast that was made before a sample."""
+        begun, members = np.array(self._begun) < since, self.members
+        expected, spread = (one[self.healthy :, output] for one in (members.expected, members.variance))
+        far = (value - expected) ** 2 > _FAR**2 * (spread + variance)
+        return bool((far & begun & members.alive[self.healthy :]).any())
 
     def score_forecasts(
         self, count: int, values: FloatArray, seen: BoolArray, variance: FloatArray, reach: int
