@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 from twinmatch.dynamics import Plant
 from twinmatch.health.channels import ChannelAlarm, ChannelMonitor
 from twinmatch.offline.judging import EVERY, Watch
 from twinmatch.record import finite
 from twinmatch.sessions import Session
+
+_WRITTEN: Final = ("signal", "size", "first", "flagged", "last", "reason", "rivals")
+"""Fields of an alarm in a document."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,19 +36,10 @@ class ChannelHealth:
             "plant": self.plant.name,
             "samples": self.samples,
             "alarms": [
-                finite({
-                    "fault": one.fault.value,
-                    "signal": one.signal,
-                    "size": one.size,
-                    "first": one.first,
-                    "flagged": one.flagged,
-                    "last": one.last,
-                    "reason": one.reason,
-                    "rivals": list(one.rivals),
-                })
+                {"fault": one.fault.value} | {name: finite(getattr(one, name)) for name in _WRITTEN}
                 for one in self.alarms
             ],
-        }  # fmt: skip
+        }
 
     def lines(self) -> Iterator[str]:
         """The alarms in words, or that there is none."""
