@@ -206,13 +206,13 @@ def _correct_traces(
 
 @compiled(inside=True)
 def _carry_traces(
-    fixed: BankConstants, traces: ChangeTraces, rows: ChangeRows, begin: int, slots: int, moved: FloatArray,
-    now: int,
+    fixed: BankConstants, traces: ChangeTraces, rows: ChangeRows, begin: int, end: int, slots: int,
+    moved: FloatArray, now: int,
 ) -> None:  # fmt: skip
     """Move the traces of a member on to the next sample."""
     n, size = moved.shape
     new = np.empty(n)
-    for t in range(begin, begin + rows.number.size * slots):
+    for t in range(begin, end):
         if traces.born[t] < 0:
             continue
         trace, r = traces.trace[t], (t - begin) // slots
@@ -262,7 +262,6 @@ def _move_member(
     call(code[OUTPUT_SLOPES], at, inputs, d, work.p, work.b, work.shown)
     for i in range(o):
         was[i] = work.seen[i]
-    moved[:] = 0.0
     columns = _move(code, there, inputs, d, work, fixed.period, fixed.steps, fixed.free.which, moved)
     call(code[OUTPUTS], there, inputs, d, work.p, work.b, work.seen)
     for j in range(size):
@@ -287,58 +286,67 @@ def _move_member(
         at[j] = there[j] if j < n else at[j] * fixed.keeps[j]
 
 
+@compiled(inside=True)
+def _correct_member(
+    code: Code, fixed: BankConstants, members: BankMembers, b: int, traces: ChangeTraces, begin: int,
+    end: int, r: Reading, vector: FloatArray, work: Work,
+) -> None:  # fmt: skip
+    """Correct a member by a sample, and its traces, which are those from `begin` to before `end`."""
+    at, covariance, d, p = members.at[b], members.covariance[b], r.disturbances, fixed.free.places.size
+    o, size, n = r.y.size, at.size, work.there.size - 1
+    slope, reach, lost = np.zeros(size), np.zeros(size), np.zeros(size)
+    for i in range(o):
+        offset, passing = size - 3 * o + i, size - 2 * o + i
+        call(code[OUTPUTS], at, fixed.rest, d, work.p, work.b, work.seen)
+        call(code[OUTPUT_SLOPES], at, fixed.rest, d, work.p, work.b, work.shown)
+        _shown_by(code, fixed.free, vector, work, i, slope)
+        slope[offset] = slope[passing] = 1.0
+        expected = max(_expected(covariance, slope, reach), 0.0)
+        level = work.seen[i] + at[offset] + at[passing]
+        off = r.y[i] - level
+        members.expected[b, i], members.variance[b, i], members.gained[b, i] = level, expected, 0.0
+        if r.seen[i] and members.takes[b]:
+            gained, moves, goes = _read(fixed, r, i, off, expected)
+            members.gained[b, i] = gained
+            for j in range(size):
+                lost[j] = (moves / off if abs(off) > 1e-9 else goes) * reach[j]
+            _correct_traces(fixed, traces, begin, end, r, i, slope, lost, off, expected, gained)
+            for j in range(size):
+                at[j] += moves * reach[j]
+                for k in range(size):
+                    covariance[j, k] -= goes * (reach[j] * reach[k])
+        slope[offset] = slope[passing] = 0.0
+    for j in range(p):
+        at[n + j] = min(max(at[n + j], fixed.free.least[j]), fixed.free.most[j])
+
+
 @compiled
 def step(
     code: Code, fixed: BankConstants, members: BankMembers, traces: ChangeTraces, rows: ChangeRows,
     levels: int, r: Reading, now: int,
 ) -> None:  # fmt: skip
     """Correct all members and traces by a sample, and move them on to the next, in place."""
-    o, m, p, size = r.y.size, fixed.rest.size, fixed.free.places.size, members.at.shape[1]
-    n, offset, passing = size - p - 2 * m - 3 * o, size - 3 * o, size - 2 * o
     slots = traces.born.size // (levels * rows.number.size)
-    own, d, vector, inputs = slots * rows.number.size, r.disturbances, fixed.free.vector.copy(), np.zeros(m)
-    work = work_for(code, vector)
-    traces.now[:] = 0.0
-    slope, reach, noises, lost = np.zeros(size), np.zeros(size), np.zeros(size), np.zeros(size)
-    moved = np.zeros((n, size))
+    vector, size = fixed.free.vector.copy(), members.at.shape[1]
+    work, noises = work_for(code, vector), np.zeros(size)
+    moved = np.zeros((work.there.size - 1, size))
+    for t in range(traces.now.size):
+        traces.now[t] = 0.0
     for b in range(members.alive.size):
         if not members.alive[b]:
             continue
-        at, covariance = members.at[b], members.covariance[b]
+        at, covariance, u = members.at[b], members.covariance[b], r.inputs[members.way[b]]
+        begin = min(b, levels) * slots * rows.number.size
+        end = begin + (slots * rows.number.size if b < levels else 0)
         _use(code, fixed.free, at, vector, work)
-        for i in range(o):
-            call(code[OUTPUTS], at, inputs, d, work.p, work.b, work.seen)
-            call(code[OUTPUT_SLOPES], at, inputs, d, work.p, work.b, work.shown)
-            slope[:] = 0.0
-            _shown_by(code, fixed.free, vector, work, i, slope)
-            slope[offset + i] = slope[passing + i] = 1.0
-            expected = max(_expected(covariance, slope, reach), 0.0)
-            level = work.seen[i] + at[offset + i] + at[passing + i]
-            off = r.y[i] - level
-            members.expected[b, i], members.variance[b, i] = level, expected
-            members.gained[b, i] = 0.0
-            if not r.seen[i] or not members.takes[b]:
-                continue
-            gained, moves, goes = _read(fixed, r, i, off, expected)
-            members.gained[b, i] = gained
-            for j in range(size):
-                lost[j] = (moves / off if abs(off) > 1e-9 else goes) * reach[j]
-            if b < levels:
-                _correct_traces(
-                    fixed, traces, b * own, (b + 1) * own, r, i, slope, lost, off, expected, gained
-                )
-            for j in range(size):
-                at[j] += moves * reach[j]
-                for k in range(size):
-                    covariance[j, k] -= goes * (reach[j] * reach[k])
-        for j in range(p):
-            at[n + j] = min(max(at[n + j], fixed.free.least[j]), fixed.free.most[j])
-        u = r.inputs[members.way[b]]
-        _move_member(code, fixed, at, vector, work, u, d, members.error[b], moved, noises)
+        _correct_member(code, fixed, members, b, traces, begin, end, r, vector, work)
+        _move_member(code, fixed, at, vector, work, u, r.disturbances, members.error[b], moved, noises)
         _carry(moved, covariance, fixed.keeps, noises)
-        if b < levels:
-            _carry_traces(fixed, traces, rows, b * own, slots, moved, now)
-        if not np.isfinite(at.sum() + covariance.sum()):
+        _carry_traces(fixed, traces, rows, begin, end, slots, moved, now)
+        total = 0.0
+        for j in range(size):
+            total += at[j] + covariance[j, j]
+        if not math.isfinite(total):
             members.alive[b] = False
 
 
@@ -350,10 +358,13 @@ def _place_for(traces: ChangeTraces, begin: int, end: int, now: int) -> int:
     for t in range(end - 1, begin - 1, -1):
         if traces.born[t] < 0:
             return t
-    order, least, place, keep = np.argsort(traces.born[begin:end]), np.inf, -1, -1
-    for s in range(end - begin - 1):
-        old, new = begin + order[s], begin + order[s + 1]
-        alike = (traces.born[new] - traces.born[old]) / (now - traces.born[old])
+    born, least, place, keep = traces.born, np.inf, -1, -1
+    for new in range(begin, end):
+        old = -1  # the next older one
+        for t in range(begin, end):
+            if born[t] < born[new] and (old < 0 or born[t] > born[old]):
+                old = t
+        alike = (born[new] - born[old]) / (now - born[old]) if old >= 0 else np.inf
         if alike < least:
             behind = traces.score[old] + traces.weight[old] < traces.score[new] + traces.weight[new]
             least, place, keep = alike, old if behind else new, new if behind else old
@@ -379,7 +390,8 @@ def spawn(
             begin = (b * rows.number.size + r) * slots
             t = _place_for(traces, begin, begin + slots, now)
             traces.born[t] = now
-            traces.trace[t, :] = 0.0
+            for j in range(at.shape[1]):
+                traces.trace[t, j] = 0.0
             traces.trace[t, rows.number[r]] = 1.0 if rows.rate[r] == 0.0 else 0.0
             traces.mean[t] = -1.0 - at[b, rows.number[r]] if rows.whole[r] else rows.shift[r]
             traces.variance[t] = rows.spread[r] ** 2
@@ -389,7 +401,7 @@ def spawn(
 
 @compiled
 def weigh(
-    members: BankMembers, log_weights: FloatArray, prior: FloatArray, switch: float, walked: float
+    gained: FloatArray, alive: Any, log_weights: FloatArray, prior: FloatArray, switch: float, walked: float
 ) -> float:
     """Weigh the healthy ones by a sample, of log-probability `walked` for the last of them, which has no
     equations; returns that of all. A share `switch` of the weights is spread by the prior."""
@@ -397,12 +409,16 @@ def weigh(
     for b in range(joint.size):
         if b == joint.size - 1:
             joint[b] += walked
-        elif members.alive[b]:
-            joint[b] += members.gained[b].sum()
+        elif alive[b]:
+            for i in range(gained.shape[1]):
+                joint[b] += gained[b, i]
         else:
             joint[b] = -np.inf
         highest = max(highest, joint[b])
-    total = highest + math.log(np.sum(np.exp(joint - highest)))
+    total = 0.0
+    for b in range(joint.size):
+        total += math.exp(joint[b] - highest)
+    total = highest + math.log(total)
     for b in range(joint.size):
         log_weights[b] = math.log((1.0 - switch) * math.exp(joint[b] - total) + switch * prior[b])
     return total
@@ -415,9 +431,11 @@ def tally(
 ) -> None:  # fmt: skip
     """Add this sample, of log-probability `healthy` without a change, to the scores, divided by `doubts` at
     each age; `totals` gets the evidence of each cause, summed over its onsets, and `best` its likeliest."""
-    count, heights = rows.number.size, np.full(totals.size, -np.inf)
+    count, heights = rows.number.size, np.empty(totals.size)
     slots = traces.born.size // (levels * count)
     gains = np.empty(traces.born.size)
+    for c in range(totals.size):
+        totals[c], heights[c] = 0.0, -np.inf
     for t in range(traces.born.size):
         if traces.born[t] < 0:
             continue
@@ -426,7 +444,6 @@ def tally(
         gains[t] = traces.score[t] + traces.weight[t] + math.log(max(traces.mass[t], 1e-300))
         if gains[t] > heights[c]:
             heights[c], best[c] = gains[t], t
-    totals[:] = 0.0
     for t in range(traces.born.size):
         if traces.born[t] >= 0:
             c = rows.cause[t // slots % count]

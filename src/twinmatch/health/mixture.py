@@ -69,10 +69,10 @@ class HealthyMixture:
         self.fixed = self._constants(Assumed.of(parameters, period))
         delays, lags = _WAYS
         late = list(dict.fromkeys(round(delay * swift) for delay in delays))
-        self._late, ways = np.array(late + [0] * len(lags)), len(late) + len(lags)
-        self._lagging = np.array([0.0] * len(late) + [1.0 - math.exp(-1.0 / (lag * swift)) for lag in lags])
+        self._late, self._ways = np.array(late), len(late) + len(lags)
+        self._lagging = 1.0 - np.exp(-1.0 / (np.array(lags)[:, np.newaxis] * swift))
         self.levels = len(LEVELS)
-        self.healthy = self.levels + ways  # after them, forecasts
+        self.healthy = self.levels + self._ways  # after them, forecasts
         self._ahead = [max(1, round(ahead * self.second)) for ahead in AHEAD]
         count, size = self.healthy + _FORECASTS, len(names)
         self.members = BankMembers(
@@ -109,7 +109,7 @@ class HealthyMixture:
     def restart(self) -> None:
         """Start over after a gap, keeping what was learned about the plant."""
         self._inputs: FloatArray | None = None  # the newest first
-        self._behind = np.zeros((self._late.size, self._model.rest.size))
+        self._behind = np.zeros((self._lagging.size, self._model.rest.size))
         self.forget_newest()
         self._again = True
         self.log_weights = np.log(self._prior())
@@ -122,7 +122,7 @@ class HealthyMixture:
 
     def _prior(self) -> FloatArray:
         """Of the healthy ones, and of no equations."""
-        prior = np.full(self.healthy + 1, _SHARES[1] / (self._late.size - 1))
+        prior = np.full(self.healthy + 1, _SHARES[1] / (self._ways - 1))
         prior[: self.levels] = _SHARES[0] / self.levels
         prior[self.levels + self._way], prior[-1] = 1e-12, _SHARES[2]
         self._usual = np.asarray(prior / prior.sum())
@@ -158,14 +158,13 @@ class HealthyMixture:
             self._behind[:], self._inputs = u, np.tile(u, (self._late.max() + 1, 1))
         self._inputs[1:] = self._inputs[:-1].copy()
         self._inputs[0] = u
-        lagging = self._lagging[:, np.newaxis]
-        self._behind += (u - self._behind) * lagging
-        return np.where(lagging > 0.0, self._behind, self._inputs[self._late])
+        self._behind += (u - self._behind) * self._lagging
+        return np.vstack([self._inputs[self._late], self._behind])
 
     def weigh(self, walked: float) -> float:
         """Weigh all by a sample, `walked` without equations; its log-probability if the plant is healthy."""
         switch = self.period / (_SWITCH * self.scale)
-        total = weigh(self.members, self.log_weights, self._usual, switch, walked)
+        total = weigh(self.members.gained, self.members.alive, self.log_weights, self._usual, switch, walked)
         self.best = int(np.argmax(self.log_weights[: self.levels]))
         return total
 
@@ -181,15 +180,15 @@ class HealthyMixture:
     ) -> None:
         """Compare forecasts with the readings, whose own variance is given, and begin another; `count` are
         the samples since the last gap, and `reach` is the highest age of a change."""
-        members, free = self.members, -1
-        for k, b in enumerate(range(self.healthy, members.alive.size)):
-            age = count - self._begun[k]
-            if members.alive[b] and age in self._ahead and seen.all():
+        members, free, all_seen = self.members, -1, bool(seen.all())
+        for k, alive in enumerate(members.alive[self.healthy :].tolist()):
+            b, age = self.healthy + k, count - self._begun[k]
+            if alive and age in self._ahead and all_seen:
                 squares = (values - members.expected[b]) ** 2 / (members.variance[b] + variance)
                 squares = np.minimum(squares, _MOST)
                 self._waiting.append((self.known, self._ahead.index(age), float(squares.mean())))
-            members.alive[b] &= age < self._ahead[-1]
-            free = free if members.alive[b] else k
+            if not alive or age >= self._ahead[-1]:
+                members.alive[b], free = False, k
         if count % self._ahead[3] == 0 and free >= 0:
             b = self.healthy + free
             for one in (members.at, members.covariance, members.error, members.way):
