@@ -30,7 +30,8 @@ class LearnedSensor:
 
     def restart(self) -> None:
         """Begin again after a gap, keeping what was learned."""
-        self._before, self._earlier, self._counted = math.nan, math.nan, self._pauses[0]
+        self._before = self._earlier = self._anchor = math.nan
+        self._counted = self._pauses[0]
         self.repeated = False
         """Whether the reading is the one before."""
         self.repeats, self.frozen = 0, 0.0
@@ -58,12 +59,15 @@ class LearnedSensor:
             return gained
         if not seen or math.isnan(self._before):
             return 0.0
-        off, spread = value - self._before, self._walk
+        anchor = self._before if math.isnan(self._anchor) else self._anchor
+        off, spread = value - anchor, self._walk
         near, far = (_between(off, self.step, by * spread) for by in (1.0, 3.0))
         moved = min(max(abs(off), 0.3 * self.noise), 4.0 * spread)
         self._walk += (1.2 * moved - spread) / (30.0 * self._second)
-        junk = JUNK * min(self.step / self._span, 1.0)
-        return math.log((1.0 - self.pause) * (0.95 * near + 0.05 * far) + junk)
+        like, junk = 0.95 * near + 0.05 * far, JUNK * min(self.step / self._span, 1.0)
+        # A reading that says nothing is not where the next one starts, but two are.
+        self._anchor = anchor if like < junk and math.isnan(self._anchor) else math.nan
+        return math.log((1.0 - self.pause) * like + junk)
 
     def learn(self, value: float, seen: bool, gained: float) -> None:
         """Learn of this reading, whose log-probability was `gained`."""

@@ -16,7 +16,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from twinmatch.comparing import Candidate
-from twinmatch.dynamics import Plant
+from twinmatch.dynamics import Plant, PlantError
 from twinmatch.dynamics.pace import plant_scale
 from twinmatch.fitting import fit_session
 from twinmatch.forecasting import ArxForecast, Forecast
@@ -95,7 +95,11 @@ def backtest_outputs(
         from twinmatch.offline.channels import channel_health  # noqa: PLC0415 — plants with one loop need none
 
         tests = backtest_each(session, kind, choices, watch=part_of(watch, 0, 2))
-        health = channel_health(session, kind, watch=part_of(watch, 1, 2))
+        try:
+            health = channel_health(session, kind, watch=part_of(watch, 1, 2))
+        except PlantError as error:
+            note = f"the health of the channels is not judged: {error}"
+            return tuple(replace(test, notes=(*test.notes, note)) for test in tests)
         return tuple(replace(test, health=health) for test in tests)
 
 
