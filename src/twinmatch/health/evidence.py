@@ -176,6 +176,12 @@ class Competition:
         """Whether even the most careful of the levels does not doubt the equations enough."""
         return self.healthy.best == self.healthy.levels - 1
 
+    @property
+    def blind(self) -> bool:
+        """Whether the plant is better described by no equations, or by doubting them as far as possible."""
+        weights = np.exp(self.healthy.log_weights)
+        return bool(weights[-1] + weights[self.healthy.levels - 1] > 0.5)
+
     def believed(self, name: str) -> float:
         """The believed value of one of the numbers."""
         return float(self.healthy.members.at[self.healthy.best, self.healthy.numbers[name]])

@@ -25,6 +25,8 @@ class ChannelHealth:
     period: float
     """Sample time, s."""
     samples: int
+    unjudged: int
+    """Samples at which the equations described the plant too badly to accuse anything."""
     alarms: tuple[ChannelAlarm, ...]
     course: dict[str, list[tuple[int, float]]]
     """Of every cause, in words: at which samples it competed, and its evidence, nats."""
@@ -35,6 +37,7 @@ class ChannelHealth:
             "session": self.session,
             "plant": self.plant.name,
             "samples": self.samples,
+            "unjudged": self.unjudged,
             "alarms": [
                 {"fault": one.fault.value} | {name: finite(getattr(one, name)) for name in _WRITTEN}
                 for one in self.alarms
@@ -45,6 +48,9 @@ class ChannelHealth:
         """The alarms in words, or that there is none."""
         if not self.alarms:
             yield f"{self.session}: health: no fault in {self.samples} samples, in none of the channels"
+        if self.unjudged >= 0.01 * self.samples:
+            share = f"{self.unjudged / self.samples:.0%}"
+            yield f"{self.session}: health: at {share} of the samples the twin is too rough to judge by"
         for one in self.alarms:
             last = "to the end" if one.last is None else f"to {one.last * self.period:g} s"
             yield (
@@ -66,8 +72,10 @@ def channel_health(
         return None
     monitor = ChannelMonitor(plant.model(name).typical(), session.period)
     course: dict[str, list[tuple[int, float]]] = {}
+    unjudged = 0
     for done, sample in enumerate(session.samples):
         monitor.push(sample)
+        unjudged += monitor.competition.blind
         for one in monitor.found:
             if one.evidence > 0.0 and monitor.shows(one):
                 course.setdefault(monitor.sentences.called(one.cause), []).append(
@@ -76,5 +84,5 @@ def channel_health(
         if watch is not None and done % EVERY == 0:
             watch(done, len(session.samples))
     return ChannelHealth(
-        session.name, plant, session.period, len(session.samples), tuple(monitor.alarms), course
+        session.name, plant, session.period, len(session.samples), unjudged, tuple(monitor.alarms), course
     )

@@ -95,6 +95,7 @@ def test_the_command_shows_every_output(tmp_path: Path) -> None:
     (health,) = made["health"]
     (alarm,) = health["alarms"]
     assert (health["session"], health["samples"]) == ("kit", 1600)
+    assert 0 <= health["unjudged"] < 800
     assert (alarm["fault"], alarm["signal"], alarm["last"]) == ("sensor-drift", "second_temperature", None)
     assert (alarm["size"], alarm["rivals"]) == (pytest.approx(5.0, abs=0.5), [])
     assert 1538 <= alarm["first"] <= 1540 <= alarm["flagged"] <= 1545
