@@ -1,5 +1,4 @@
-"""A bank of hypotheses about plants with several inputs and outputs, beside the monitor of one loop.
+"""Simulated kits with two loops, to which things happen, and what the monitor of several signals says.
 
-`kernels` moves filters and traces on, `hypotheses` is the table of what may happen, `evidence` weighs it,
-`monitor` names it. `python -m benchmarks.bank 6` shows what is said of simulated kits with two heaters.
+`python -m benchmarks.bank 6` makes the table.
 """

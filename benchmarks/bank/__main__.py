@@ -1,4 +1,4 @@
-"""What a bank says of simulated kits with two heaters.
+"""What the monitor of several signals says of simulated kits with two heaters.
 
     python -m benchmarks.bank 6 --seed 3
     python -m benchmarks.bank 2 --only "T1 +5 °C" --verbose
@@ -16,20 +16,20 @@ import time
 import numpy as np
 
 from benchmarks.bank.kits import BEGINS, ENDS, MISHAPS, SIZE, run, typical
-from benchmarks.bank.monitor import Alarm, BankMonitor
-from twinmatch.health import Fault
+from twinmatch.health.channels import ChannelAlarm, ChannelMonitor
+from twinmatch.health.faults import Fault
 
 
-def watched(seed: int, mishap: str) -> tuple[list[Alarm], float]:
+def watched(seed: int, mishap: str) -> tuple[list[ChannelAlarm], float]:
     """The alarms of a run, and what a sample costs, µs."""
-    monitor, samples = BankMonitor(typical(), 1.0), list(run(seed, mishap))
+    monitor, samples = ChannelMonitor(typical(), 1.0), list(run(seed, mishap))
     began = time.process_time()
     for sample in samples:
         monitor.push(sample)
     return monitor.alarms, 1e6 * (time.process_time() - began) / SIZE
 
 
-def row(mishap: str, runs: list[list[Alarm]]) -> str:
+def row(mishap: str, runs: list[list[ChannelAlarm]]) -> str:
     """What was said of all runs with a mishap."""
     (name, signal), delays, wrong, none, early = MISHAPS[mishap], list[int](), 0, 0, 0
     for alarms in runs:
@@ -38,7 +38,7 @@ def row(mishap: str, runs: list[list[Alarm]]) -> str:
         first = next((a for a in named if BEGINS <= a.flagged < ENDS), None)
         if first is None:
             none += 1
-        elif first.fault.value == name and signal in {None, first.signal}:
+        elif (first.fault.value, first.signal) == (name, signal):
             delays.append(first.flagged - BEGINS)
         else:
             wrong += 1
@@ -62,7 +62,7 @@ def main() -> None:
             runs.append(alarms)
             costs.append(cost)
             for a in alarms if options.verbose else ():
-                near = ", ".join(f"{f.cause[0].name} {f.cause[1]} {f.evidence:.1f}" for f in a.found[:4])
+                near = ", ".join(f"{f.cause[0].value} {f.cause[1]} {f.evidence:.1f}" for f in a.found[:4])
                 print(
                     f"  {seed} {a.flagged} {a.fault.value} {a.signal} since {a.first}, over {a.last}: {near}"
                 )

@@ -12,15 +12,15 @@ from twinmatch.dynamics.simulation import readings
 from twinmatch.plants.tclab import RESOLUTION, TCLabBoth
 from twinmatch.signals import Sample
 
-STRUCTURE = "sensor lags, radiation"
 BEGINS, ENDS, SIZE = 1500, 2400, 3000
 """When something happens, when it is over, and when the run is, s."""
 MISHAPS = {
     "nothing": (None, None),
-    "T1 +5 °C": ("sensor-drift", 0), "T2 +5 °C": ("sensor-drift", 1), "T1 -3 °C": ("sensor-drift", 0),
-    "Q1 × 0": ("drive-lost", 0), "Q2 × 0": ("drive-lost", 1),
-    "Q1 × 0.8": ("drive-weak", 0), "Q2 × 0.8": ("drive-weak", 1),
-    "losses × 2.5": ("losses-changed", None), "T1 frozen": ("sensor-frozen", 0),
+    "T1 +5 °C": ("sensor-drift", "temperature"), "T2 +5 °C": ("sensor-drift", "second_temperature"),
+    "T1 -3 °C": ("sensor-drift", "temperature"),
+    "Q1 × 0": ("drive-lost", "power"), "Q2 × 0": ("drive-lost", "second"),
+    "Q1 × 0.8": ("drive-weak", "power"), "Q2 × 0.8": ("drive-weak", "second"),
+    "losses × 2.5": ("losses-changed", "losses"), "T1 frozen": ("sensor-frozen", "temperature"),
 }  # fmt: skip
 """What may happen; by what name, and of which channel, it is to be reported."""
 _NOISE = 0.043
@@ -28,7 +28,7 @@ _NOISE = 0.043
 
 def typical() -> Parameters:
     """What is known of the kit before it is seen."""
-    return TCLabBoth.model(STRUCTURE).typical()
+    return TCLabBoth.model(TCLabBoth.followed).typical()
 
 
 def run(seed: int, mishap: str, size: int = SIZE) -> Iterator[Sample]:

@@ -59,15 +59,18 @@ def run(options: argparse.Namespace) -> int:
     totals = _totals(tests)
     for total in totals if len(tests) > len(totals) else ():
         _print(total)
+    health = list(dict.fromkeys(each.health for each in tests if each.health))
     of_all = [document(total, forecasts=False) for total in totals]
     write_json(
         options.json,
         lambda: {
             "sessions": [document(each) for each in tests],
             "total": of_all if of_all[1:] else of_all[0],
+            **({"health": [one.document() for one in health]} if health else {}),
         },
     )
     if options.figure is not None:
+        from twinmatch.showing.figures.channels import draw_channels  # noqa: PLC0415
         from twinmatch.showing.figures.drawing import save  # noqa: PLC0415 — matplotlib is slow
         from twinmatch.showing.figures.forecasts import draw_backtest  # noqa: PLC0415
 
@@ -78,6 +81,9 @@ def run(options: argparse.Namespace) -> int:
                 else options.figure.with_stem(f"{options.figure.stem}_{total.plant.output.name}")
             )
             save(draw_backtest(total), place)
+        for number, one in enumerate(health):
+            ending = f"_health_{number + 1}" if health[1:] else "_health"
+            save(draw_channels(one), options.figure.with_stem(options.figure.stem + ending))
     return exit_code(tested, len(sessions) - tested)
 
 
@@ -96,6 +102,8 @@ def _tested(path: Path, options: argparse.Namespace) -> tuple[Backtest, ...]:
         tests = backtest_outputs(path, choices, second=True, **judging(options, progress))
     for tested in tests:
         _print(tested)
+    for line in tests[0].health.lines() if tests[0].health else ():
+        print(line)
     return tests
 
 

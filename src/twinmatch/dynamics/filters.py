@@ -53,8 +53,8 @@ EXTRA = 6
 """How many these are."""
 
 
-class TrackerConstants(NamedTuple):
-    """Constants for m tracked parameters and a belief of n numbers."""
+class TrackedParameters(NamedTuple):
+    """How m parameters of a plant are tracked."""
 
     vector: FloatArray
     """Initial values of all parameters of the plant."""
@@ -68,6 +68,12 @@ class TrackerConstants(NamedTuple):
     """Lower limit of each parameter, in that form, shape (m,)."""
     most: FloatArray
     """Upper limit, shape (m,)."""
+
+
+class TrackerConstants(NamedTuple):
+    """Constants for a belief of n numbers."""
+
+    free: TrackedParameters
     keeps: FloatArray
     """Factor per period on each number: below 1 for those that fade, 1 for the others, shape (n,)."""
     rest: float
@@ -317,13 +323,13 @@ def follow(
 
 
 @compiled(inside=True)
-def _use(code: Code, fixed: TrackerConstants, at: FloatArray, vector: FloatArray, work: Work) -> None:
+def _use(code: Code, free: TrackedParameters, at: FloatArray, vector: FloatArray, work: Work) -> None:
     """Write the parameters of a belief into `vector`, and use them."""
     n = work.there.size - 1
-    for j in range(fixed.places.size):
+    for j in range(free.places.size):
         q = at[n + j]
-        start = fixed.vector[fixed.places[j]]
-        vector[fixed.places[j]] = start * math.exp(q) if fixed.logged[j] else start + q
+        start = free.vector[free.places[j]]
+        vector[free.places[j]] = start * math.exp(q) if free.logged[j] else start + q
     prepare(code, vector, work)
 
 
@@ -338,16 +344,17 @@ def track(
     `at`, shape (n,), are the means of the belief: states, parameters, and the places SHARE to RATE;
     `covariance`, shape (n, n), is theirs.
     """
-    m, size = fixed.places.size, at.size
+    free = fixed.free
+    m, size = free.places.size, at.size
     n = size - m - EXTRA
     offset, passing, rate = size + OFFSET, size + PASSING, size + RATE
     y, u, opened, rising = readings.output, readings.input, opening.drift, opening.rising
-    vector, inputs = fixed.vector.copy(), np.empty(1)
+    vector, inputs = free.vector.copy(), np.empty(1)
     work = work_for(code, vector)
     slope, reach, gain, noises = np.zeros(size), np.zeros(size), np.zeros(size), np.zeros(size)
     moved, there = np.zeros((n, size)), np.zeros(n)
     slope[offset] = slope[passing] = 1.0
-    _use(code, fixed, at, vector, work)
+    _use(code, free, at, vector, work)
     for k in range(u.size):
         given = readings.disturbances[k]
         call(code[OUTPUTS], at, inputs, given, work.p, work.b, work.seen)
@@ -355,8 +362,8 @@ def track(
         for i in range(n):
             slope[i] = work.shown[i]
         for j in range(m):
-            by = work.shown[n + fixed.which[j]]
-            slope[n + j] = by * vector[fixed.places[j]] if fixed.logged[j] else by
+            by = work.shown[n + free.which[j]]
+            slope[n + j] = by * vector[free.places[j]] if free.logged[j] else by
         innovation = y[k + 2] - work.seen[0] - at[offset] - at[passing]
         expected = _expected(covariance, slope, reach)
         variance, own = _weigh(y, k, innovation, expected, readings.noise[k], passing, covariance, reach)
@@ -365,9 +372,9 @@ def track(
         _take(covariance, slope, reach, innovation, variance, own, math.inf, at, gain)
         _correct_effects(slope, gain, innovation, variance, traces)
         for j in range(m):
-            at[n + j] = min(max(at[n + j], fixed.least[j]), fixed.most[j])
+            at[n + j] = min(max(at[n + j], free.least[j]), free.most[j])
         at[size + SHARE] = min(max(at[size + SHARE], -1.0), 1.0)
-        _use(code, fixed, at, vector, work)
+        _use(code, free, at, vector, work)
         way = _move_belief(code, fixed, at, vector, work, u[k], given, moved, there)
         for i in range(size):
             noises[i] = drift.each[i] ** 2 * fixed.period
@@ -382,7 +389,7 @@ def track(
                 covariance[rising, i] += covariance[rate, i] * fixed.period
             for i in range(size):
                 covariance[i, rising] += covariance[i, rate] * fixed.period
-            _use(code, fixed, at, vector, work)
+            _use(code, free, at, vector, work)
         _carry_effects(moved, there, traces.effects, fixed.keeps)
     return cost
 
@@ -414,7 +421,7 @@ def _move_belief(
 ) -> float:  # fmt: skip
     """Move a belief one period on; returns how far the equations move the output. `moved` gets the
     derivatives of the states by all of its numbers. A push moves them as far as the output shows them."""
-    n, m = there.size, fixed.places.size
+    free, n, m = fixed.free, there.size, fixed.free.places.size
     share, fading, push = at.size + SHARE, at.size + FADING, at.size + PUSH
     inputs = np.empty(1)
     shows = 0.0
@@ -424,12 +431,12 @@ def _move_belief(
     inputs[0] = fixed.rest + (u - fixed.rest) * (1.0 + at[share])
     call(code[OUTPUTS], at, inputs, d, work.p, work.b, work.seen)
     before = work.seen[0]
-    columns = _move(code, there, inputs, d, work, fixed.period, fixed.steps, fixed.which, moved)
+    columns = _move(code, there, inputs, d, work, fixed.period, fixed.steps, free.which, moved)
     call(code[OUTPUTS], there, inputs, d, work.p, work.b, work.seen)
     for i in range(n):
         for j in range(m):
-            if fixed.logged[j]:
-                moved[i, n + j] *= vector[fixed.places[j]]
+            if free.logged[j]:
+                moved[i, n + j] *= vector[free.places[j]]
         moved[i, share] = columns[i, m + n] * (u - fixed.rest)
         by_push = work.shown[i] / shows * fixed.period
         moved[i, fading] = moved[i, push] = by_push

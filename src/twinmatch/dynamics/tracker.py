@@ -28,12 +28,13 @@ from twinmatch.dynamics.filters import (
     Opening,
     Readings,
     Traces,
+    TrackedParameters,
     TrackerConstants,
 )
 from twinmatch.dynamics.pace import slow_scale
 from twinmatch.dynamics.plant import Parameters
 from twinmatch.dynamics.simulation import begin
-from twinmatch.signals import FloatArray
+from twinmatch.signals import BoolArray, FloatArray
 
 _PUSH_TIME: Final = 100.0
 """Time constant of the fading push, s."""
@@ -80,13 +81,93 @@ class Belief:
         return Belief(values, covariance)
 
 
+@dataclass(frozen=True)
+class Assumed:
+    """What is assumed of a plant's states, parameters and readings before it is seen."""
+
+    free: TrackedParameters
+    shown: BoolArray
+    """Whether an output shows a state, shape (n,)."""
+    first: FloatArray
+    """Initial standard deviations of states and parameters, shape (n + m,)."""
+    drift: FloatArray
+    """Their drift at a model error of one, per root of a second, shape (n + m,)."""
+    fading: FloatArray
+    """Initial standard deviation of the fading push on each output, shape (o,) …"""
+    stray: FloatArray
+    """… and its drift."""
+    swift: float
+    """Error of a movement of the output, as a share of it."""
+    keeps: tuple[float, float]
+    """Factors per period on a fading push and on a passing offset."""
+
+    @classmethod
+    def of(cls, parameters: Parameters, period: float) -> Assumed:
+        """For a plant that begins with these parameters; `period` is the sample time, s."""
+        model = parameters.model
+        free, declared, noise = model.structure.free, model.declared, model.noise
+        tracked = _tracked_parameters(parameters)
+        scales = np.array(
+            [1.0 if log else declared[k].scale for k, log in zip(free, tracked.logged, strict=True)]
+        )
+        state_scales = np.array([state.scale for state in model.declared_states])
+        slopes = model.kernels.slopes_at(
+            parameters.vector, begin(parameters, np.zeros(noise.size)), model.rest, model.disturbances
+        )[4]
+        with np.errstate(divide="ignore"):
+            seen = np.min(noise[:, np.newaxis] / np.abs(slopes), axis=0)
+        shown = np.isfinite(seen)
+        seen[~shown] = 0.0
+        scale = slow_scale(model.plant, period)
+        push_time, fading = _PUSH_TIME * scale, _MODEL_ERROR[3] * noise / period
+        drift = np.where(shown, _MODEL_ERROR[0] * seen, _MODEL_ERROR[1] * state_scales)
+        return cls(
+            free=tracked,
+            shown=shown,
+            first=np.concatenate([
+                np.where(shown, 3.0 * seen, 0.5 * state_scales),
+                np.where(tracked.logged, _LOG_SPREAD, _SPREAD * scales),
+            ]),
+            # A plant sampled faster is assumed to be faster.
+            drift=np.concatenate([drift / math.sqrt(period), _MODEL_ERROR[2] * scales / math.sqrt(scale)]),
+            fading=fading,
+            stray=fading * math.sqrt(2.0 / push_time),
+            swift=float(_MODEL_ERROR[4]),
+            keeps=(math.exp(-period / push_time), math.exp(-period / (_OFFSET_TIME * scale))),
+        )  # fmt: skip
+
+
+def _tracked_parameters(parameters: Parameters) -> TrackedParameters:
+    """The free parameters of a structure, positive ones without an upper bound as logarithms."""
+    free, declared = parameters.model.structure.free, parameters.model.declared
+    kernels, values = parameters.model.kernels, np.array([parameters[name] for name in free])
+    logged = np.array(
+        [declared[k].relative and parameters[k] > 0 and math.isinf(declared[k].most) for k in free], bool
+    )
+    bounds = np.array([declared[name].bounds for name in free]).reshape(-1, 2)
+    floor = np.maximum(bounds[:, 0], 0.01 * values)
+    # Limits lie outside the bounds: clipping a mean breaks its correlation with the other numbers.
+    width = bounds[:, 1] - bounds[:, 0]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        least = np.where(logged, np.log(floor / values), bounds[:, 0] - width - values)
+        most = np.where(logged, np.log(bounds[:, 1] / values), bounds[:, 1] + width - values)
+    return TrackedParameters(
+        vector=parameters.vector.copy(),
+        places=np.array([kernels.PARAMETERS.index(k) for k in free], dtype=np.int64),
+        which=np.array([kernels.UNKNOWN.index(k) for k in free], dtype=np.int64),
+        logged=logged,
+        least=least,
+        most=most,
+    )
+
+
 class Tracker:
     """Tracks one plant at several levels of assumed model error."""
 
     def __init__(self, parameters: Parameters, period: float, levels: tuple[float, ...]) -> None:
         """Begin with these parameters; `levels` are factors on the model error of a real rig."""
         model = parameters.model
-        free, declared = model.structure.free, model.declared
+        free = model.structure.free
         self.parameters = parameters
         self.free = free
         n, m = len(model.states), len(free)
@@ -96,64 +177,23 @@ class Tracker:
         self.share, self.offset, self.passing, self.fading, self.push, self.rate = (
             self.size + place for place in (SHARE, OFFSET, PASSING, FADING, PUSH, RATE)
         )
-        logged = [declared[k].relative and parameters[k] > 0 and math.isinf(declared[k].most) for k in free]
-        self.logged = np.array(logged)
-        self._scales = np.array(
-            [1.0 if log else declared[k].scale for k, log in zip(free, logged, strict=True)]
-        )
-        scale = slow_scale(model.plant, period)
-        push_time = _PUSH_TIME * scale
-        self._fixed = self._constants(period, push_time, _OFFSET_TIME * scale)
-        self.track = functools.partial(model.kernels.track, self._fixed)
-        noise = model.plant.output.noise
-        scales = np.array([state.scale for state in model.declared_states])
-        slopes = model.kernels.slopes_at(
-            parameters.vector, begin(parameters, 0.0), model.rest, model.disturbances
-        )
-        slope = slopes[4][0]
-        self._shown = slope != 0.0
-        seen = np.where(self._shown, noise / np.where(self._shown, np.abs(slope), 1.0), 0.0)
-        self._first = np.concatenate([
-            np.where(self._shown, 3.0 * seen, 0.5 * scales),
-            np.where(self.logged, _LOG_SPREAD, _SPREAD * self._scales),
-        ])  # fmt: skip
-        drift = np.zeros(self.size)
-        drift[:n] = np.where(self._shown, _MODEL_ERROR[0] * seen, _MODEL_ERROR[1] * scales)
-        drift[n : n + m] = _MODEL_ERROR[2] * self._scales / math.sqrt(scale)
-        drift[:n] /= math.sqrt(period)  # a plant sampled faster is assumed to be faster
-        self._fading = _MODEL_ERROR[3] * noise / period
-        drift[self.fading] = self._fading * math.sqrt(2.0 / push_time)
-        self.drifts = [Drift(level * drift, level * float(_MODEL_ERROR[4])) for level in levels]
-        self.none = no_traces(self.size)
-        self._levels = levels
-
-    def _constants(self, period: float, push_time: float, offset_time: float) -> TrackerConstants:
-        """What stays the same at all samples; times in seconds."""
-        parameters, free = self.parameters, self.free
-        model, kernels = parameters.model, parameters.model.kernels
-        values = np.array([parameters[name] for name in free])
-        bounds = np.array([model.declared[name].bounds for name in free])
-        floor = np.maximum(bounds[:, 0], 0.01 * values)
-        # Limits lie outside the bounds: clipping a mean breaks its correlation with the other numbers.
-        width = bounds[:, 1] - bounds[:, 0]
-        with np.errstate(invalid="ignore", divide="ignore"):
-            least = np.where(self.logged, np.log(floor / values), bounds[:, 0] - width - values)
-            most = np.where(self.logged, np.log(bounds[:, 1] / values), bounds[:, 1] + width - values)
-        keeps = np.ones(self.size)
-        keeps[self.fading] = math.exp(-period / push_time)
-        keeps[self.passing] = math.exp(-period / offset_time)
-        return TrackerConstants(
-            vector=parameters.vector.copy(),
-            places=np.array([kernels.PARAMETERS.index(k) for k in free], dtype=np.int64),
-            which=np.array([kernels.UNKNOWN.index(k) for k in free], dtype=np.int64),
-            logged=self.logged,
-            least=least,
-            most=most,
+        assumed = Assumed.of(parameters, period)
+        self.logged, self._shown, self._first = assumed.free.logged, assumed.shown, assumed.first
+        keeps, drift = np.ones(self.size), np.zeros(self.size)
+        keeps[self.fading], keeps[self.passing] = assumed.keeps
+        drift[: n + m], drift[self.fading] = assumed.drift, assumed.stray[0]
+        self._fading = float(assumed.fading[0])
+        self._fixed = TrackerConstants(
+            free=assumed.free,
             keeps=keeps,
             rest=float(model.plant.drive.rest),
             period=float(period),
             steps=2 * parameters.steps(period),  # parameters move, and a fast plant may become faster
         )
+        self.track = functools.partial(model.kernels.track, self._fixed)
+        self.drifts = [Drift(level * drift, level * assumed.swift) for level in levels]
+        self.none = no_traces(self.size)
+        self._levels = levels
 
     def begin(self, output: float, input: float, disturbances: FloatArray, level: int) -> Belief:
         """The belief at the first reading, after a given input."""
@@ -211,15 +251,15 @@ class Tracker:
 
     def expected(self, belief: Belief, disturbances: FloatArray) -> tuple[float, float]:
         """The reading that is expected next, and its variance without noise, in the output's unit."""
-        model, n, fixed = self.parameters.model, len(self.parameters.model.states), self._fixed
-        vector, x = fixed.vector.copy(), belief.values[:n]
-        vector[fixed.places] = [self.named(belief, name) for name in self.free]
+        model, n, free = self.parameters.model, len(self.parameters.model.states), self._fixed.free
+        vector, x = free.vector.copy(), belief.values[:n]
+        vector[free.places] = [self.named(belief, name) for name in self.free]
         output = model.kernels.outputs_at(vector, x, model.rest, disturbances)[0][0]
         shown = model.kernels.slopes_at(vector, x, model.rest, disturbances)
         slope = np.zeros(self.size)
         slope[:n], slope[[self.offset, self.passing]] = shown[4][0], 1.0
-        slope[n : n + len(self.free)] = shown[5][0, fixed.which] * np.where(
-            self.logged, vector[fixed.places], 1.0
+        slope[n : n + len(self.free)] = shown[5][0, free.which] * np.where(
+            self.logged, vector[free.places], 1.0
         )
         offset = belief.values[self.offset] + belief.values[self.passing]
         return float(output + offset), float(slope @ belief.covariance @ slope)

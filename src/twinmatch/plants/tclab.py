@@ -217,7 +217,7 @@ class TCLabBoth(TCLab, name="tclab-both"):
     title = "Temperature Control Lab, both heaters"
     surroundings = "room and draught"
     parts = (_LAG, _RADIATION, _DEAD)
-    followed = ""
+    followed = "sensor lags, radiation"
     loop = None  # type: ignore[assignment]  # no one-loop law fits
 
     second = Drive(unit="%", limits=(0.0, 100.0), noise=2.0, text="heater 2", symbol="Q₂")

@@ -81,6 +81,7 @@ def test_the_command_shows_every_output(tmp_path: Path) -> None:
     u = np.repeat([[30.0, 20.0], [50.0, 20.0], [50.0, 45.0], [20.0, 45.0]], 400, axis=0)
     run = simulate_driven(kit, u, states=begin(kit, [30.0, 28.0]))
     y = run.outputs + 0.1 * np.random.default_rng(2).standard_normal(u.shape)
+    y[1540:, 1] += 5.0
     path, card = tmp_path / "kit", tmp_path / "card.json"
     write_session(path, samples_of(Window(np.zeros_like(u), y, u)), records=records)
     done = run_twinmatch("backtest", path, "--json", card, "--figure", tmp_path / "card.png", "--horizon", 60)
@@ -91,6 +92,16 @@ def test_the_command_shows_every_output(tmp_path: Path) -> None:
     assert [one["name"] for one in made["total"]] == ["kit, temperature", "kit, second_temperature"]
     assert (tmp_path / "card.png").is_file()
     assert (tmp_path / "card_second_temperature.png").is_file()
+    (health,) = made["health"]
+    (alarm,) = health["alarms"]
+    assert (health["session"], health["samples"]) == ("kit", 1600)
+    assert 0 <= health["unjudged"] < 800
+    assert (alarm["fault"], alarm["signal"], alarm["last"]) == ("sensor-drift", "second_temperature", None)
+    assert (alarm["size"], alarm["rivals"]) == (pytest.approx(5.0, abs=0.5), [])
+    assert 1538 <= alarm["first"] <= 1540 <= alarm["flagged"] <= 1545
+    assert f"kit: health: sensor-drift from {alarm['first']} s to the end, reported at" in done.stdout
+    assert f"{alarm['flagged']} s: {alarm['reason']}" in done.stdout
+    assert (tmp_path / "card_health.png").is_file()
     refused = run_twinmatch("backtest", path, "--config", "config/twin.yaml")
     assert "has several loops, and its twin is fitted to the session itself" in refused.stderr
     verdicts = run_twinmatch("replay", path)

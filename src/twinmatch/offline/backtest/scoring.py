@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -15,6 +15,9 @@ from twinmatch.errors import TwinmatchError
 from twinmatch.forecasting import Band, Forecast
 from twinmatch.record import finite
 from twinmatch.signals import BoolArray, FloatArray, Window, rms
+
+if TYPE_CHECKING:
+    from twinmatch.offline.channels import ChannelHealth
 
 PEERS: Final = {"persistence": "persistence", "arx": "ARX"}
 """Names in tables and figures of the forecasts that need no twin: those of `BASELINES`."""
@@ -305,6 +308,8 @@ class Backtest:
     """Consecutive forecasts of the leader, for a figure."""
     notes: tuple[str, ...] = ()
     """Sentences on what was left out and why."""
+    health: ChannelHealth | None = None
+    """Of the whole plant, if it has several channels."""
 
     @cached_property
     def cards(self) -> list[Card]:
@@ -341,6 +346,7 @@ def over_all(tests: Sequence[Backtest]) -> Backtest:
         marked=tuple(marked),
         pictured=first.name,
         notes=tuple(f"{each.name}: {note}" for each in tests for note in each.notes),
+        health=None,
     )
 
 

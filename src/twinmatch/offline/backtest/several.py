@@ -16,7 +16,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from twinmatch.comparing import Candidate
-from twinmatch.dynamics import Plant
+from twinmatch.dynamics import Plant, PlantError
 from twinmatch.dynamics.pace import plant_scale
 from twinmatch.fitting import fit_session
 from twinmatch.forecasting import ArxForecast, Forecast
@@ -46,7 +46,7 @@ from twinmatch.offline.judging import Watch, terms_from_files
 from twinmatch.offline.processes import beside
 from twinmatch.plants import Peltier, plant_named
 from twinmatch.sessions import Session
-from twinmatch.sessions.files import ProgressCallback
+from twinmatch.sessions.files import ProgressCallback, part_of
 from twinmatch.signals import Window, stretches
 from twinmatch.twin import Forecaster, ForecastSettings
 from twinmatch.twin.matcher import one_thread
@@ -92,7 +92,15 @@ def backtest_outputs(
                 f"backtest: {kind.title} has several loops, and its twin is fitted to the session itself; "
                 "leave out --config and --candidates"
             )
-        return backtest_each(session, kind, choices, watch=watch)
+        from twinmatch.offline.channels import channel_health  # noqa: PLC0415 — plants with one loop need none
+
+        tests = backtest_each(session, kind, choices, watch=part_of(watch, 0, 2))
+        try:
+            health = channel_health(session, kind, watch=part_of(watch, 1, 2))
+        except PlantError as error:
+            note = f"the health of the channels is not judged: {error}"
+            return tuple(replace(test, notes=(*test.notes, note)) for test in tests)
+        return tuple(replace(test, health=health) for test in tests)
 
 
 def backtest_session(path: Path, choices: Choices | None = None, **options: Any) -> Backtest:

@@ -1,0 +1,229 @@
+"""Alarms by channel of a plant with several signals: which hypothesis is named, and when it is over."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from twinmatch.dynamics import Parameters
+from twinmatch.health.channel_sentences import ChannelSentences
+from twinmatch.health.evidence import Competition, Suspect
+from twinmatch.health.faults import Fault
+from twinmatch.health.hypotheses import ChangeRow
+from twinmatch.signals import Sample
+
+CHANGE: Final = 3.0
+"""Evidence from which a change is reported, nats …"""
+LEAD: Final = 4.0
+"""… and by how much it must lead every other cause to be named."""
+_HOLDS: Final = 3
+"""Samples in a row in which it leads."""
+_UNNAMED: Final = 60.0
+"""Time to wait for a name before an unnamed change is reported, s."""
+_START: Final = 30.0
+"""Time after a gap in which nothing is reported, s."""
+_YOUNG: Final = 120.0
+"""Time after the first sample in which only a lost drive is named, s …"""
+_LEARNED: Final = 600.0
+"""… and from which on the plant's parameters are known well enough to say that they have changed."""
+_SLOW: Final = frozenset({Fault.LOSSES_CHANGED, Fault.ROOM_CHANGED, Fault.DRIVE_WEAK, Fault.DRIFT})
+"""Changes of parameters."""
+_SIZED: Final = 30.0
+"""Age at which the size of a drive's effect is known: before, a weak one may be a lost one, s."""
+_PASSED: Final = 15.0
+"""Time for which a push that has passed is shown, s."""
+_LEFT: Final = 0.4
+"""Share of a change that may remain when it counts as over."""
+_FADED: Final = 0.3
+"""Share of a push from which on it has passed."""
+_ALL: Final = -0.8
+"""Excess of a drive's effect from which on it is lost."""
+
+
+@dataclass(frozen=True)
+class ChannelAlarm:
+    """One fault of one signal, from its beginning to its end."""
+
+    fault: Fault
+    signal: str
+    """Name of the drive, output or parameter in the plant file; for `DRIFT`, of the likeliest."""
+    size: float
+    """Of a drive's effect what is left, as a share; losses as a factor; of readings and room the change, in
+    their unit; NaN for the others."""
+    first: int
+    """Sample at which it began."""
+    flagged: int
+    """Sample at which it was reported."""
+    last: int | None
+    """Last sample; None while it lasts."""
+    reason: str
+    """One plain sentence with numbers."""
+    rivals: tuple[str, ...]
+    """What the samples did not tell apart from it, in words; empty for a named fault."""
+    found: tuple[Suspect, ...]
+    """What competed when it was reported, the best first."""
+
+
+class ChannelMonitor:
+    """Watches one plant with any number of inputs and outputs."""
+
+    def __init__(self, parameters: Parameters, period: float) -> None:
+        """Begin with typical parameters and the sample time, s."""
+        self.competition = Competition(parameters, period)
+        self.alarms: list[ChannelAlarm] = []
+        self.found: list[Suspect] = []
+        """What competes now, the best first."""
+        self.sentences = ChannelSentences(parameters.model)
+        self._standing: list[tuple[Fault, ChangeRow, float]] = []
+        self._spans = np.array([output.span for output in parameters.model.plant.outputs.values()])
+        self._values = self._spans.mean(axis=1)
+        self._begin = self._index = -2
+        self._leads: tuple[object, int] = (None, 0)
+        self._unnamed = 0
+
+    @property
+    def on(self) -> ChannelAlarm | None:
+        """The alarm that is on."""
+        return self.alarms[-1] if self.alarms and self.alarms[-1].last is None else None
+
+    def push(self, sample: Sample) -> None:
+        """Take one sample; judge the plant as it is now."""
+        if sample.index != self._index + 1:
+            self._begin = sample.index
+            self.competition.restart()
+        self._index = sample.index
+        read = np.array(sample.refused or sample.outputs)
+        possible = np.isfinite(read) & (read >= self._spans[:, 0]) & (read <= self._spans[:, 1])
+        seen = possible & sample.seen & (not sample.refused)
+        self._values = np.where(possible, read, self._values)
+        self.competition.push(sample, self._values, seen)
+        self.found = [f for f in map(self._lost_or_weak, self.competition.found()) if self._counts(f)]
+        self._judge(self.found)
+
+    def _lost_or_weak(self, f: Suspect) -> Suspect:
+        """A drive of which nearly nothing is left is lost, whatever it was taken for."""
+        if f.cause[0] is not Fault.DRIVE_WEAK:
+            return f
+        lost = f.shift + self.competition.believed(f.row.number) <= _ALL
+        return replace(f, cause=(Fault.DRIVE_LOST, f.cause[1])) if lost else f
+
+    def shows(self, f: Suspect) -> bool:
+        """Whether it shows: a sensor that repeats its reading is frozen once the plant should have moved."""
+        fault, output = f.cause
+        return fault is not Fault.SENSOR_FROZEN or self.competition.frozen(output, self._values[output])
+
+    def _counts(self, f: Suspect) -> bool:
+        """A push explains anything while it lasts; so it counts once it has passed."""
+        return f.cause[0] is not Fault.DISTURBANCE or self.competition.remains(f) < _FADED
+
+    def _judge(self, found: list[Suspect]) -> None:
+        bank, on = self.competition, self.on
+        if on is not None and self._over(on, found):
+            self._close()
+        if not found or found[0].evidence < CHANGE or bank.count < _START * bank.second:
+            self._leads, self._unnamed = (None, 0), 0
+            return
+        named = [f for f in found if f.cause[0] is not Fault.DRIFT]
+        if named and named[0].evidence > found[0].evidence - LEAD:
+            found = named  # the unknown, which may act as anything does, counts only far ahead
+        best = found[0]
+        rivals = [f.evidence for f in found[1:] if self._rivals(f, best)]
+        leads = best.evidence - max([0.0, *rivals]) >= LEAD
+        self._leads = best.cause, self._leads[1] + 1 if self._leads[0] == best.cause else 1
+        if self._leads[1] < _HOLDS:
+            return
+        if leads and (best.cause[0] is Fault.SENSOR_FROZEN or self._known(best)):
+            self._name(best, found)
+        elif not leads:
+            self._unnamed += 1
+            enough = best.evidence >= 2.0 * CHANGE and self._unnamed > _UNNAMED * bank.second
+            if enough and self.on is None and bank.known >= _LEARNED:
+                self._raise(Fault.DRIFT, best, found)
+
+    def _over(self, on: ChannelAlarm, found: list[Suspect]) -> bool:
+        if on.fault is Fault.SENSOR_FROZEN:
+            return self.competition.sensors[on.found[0].cause[1]].repeats == 0
+        if on.fault is Fault.DISTURBANCE:
+            return self._index - on.flagged > _PASSED * self.competition.second
+        return on.fault is Fault.DRIFT and (not found or found[0].evidence < 0.0)
+
+    def _known(self, best: Suspect) -> bool:
+        """Whether a change that leads is to be named; if not, it is learned in silence."""
+        age = (self.competition.count - best.born) / self.competition.second
+        if best.cause[0] is Fault.DRIVE_WEAK and age < _SIZED:
+            return False
+        back = next((s for s in self._standing if self._undoes(best, s)), None)
+        if back is not None:
+            self._standing.remove(back)
+            if self.on is not None and self.on.fault is back[0]:
+                self._close()
+        wait = _LEARNED if best.cause[0] in _SLOW else _YOUNG
+        young = self.competition.known < wait and best.cause[0] is not Fault.DRIVE_LOST
+        if best.cause[0] in _SLOW and self.competition.rough:
+            return False
+        material = abs(best.shift) >= best.row.least
+        if back is None and material and not young:
+            return True
+        if back is not None or best.evidence > 2.0 * CHANGE:
+            self._adopt(best)
+        return False
+
+    @staticmethod
+    def _rivals(f: Suspect, best: Suspect) -> bool:
+        """Whether both cannot be said at once: a drive that is lost is weak, too, but not the reverse."""
+        weak = best.cause[0] is Fault.DRIVE_WEAK and f.cause[0] is Fault.DRIVE_LOST
+        return weak or f.row.number != best.row.number
+
+    @staticmethod
+    def _undoes(f: Suspect, standing: tuple[Fault, ChangeRow, float]) -> bool:
+        _, row, shift = standing
+        left = abs(shift + f.shift)
+        return row.number == f.row.number and left <= max(_LEFT * abs(shift), f.row.least)
+
+    def _name(self, best: Suspect, found: list[Suspect]) -> None:
+        fault, signal = best.cause
+        if fault is Fault.SENSOR_FROZEN:
+            if self.shows(best) and self.on is None:
+                self._raise(fault, best, found)
+            return
+        if fault is Fault.DRIFT or (fault is Fault.DRIVE_WEAK and best.shift > 0.0):
+            return  # what does more than before has no name
+        on = self.on
+        if on is None or (on.fault, on.found[0].cause[1]) != (fault, signal):
+            self._raise(fault, best, found)
+        if fault is not Fault.DISTURBANCE:
+            self._standing.append((fault, best.row, best.shift))
+        self._adopt(best)
+
+    def _adopt(self, best: Suspect) -> None:
+        """The plant is so from now on; what has changed may be undone."""
+        self.competition.adopt(best)
+        self._leads, self._unnamed = (None, 0), 0
+        self.competition.expect_back([
+            replace(row, shift=-size, spread=0.2 * abs(size), lasting=0.0, slowly=0.0, price=-2.0)
+            for _, row, size in self._standing
+        ])  # fmt: skip
+
+    def _raise(self, fault: Fault, best: Suspect, found: list[Suspect]) -> None:
+        if self.on is not None:
+            self._close()
+        first = min(self._begin + best.born, self._index)
+        near = [f for f in found if f.evidence > max(0.0, best.evidence - LEAD)]
+        rivals = tuple(dict.fromkeys(self.sentences.called(f.cause) for f in near))
+        signal, size, reason = self.sentences.said(fault, best, self._left(best), rivals)
+        self.alarms.append(
+            ChannelAlarm(
+                fault, signal, size, first, self._index, None, reason,
+                rivals if fault is Fault.DRIFT else (), tuple(found),
+            )
+        )  # fmt: skip
+
+    def _left(self, f: Suspect) -> float:
+        """What is left of a drive's effect, as a share; 1 for anything else."""
+        share = f.row.number.startswith("share ")
+        return max(1.0 + f.shift + self.competition.believed(f.row.number), 0.0) if share else 1.0
+
+    def _close(self) -> None:
+        self.alarms[-1] = replace(self.alarms[-1], last=self._index)

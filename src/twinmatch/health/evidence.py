@@ -1,0 +1,204 @@
+"""The competition: what the readings say for every change, beyond its price, against all that is healthy.
+
+Every change begins again every two seconds, in each level of the healthy mixture that counts; what it saves
+of the code of the readings since is its evidence.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from twinmatch.dynamics import Parameters
+from twinmatch.dynamics.bank import ChangeRows, ChangeTraces, Reading, spawn, step, tally
+from twinmatch.health.faults import Fault
+from twinmatch.health.hypotheses import ChangeRow, Named, rows_of
+from twinmatch.health.mixture import HealthyMixture
+from twinmatch.health.sensors import LearnedSensor
+from twinmatch.signals import BoolArray, FloatArray, Sample
+
+EVERY: Final = 2.0
+"""Time between two onsets, s."""
+_SLOTS: Final = 6
+"""Onsets of every change that are followed in each level."""
+_REACH: Final = 480.0
+"""Age after which an onset is forgotten, s."""
+_HOUR: Final = 3600.0
+_COUNTS: Final = math.log(0.01)
+"""Log-weight of a level from which on changes begin in it."""
+_INTERESTING: Final = -6.0
+"""Evidence below which a cause is not looked at, nats."""
+
+
+@dataclass(frozen=True)
+class Suspect:
+    """What is said of one cause."""
+
+    cause: Named
+    evidence: float
+    """Nats beyond its price."""
+    row: ChangeRow
+    shift: float
+    """Believed size of the change, in the number's unit …"""
+    error: float
+    """… and its standard deviation."""
+    born: int
+    """Samples since the last gap when it began."""
+    hypothesis: int
+    """Its place among the traces; −1: it has none."""
+
+
+class Competition:
+    """All hypotheses about one plant; push every sample."""
+
+    def __init__(self, parameters: Parameters, period: float) -> None:
+        """Begin with these parameters in the tracked structure; `period` is the sample time, s."""
+        self._model = parameters.model
+        self.healthy = HealthyMixture(parameters, period)
+        self.second = self.healthy.second
+        outputs = self._model.plant.outputs.values()
+        self.sensors = [LearnedSensor(output.noise, output.span, self.second) for output in outputs]
+        self._usual, self._suspected = rows_of(self._model), False
+        self.expect_back([])
+        self.restart()
+
+    @property
+    def known(self) -> float:
+        """Time since the beginning, in s of a plant as fast as the rig."""
+        return self.healthy.known / self.second
+
+    def restart(self) -> None:
+        """Start over after a gap, keeping what was learned about the plant."""
+        self.count = 0
+        """Samples since."""
+        self.healthy.restart()
+        for sensor in self.sensors:
+            sensor.restart()
+        self._clear()
+
+    def _clear(self) -> None:
+        """Changes begin from now on only."""
+        self._traces.born[:] = -1
+        self._totals[:] = -np.inf
+
+    def expect_back(self, back: list[ChangeRow]) -> None:
+        """Make the table of changes, with what may be undone, and room for their traces."""
+        self._rows = rows = [*self._usual, *back]
+        healthy, size = self.healthy, len(self.healthy.numbers)
+        count = healthy.levels * len(rows) * _SLOTS
+        self._traces = ChangeTraces(
+            np.full(count, -1, dtype=np.int64), np.zeros((count, size)), *(np.zeros(count) for _ in range(6))
+        )
+        self._causes = list(dict.fromkeys(row.cause for row in rows))
+        each = {cause: sum(math.exp(-r.price) for r in rows if r.cause == cause) for cause in self._causes}
+        once = len(self._causes) * _HOUR / EVERY
+        spread, period, scale = np.array([row.spread for row in rows]), healthy.period, healthy.scale
+        lasting = np.array([round(row.lasting * self.second) for row in rows], dtype=np.int64)
+        self._table = ChangeRows(
+            number=np.array([healthy.numbers[row.number] for row in rows], dtype=np.int64),
+            cause=np.array([self._causes.index(row.cause) for row in rows], dtype=np.int64),
+            rate=np.array([period / (row.slowly * scale) if row.slowly else 0.0 for row in rows]),
+            wanders=np.array([row.wanders for row in rows]) ** 2 * 2.0 * period / (30.0 * scale),
+            diffusion=np.where(lasting > 0, 0.5 * spread**2 / np.maximum(lasting, 1), 0.0),
+            lasting=lasting,
+            shift=np.array([row.shift for row in rows]),
+            spread=np.where(lasting > 0, math.sqrt(0.5), 1.0) * spread,
+            mass=np.array([math.exp(-row.price) / each[row.cause] / once for row in rows]),
+            whole=np.array([row.cause[0] is Fault.DRIVE_LOST and row.shift == -1.0 for row in rows]),
+        )
+        self._totals = np.full(len(self._causes), -np.inf)
+        self._likeliest = np.zeros(len(self._causes), dtype=np.int64)
+
+    def push(self, sample: Sample, values: FloatArray, seen: BoolArray) -> None:
+        """Take the readings of a sample, and which of them count."""
+        healthy, sensors, table, traces = self.healthy, self.sensors, self._table, self._traces
+        reach = round(_REACH * self.second)
+        if self.count and self.count % max(1, round(EVERY * self.second)) == 0:
+            if not self._suspected and healthy.choose_way():
+                self._clear()
+            weights = healthy.log_weights[: healthy.levels].copy()
+            weights[-1] = -np.inf  # if not even the last but one is careful enough, nobody is accused
+            spawn(traces, table, healthy.members.at, weights, _COUNTS, reach, self.count)
+        row, u = self._model.disturbance_row(sample.disturbances or None), np.array(sample.inputs)
+        healthy.open(values, u, row)
+        readings = list(zip(sensors, values.tolist(), seen.tolist(), strict=True))
+        for sensor, value, counts in readings:
+            sensor.read(value, counts)
+        learned = np.array(
+            [(one.repeated, one.noise, one.step, one.pause, one.variance) for one in sensors]
+        ).T
+        repeated, noise, digit, pause, variance = learned
+        given = Reading(values, seen, repeated, noise, digit, pause, healthy.acting(u), row)
+        code, levels = self._model.kernels.code, healthy.levels
+        step(code, healthy.fixed, healthy.members, traces, table, levels, given, self.count)
+        gained = healthy.members.gained[healthy.best].tolist()
+        total = healthy.weigh(
+            sum(one.walked(y, on, g) for (one, y, on), g in zip(readings, gained, strict=True))
+        )
+        tally(traces, table, levels, total, healthy.doubts, self.count, self._totals, self._likeliest)
+        healthy.score_forecasts(self.count, values, seen, variance, reach)
+        gained = healthy.members.gained[healthy.best].tolist()
+        for (sensor, value, counts), nats in zip(readings, gained, strict=True):
+            sensor.learn(value, counts, nats)
+        self.count += 1
+        healthy.known += 1
+
+    def found(self) -> list[Suspect]:
+        """Every cause with its evidence, the best first."""
+        dear, healthy, suspects = 2.0 * math.log(1.0 + self.known / _HOUR), self.healthy, []
+        for c in np.flatnonzero(self._totals >= _INTERESTING + dear):
+            t = int(self._likeliest[c])
+            row, born = self._rows[t // _SLOTS % len(self._rows)], int(self._traces.born[t])
+            slowly = row.slowly * healthy.scale
+            share = min((self.count - born) * healthy.period / slowly, 1.0) if slowly else 1.0
+            shift, error = float(self._traces.mean[t]), math.sqrt(self._traces.variance[t])
+            evidence = float(self._totals[c]) - dear
+            suspects.append(Suspect(self._causes[c], evidence, row, shift * share, error * share, born, t))
+        for i, sensor in enumerate(self.sensors):
+            evidence = sensor.frozen - math.log(_HOUR * self.second) - dear
+            if evidence >= _INTERESTING:
+                row, born = ChangeRow((Fault.SENSOR_FROZEN, i), ""), self.count - sensor.repeats
+                suspects.append(Suspect(row.cause, evidence, row, 0.0, 0.0, born, -1))
+        suspects.sort(key=lambda one: -one.evidence)
+        self._suspected = bool(suspects) and suspects[0].evidence > 0.0
+        return suspects
+
+    def frozen(self, output: int, value: float) -> bool:
+        """Whether a reading is far from a forecast that was made before it began to repeat itself."""
+        sensor = self.sensors[output]
+        return self.healthy.missed(self.count - 1 - sensor.repeats, output, value, sensor.variance)
+
+    @property
+    def rough(self) -> bool:
+        """Whether even the most careful of the levels does not doubt the equations enough."""
+        return self.healthy.best == self.healthy.levels - 1
+
+    @property
+    def blind(self) -> bool:
+        """Whether the plant is better described by no equations, or by doubting them as far as possible."""
+        weights = np.exp(self.healthy.log_weights)
+        return bool(weights[-1] + weights[self.healthy.levels - 1] > 0.5)
+
+    def believed(self, name: str) -> float:
+        """The believed value of one of the numbers."""
+        return float(self.healthy.members.at[self.healthy.best, self.healthy.numbers[name]])
+
+    def remains(self, one: Suspect) -> float:
+        """Share of a jump of the number that has not faded."""
+        return float(self._traces.trace[one.hypothesis, self.healthy.numbers[one.row.number]])
+
+    def adopt(self, one: Suspect) -> None:
+        """Take a change for how the plant is, in every healthy member by its own trace."""
+        traces, members, row = self._traces, self.healthy.members, one.hypothesis // _SLOTS % len(self._rows)
+        for b in range(self.healthy.healthy):
+            begin = (b * len(self._rows) + row) * _SLOTS
+            own = range(begin, begin + _SLOTS) if b < self.healthy.levels else ()
+            mine = [t for t in own if traces.born[t] >= 0]
+            t = min(mine, key=lambda t: abs(traces.born[t] - one.born), default=one.hypothesis)
+            members.at[b] += traces.trace[t] * traces.mean[t]
+            members.covariance[b] += np.outer(traces.trace[t], traces.trace[t]) * traces.variance[t]
+        self._clear()
+        self.healthy.forget_newest()

@@ -1,0 +1,101 @@
+"""What is learned of a sensor from its readings: noise, last digit, pauses, and long repeats."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from twinmatch.dynamics.bank import JUNK
+
+_SECOND: Final = 1.954
+"""Mean size of the second difference of white noise, in its standard deviation."""
+_STANDS: Final = math.log(1.0 - 1e-4)
+"""Log-probability with which a frozen sensor repeats its reading."""
+_MOVES: Final = 20
+"""Movements of a reading after which its last digit is known."""
+
+
+class LearnedSensor:
+    """Learns of one output; numbers are in its unit."""
+
+    def __init__(self, noise: float, span: tuple[float, float], second: float) -> None:
+        """Begin with the plant file's noise; `second`: samples in a second of a plant as fast as the rig."""
+        self._usual, self._span, self._second = noise, span[1] - span[0], second
+        self.noise, self.step = noise, 0.1 * noise
+        """Standard deviation, and the last digit."""
+        self._rough, self._walk = noise * _SECOND, 2.0 * noise
+        self._smallest, self._moves = math.inf, 0
+        self._pauses = [[1.0, 50.0], [2.0, 4.0]]  # repeats and readings, after a new one and after a repeat
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin again after a gap, keeping what was learned."""
+        self._before = self._earlier = self._anchor = math.nan
+        self._counted = self._pauses[0]
+        self.repeated = False
+        """Whether the reading is the one before."""
+        self.repeats, self.frozen = 0, 0.0
+        """How often in a row, and what that says for a frozen sensor, nats."""
+
+    @property
+    def variance(self) -> float:
+        """That of a reading, with its rounding."""
+        return self.noise**2 + self.step**2 / 12.0
+
+    def read(self, value: float, seen: bool) -> None:
+        """Take a reading, and whether it counts."""
+        self._counted = self._pauses[self.repeated]
+        self.repeated = seen and value == self._before
+
+    @property
+    def pause(self) -> float:
+        """Probability that it repeats this reading, or might have, whatever the plant does."""
+        return self._counted[0] / self._counted[1]
+
+    def walked(self, value: float, seen: bool, gained: float) -> float:
+        """Log-probability of the reading without equations: it is like the one before. A repeat says nothing
+        of a display with coarse steps: it counts as the equations say, `gained`."""
+        if self.repeated:
+            return gained
+        if not seen or math.isnan(self._before):
+            return 0.0
+        anchor = self._before if math.isnan(self._anchor) else self._anchor
+        off, spread = value - anchor, self._walk
+        near, far = (_between(off, self.step, by * spread) for by in (1.0, 3.0))
+        moved = min(max(abs(off), 0.3 * self.noise), 4.0 * spread)
+        self._walk += (1.2 * moved - spread) / (30.0 * self._second)
+        like, junk = 0.95 * near + 0.05 * far, JUNK * min(self.step / self._span, 1.0)
+        # A reading that says nothing is not where the next one starts, but two are.
+        self._anchor = anchor if like < junk and math.isnan(self._anchor) else math.nan
+        return math.log((1.0 - self.pause) * like + junk)
+
+    def learn(self, value: float, seen: bool, gained: float) -> None:
+        """Learn of this reading, whose log-probability was `gained`."""
+        if self.repeated:
+            self.repeats, self.frozen = self.repeats + 1, self.frozen + _STANDS - gained
+        elif seen:
+            self.repeats, self.frozen = 0, 0.0
+        earlier, before = self._earlier, self._before
+        self._earlier, self._before = before, value if seen else math.nan
+        if not seen or math.isnan(before):
+            return
+        if self.repeats < 10:
+            self._counted[0] += 0.5 * self.repeated
+            self._counted[1] += 1.0
+            if self._counted[1] > 500.0:
+                self._counted[:] = 0.5 * self._counted[0], 0.5 * self._counted[1]
+        moved = abs(value - before)
+        if moved > 1e-9:
+            self._moves, self._smallest = self._moves + 1, min(self._smallest, moved)
+            if self._moves >= _MOVES:
+                self.step = min(self._smallest, 30.0 * self._usual)
+        if not math.isnan(earlier):
+            rough = min(abs(value - 2.0 * before + earlier), 3.0 * self._rough)
+            self._rough += (rough - self._rough) / 100.0
+        self.noise = min(max(self._rough / _SECOND, 0.3 * self._usual), 1.5 * self._usual)
+
+
+def _between(off: float, digit: float, spread: float) -> float:
+    """Probability that a normal value rounds to a reading that is `off` from its mean."""
+    low, high = ((off + side * digit) / (math.sqrt(2.0) * spread) for side in (-0.5, 0.5))
+    return 0.5 * (math.erf(high) - math.erf(low))

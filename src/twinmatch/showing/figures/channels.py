@@ -1,0 +1,55 @@
+"""What competed to explain the readings of a plant with several channels, what led, and when."""
+
+from __future__ import annotations
+
+from itertools import cycle
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from twinmatch.comparing import TrustLevel
+from twinmatch.health.channels import CHANGE
+from twinmatch.offline.channels import ChannelHealth
+from twinmatch.showing.figures.drawing import empty, legend_above, new_figure, styled
+from twinmatch.showing.style import CLOSED, DRIVEN, LEVELS, MODEL, ORDERS, SET_POINT
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_MOST: Final = 8
+"""Causes that are drawn: those with the most evidence."""
+_COLOURS: Final = (CLOSED, *ORDERS, DRIVEN, MODEL)
+
+
+@styled
+def draw_channels(health: ChannelHealth) -> Figure:
+    """Evidence of every cause over time, and the alarms as bars above."""
+    figure = new_figure(10, 4.2)
+    axes = figure.add_subplot()
+    if not health.course:
+        empty(axes, "nothing explained the readings better than a healthy plant")
+        return figure
+    most = sorted(health.course, key=lambda name: -max(nats for _, nats in health.course[name]))[:_MOST]
+    for name, colour, line in zip(most, cycle(_COLOURS), cycle(("-", "--", ":")), strict=False):
+        samples, nats = np.array(health.course[name]).T
+        broken = np.diff(samples, prepend=samples[0]) > 1
+        axes.plot(
+            np.insert(samples, np.flatnonzero(broken), np.nan) * health.period,
+            np.insert(nats, np.flatnonzero(broken), np.nan), color=colour, ls=line, label=name,
+        )  # fmt: skip
+    axes.axhline(CHANGE, color=SET_POINT, lw=0.8)
+    axes.set_yscale("symlog", linthresh=10.0)
+    for one in health.alarms:
+        last = health.samples if one.last is None else one.last
+        axes.axvspan(
+            one.first * health.period, last * health.period, color=LEVELS[TrustLevel.FAULT], alpha=0.1, lw=0
+        )
+        text = f"{one.fault.value}\n{one.signal}"
+        axes.annotate(
+            text, (one.flagged * health.period, 1.0), xycoords=("data", "axes fraction"), size=7, va="top"
+        )
+    axes.set_xlim(0.0, health.samples * health.period)
+    axes.set_xlabel("time since the session began / s")
+    axes.set_ylabel("evidence beyond its price / nats")
+    legend_above(axes, 4)
+    return figure

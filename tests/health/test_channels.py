@@ -1,0 +1,128 @@
+"""Faults of plants with two loops, channel by channel: on simulated kits, and on recordings of real ones."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from itertools import islice
+
+import numpy as np
+import pytest
+from scipy.stats import binom
+
+from benchmarks.bank.kits import BEGINS, run, typical
+from tests.support.recorded_kits import kit_rows
+from twinmatch.health import Fault
+from twinmatch.health.channels import ChannelMonitor
+from twinmatch.health.evidence import Competition
+from twinmatch.signals import Sample
+
+WIDE = ("T1", "T2", "Q1", "Q2")
+TITLES = {
+    "two_heaters_600s": (
+        " Temperature 1 (degC)", " Temperature 2 (degC)", " Heater 1 (%)", " Heater 2 (%)",
+    ),
+}  # fmt: skip
+
+
+def recorded(folder: str, name: str, period: float = 1.0) -> Iterator[Sample]:
+    """The samples of a real kit."""
+    titles = TITLES.get(name, WIDE)
+    for k, row in enumerate(kit_rows(folder, name)):
+        y1, y2, u1, u2 = (row[title] for title in titles)
+        yield Sample(k, round(k * period * 1e9), (0.0, 0.0), (y1, y2), (u1, u2))
+
+
+def watched(samples: Iterator[Sample], size: int, period: float = 1.0) -> ChannelMonitor:
+    """A monitor that has taken so many samples."""
+    monitor = ChannelMonitor(typical(), period)
+    for sample in islice(samples, size):
+        monitor.push(sample)
+    return monitor
+
+
+def changed(sample: Sample, signal: str, channel: int, factor: float = 1.0, more: float = 0.0) -> Sample:
+    """The sample with another output or input of one channel."""
+    values = {"outputs": list(sample.outputs), "inputs": list(sample.inputs)}
+    values[signal][channel] = factor * values[signal][channel] + more
+    given, read = tuple(values["inputs"]), tuple(values["outputs"])
+    return Sample(sample.index, sample.stamp, sample.references, read, given)
+
+
+def test_a_sensor_that_is_off_is_named_with_its_channel() -> None:
+    """Twenty-five minutes of steps in both loops, and nothing is said; then T2 reads 5 °C too much, and the
+    loop cools what it takes for too warm."""
+    (alarm,) = watched(run(21, "T2 +5 °C"), BEGINS + 15).alarms
+    assert (alarm.fault, alarm.signal, alarm.last) == (Fault.SENSOR_DRIFT, "second_temperature", None)
+    assert alarm.first >= BEGINS - 2  # onsets are two seconds apart
+    assert abs(alarm.size - 5.0) < 1.0
+    assert alarm.reason.startswith("the readings of temperature T2 are off by about +")
+    assert alarm.rivals == ()
+
+
+def test_a_lost_heater_is_named_with_its_channel() -> None:
+    (alarm,) = watched(run(24, "Q2 × 0"), BEGINS + 45).alarms
+    assert (alarm.fault, alarm.signal, alarm.last) == (Fault.DRIVE_LOST, "second", None)
+    assert alarm.size < 0.2
+
+
+def test_an_offset_in_a_real_open_loop_is_named_within_five_samples_and_nothing_before() -> None:
+    samples, at = recorded("tclab_2x2", "prbs_open_loop"), 2500
+    monitor = watched(samples, at)
+    assert monitor.alarms == []
+    for sample in islice(samples, 6):
+        monitor.push(changed(sample, "outputs", 1, more=-5.0))
+    (alarm,) = monitor.alarms
+    assert (alarm.fault, alarm.signal) == (Fault.SENSOR_DRIFT, "second_temperature")
+    assert at <= alarm.flagged <= at + 5
+    assert abs(alarm.size + 5.0) < 0.5
+
+
+def test_a_real_heater_of_which_half_arrives_is_named_and_nothing_before() -> None:
+    """From then on the table has twice the power that reached the heater of a real closed loop."""
+    samples, at = recorded("tclab_2x2", "closed_loop_lqg"), 2500
+    monitor = watched(samples, at)
+    assert monitor.alarms == []
+    for sample in islice(samples, 90):
+        monitor.push(changed(sample, "inputs", 1, factor=2.0))
+    (alarm,) = monitor.alarms
+    assert (alarm.fault, alarm.signal) == (Fault.DRIVE_WEAK, "second")
+    assert alarm.flagged <= at + 90
+    assert 0.3 < alarm.size < 0.7
+
+
+@pytest.mark.parametrize(
+    ("folder", "name", "period"),
+    [
+        ("tclab", "two_heaters_600s", 1.0),
+        *(("tclab_other", f"mpc_{number}", 5.0) for number in (1, 44, 45, 54)),
+    ],
+)
+def test_healthy_kits_of_others_get_no_alarm(folder: str, name: str, period: float) -> None:
+    """Another kit each, of which two inputs have steps of a hundred per cent."""
+    assert watched(recorded(folder, name, period), 1000, period).alarms == []
+
+
+def test_a_healthy_kit_seldom_reaches_the_evidence_of_an_alarm() -> None:
+    """Prices are those of a code: in at most exp(−c) of all sessions does a cause ever reach c nats, however
+    often one looks (Ville). More than the quantile below would come once in ten thousand times."""
+    highest = []
+    for seed in range(100, 112):
+        competition, best = Competition(typical(), 1.0), -math.inf
+        for sample in run(seed, "nothing", 250):
+            competition.push(sample, np.array(sample.outputs), np.ones(2, dtype=bool))
+            best = max([best, *(one.evidence for one in competition.found() if one.row.number)])
+        highest.append(best)
+    for nats in (3.0, 5.0):
+        assert sum(best >= nats for best in highest) <= binom.ppf(0.9999, len(highest), math.exp(-nats))
+
+
+def test_a_gap_and_a_lost_reading_say_nothing_of_the_plant() -> None:
+    """Ten minutes missing, in which the room and the loop moved on; and readings that are not numbers."""
+    monitor = ChannelMonitor(typical(), 1.0)
+    for sample in run(23, "nothing", 1400):
+        if 600 <= sample.index < 1200:
+            continue
+        lost = changed(sample, "outputs", 0, more=math.nan if sample.index % 40 == 0 else 0.0)
+        monitor.push(lost)
+    assert monitor.alarms == []
