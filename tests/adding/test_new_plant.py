@@ -23,7 +23,7 @@ from tests.support.processes import Process, run_twinmatch
 from tests.support.servo import Servo, turns
 from twinmatch.adding import Proposal, check_plant, example, files_of, propose
 from twinmatch.adding.data import check_data, compare_structures, loop_findings
-from twinmatch.adding.proposal import noise_of
+from twinmatch.adding.noise import noise_of
 from twinmatch.adding.written_files import AddingError
 from twinmatch.cli import main
 from twinmatch.dynamics import PidGains, begin, simulate_closed_loop, simulate_driven
@@ -55,6 +55,54 @@ def test_noise_is_that_of_the_rest_where_the_plant_moves_fast() -> None:
     run = turns(servo, 6000)
     assert np.ptp(run.output) > 2000.0
     assert noise_of(run.output) == pytest.approx(0.18 / np.sqrt(12.0), rel=0.5)
+
+
+def divider(kelvin: np.ndarray) -> np.ndarray:
+    """Counts of a 10-bit converter, not rounded, at a thermistor of 100 kΩ and B 3950 below 100 kΩ."""
+    ratio = np.exp(3950.0 * (1.0 / kelvin - 1.0 / 298.15))
+    return np.asarray(1023.0 * ratio / (ratio + 1.0))
+
+
+def thermistor(counts: np.ndarray) -> np.ndarray:
+    """What a program shows for such counts, °C with two decimals."""
+    shown = 1.0 / (1.0 / 298.15 + np.log(counts / (1023.0 - counts)) / 3950.0) - 273.15
+    return np.round(np.asarray(shown), 2)
+
+
+def readings(plant: np.ndarray) -> dict[str, tuple[np.ndarray, float]]:
+    """Readings of a plant by twelve sensors, and the noise of each."""
+    random, size = np.random.default_rng(1), plant.size
+    white, counts = random.standard_normal(size), divider(plant + 273.15)
+    many = np.rint(counts + 0.7 * random.standard_normal((8, size))).mean(axis=0)
+    thermistors = [np.rint(counts), np.rint(counts + 0.4 * white), np.rint(counts + 3.0 * white), many]
+    moving = np.convolve(random.standard_normal(size + 7), np.ones(8) / 8, "valid")
+    later = random.standard_normal(size + 500)
+    slow = {a: lfilter([1 - a], [1, -a], later)[500:] * np.sqrt((1 + a) / (1 - a)) for a in (0.5, 0.9)}
+    twice = lfilter([0.5], [1, -0.5], lfilter([0.5], [1, -0.5], later))[500:] / np.sqrt(5 / 27)
+    spikes = np.where(random.random(size) < 0.02, random.uniform(-80.0, 80.0, size), 0.0)
+    shown = {
+        "white": (plant + 0.1 * white, 0.1),
+        "even steps": (np.round(plant / 0.25) * 0.25, 0.25 / np.sqrt(12.0)),
+        "even steps and noise": (np.round((plant + 0.1 * white) / 0.25) * 0.25, np.hypot(0.1, 0.25 / np.sqrt(12.0))),
+        "mean of eight": (plant + 0.3 * moving, 0.3 / np.sqrt(8.0)),
+        "low-pass": (plant + 0.1 * slow[0.5], 0.1),
+        "slow low-pass": (plant + 0.1 * slow[0.9], 0.1),
+        "low-pass of second order": (plant + 0.1 * twice, 0.1),
+        "spikes": (plant + 0.1 * white + spikes, 0.1),
+    }  # fmt: skip
+    for number, seen in enumerate(map(thermistor, thermistors)):
+        shown[f"thermistor {number}"] = seen, float(np.sqrt(np.mean((seen - plant) ** 2)))
+    return shown
+
+
+@pytest.mark.parametrize(("lag", "hold"), [(250.0, 450), (40.0, 60)])
+def test_the_noise_of_coarse_averaging_and_filtering_sensors_is_known(lag: float, hold: int) -> None:
+    levels = np.tile([0.0, 25.0, 85.0, 50.0, 15.0, 100.0, 0.0], 3150 // (7 * hold) + 1)
+    u = np.repeat(levels, hold)[:3150]
+    pole = np.exp(-1.0 / lag)
+    plant = lfilter([0.0, 1 - pole], [1.0, -pole], 0.57 * u) + 28.0
+    for name, (seen, noise) in readings(plant).items():
+        assert noise_of(seen, [u]) == pytest.approx(noise, rel=0.3), name
 
 
 def lagged(folder: Path, gain: float, lag: float, period: float, room: np.ndarray | None = None) -> Path:
