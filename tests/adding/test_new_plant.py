@@ -152,6 +152,57 @@ def test_a_table_without_input_or_with_a_bad_name_is_refused(tmp_path: Path) -> 
         files_of("numpy", example())
 
 
+def pid_log(folder: Path, *titles: str) -> Path:
+    """A boiler under a PI controller: time, set-point, measured and drive under these titles."""
+    rows, y, integral = [",".join(titles)], 20.0, 0.0
+    for k in range(900):
+        target = 40.0 + 20.0 * (k // 300)
+        integral += 0.02 * (target - y)
+        u = min(max(4.0 * (target - y) + integral, 0.0), 100.0)
+        rows.append(f"{k},{target:g},{y:.2f},{u:.1f}")
+        y += (0.9 * u + 20.0 - y) / 120.0
+    path = folder / "pid.csv"
+    path.write_text("\n".join(rows) + "\n")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("titles", "said"),
+    [
+        (("Time", "Setpoint", "Input", "Output"), True),
+        (("time", "setpoint", "temperature", "output"), False),
+        (("t", "r", "output", "input"), False),
+    ],
+)
+def test_the_files_of_any_log_of_a_loop_go_through_the_next_command(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], titles: tuple[str, ...], said: bool
+) -> None:
+    """PID libraries call what they measure Input, and the drive Output."""
+    log, here, name = pid_log(tmp_path, *titles), str(tmp_path), f"boiler_of_{titles[2].lower()}"
+    assert main(["new-plant", name, "--from", str(log), "-o", here]) == 0
+    assert ("Input is taken as what is measured" in capsys.readouterr().out) == said
+    plant, mapped = tmp_path / f"{name}.py", tmp_path / f"{name}_map.yaml"
+    columns = yaml.safe_load(mapped.read_text())["columns"]
+    assert [columns[name] for name in ("time", "reference", "output", "input")] == [*titles]
+    asked = ["import", str(log), "--map-file", str(mapped), "--plant", str(plant), "-o", f"{here}/s"]
+    assert main(asked) == 0
+    session = open_any(tmp_path / "s")
+    assert session.samples[-1].input == pytest.approx(float(log.read_text().split(",")[-1]))
+    assert session.has_reference
+
+
+def test_defaults_are_within_their_bounds(tmp_path: Path) -> None:
+    """A pump that never stops: the level without it is far from all readings."""
+    random = np.random.default_rng(3)
+    u = np.repeat(random.uniform(40.0, 55.0, 20), 60)
+    y = lfilter([0.0, 0.05], [1.0, -0.95], 3.0 * u - 150.0) + 0.05 * random.standard_normal(u.size)
+    rows = "\n".join(f"{k},{a:.3f},{b:.2f}" for k, (a, b) in enumerate(zip(y, u, strict=True)))
+    (tmp_path / "log.csv").write_text(f"when,T (mbar),Heat (l/min)\n{rows}\n")
+    held = propose(read_table(tmp_path / "log.csv"), parse_map(MAP))
+    plant = find_plant(str(written(tmp_path, held, "pumped_one")[0]))
+    assert not [finding for finding in check_plant(plant).findings if "outside its bounds" in finding.what]
+
+
 TITLES = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\n\r\0"), max_size=12)
 
 

@@ -86,7 +86,7 @@ def check_data(session: Session, plant: type[Plant], show: Shown = lambda *_: No
     compared = compare_structures(judgement.stretches, plant, terms.settings, chosen)
     findings, notes = _of_samples(session, plant, terms.settings.start, compared.least)
     findings += loop_findings(session, plant, terms.settings.law)
-    findings += _of_matches(judgement.matches, faults)
+    findings += _of_matches(judgement.matches, faults, terms.settings, size)
     notes += [*_accepted(judgement.matches), *compared.notes]
     matches = [report.match for report in judgement.matches]
     accepted = sum(match.accepted for match in matches)
@@ -133,7 +133,7 @@ def _of_samples(
     lags = time_constants(parameters)
     if lags.size and size * session.period < 2 * lags[-1]:
         what = f"the recording lasts {size * session.period:g} s, less than twice the slowest time constant"
-        todo = "record longer, or check the default of that parameter"
+        todo = f"record at least {2 * lags[-1]:.3g} s, or check the default of that parameter"
         findings.append(Finding(f"{what} ({lags[-1]:.3g} s)", todo))
     return findings, notes
 
@@ -151,12 +151,21 @@ def _of_what_is_left(least: tuple[float, ...], plant: type[Plant]) -> Iterator[F
             )
 
 
-def _of_matches(matches: tuple[MatchReport, ...], faults: Sequence[str]) -> Iterator[Finding]:
+def _of_matches(
+    matches: tuple[MatchReport, ...], faults: Sequence[str], settings: TwinSettings, size: int
+) -> Iterator[Finding]:
+    least, period = settings.schedule.min_span, settings.period
     if not matches and faults:
         what = f"no window could be matched, because the plant seemed to be at fault: {faults[0]}"
         yield Finding(what, _FAULTY)
+    elif not matches and size <= least:
+        what = f"no window could be matched: the recording lasts {size * period:g} s"
+        yield Finding(what, f"record at least {2 * least * period:g} s, with steps of the input that stand out")
     elif not matches:
-        what = "no window could be matched: the signals did not move far enough, or not for long enough"
+        what = (
+            "no window could be matched: the signals did not move far enough, or not for long enough "
+            f"({least * period:g} s without a gap, from one step to the next)"
+        )
         yield Finding(what, _TODO[Status.NO_EXCITATION])
     elif not any(report.match.accepted for report in matches):
         for status, number in Counter(report.match.status for report in matches).most_common(2):

@@ -29,6 +29,8 @@ from twinmatch.units import measure
 _MOST: Final = 1e100
 """Size from which squares of values are not numbers any longer."""
 _KNOWN: Final = ("time", "output", "input", "reference")
+_ROLES: Final = {"output": "measured", "input": "drive"}
+"""Names of these signals where the table calls them by the name of another one, as PID libraries do."""
 _RANGES: Final = ((0.0, 1.0), (0.0, 100.0), (-1.0, 1.0), (-100.0, 100.0), (0.0, 255.0), (-255.0, 255.0))
 """Usual ranges of a drive's command."""
 _OFFSET_UNITS: Final = {"degc": "°C", "c": "°C", "°c": "°C", "celsius": "°C", "degf": "°F", "sec": "s"}
@@ -66,6 +68,8 @@ class Proposal:
     table: str = ""
     """Name of the table's file."""
     has_reference: bool = False
+    split: bool = False
+    """Whether the table has gaps, or a clock that was set back."""
 
     @property
     def thermal(self) -> bool:
@@ -138,7 +142,7 @@ def propose(table: Table, given: SignalMap) -> Proposal:
     taken: list[str] = []
     output, input_ = (_signal(table, sources, s, taken) for s in ("output", "input"))
     span, reach = float(np.ptp(y)) or 1.0, _range_of(u)
-    ends = [rest + gain * limit for limit in reach]
+    ends = [rest, *(rest + gain * limit for limit in reach)]
     low, high = _round_out(min(float(y.min()), *ends) - span, max(float(y.max()), *ends) + span)
     disturbances = []
     for name in others:
@@ -158,6 +162,7 @@ def propose(table: Table, given: SignalMap) -> Proposal:
         sources={names.get(signal, signal): source for signal, source in given.sources.items()},
         table=table.path.name,
         has_reference="reference" in given.sources,
+        split=bool(done.gaps),
     )
 
 
@@ -172,6 +177,7 @@ def _signal(
 ) -> tuple[str, str]:
     """Name and unit."""
     title = split_title(sources[signal].places[0])[0]
+    title = _ROLES[signal] if title.lower() in _KNOWN and title.lower() != signal else title
     name = _word(title if re.search(r"[a-zA-Z]{3}", title) else signal, taken)
     return name, _unit(table, sources, signal)
 
