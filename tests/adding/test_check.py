@@ -42,7 +42,10 @@ class Fan(Plant, name="fan"):
 
     def equations(self, parts: frozenset[str]) -> Equations:  # noqa: ARG002
         thrust = self.gain * (self.acts / self.one) ** self.power
-        rates = {self.omega: (thrust - self.omega) / self.lag, self.acts: (self.volts - self.acts) / self.slow}
+        rates = {
+            self.omega: (thrust - self.omega) / self.lag,
+            self.acts: (self.volts - self.acts) / self.slow,
+        }
         return Equations(rates=rates, output=self.omega, start={self.omega: self.speed, self.acts: 0})
 
 

@@ -38,6 +38,7 @@ from twinmatch.sessions import Session, samples_of
 from twinmatch.sessions.files import RecordingError
 from twinmatch.signals import Sample, Window, stretches
 from twinmatch.twin import TwinSettings
+from twinmatch.twin.door import filled
 
 
 @given(st.floats(1e-3, 1e2), st.integers(0, 1000))
@@ -83,7 +84,7 @@ def readings(plant: np.ndarray) -> dict[str, tuple[np.ndarray, float]]:
     shown = {
         "white": (plant + 0.1 * white, 0.1),
         "even steps": (np.round(plant / 0.25) * 0.25, 0.25 / np.sqrt(12.0)),
-        "even steps and noise": (np.round((plant + 0.1 * white) / 0.25) * 0.25, np.hypot(0.1, 0.25 / np.sqrt(12.0))),
+        "even steps, noise": (np.round(4 * plant + 0.4 * white) / 4, np.hypot(0.1, 0.25 / np.sqrt(12.0))),
         "mean of eight": (plant + 0.3 * moving, 0.3 / np.sqrt(8.0)),
         "low-pass": (plant + 0.1 * slow[0.5], 0.1),
         "slow low-pass": (plant + 0.1 * slow[0.9], 0.1),
@@ -189,6 +190,24 @@ def test_the_files_of_any_log_of_a_loop_go_through_the_next_command(
     session = open_any(tmp_path / "s")
     assert session.samples[-1].input == pytest.approx(float(log.read_text().split(",")[-1]))
     assert session.has_reference
+
+
+def test_spikes_are_refused_before_any_twin_is_known(tmp_path: Path) -> None:
+    """A thermocouple that jumps by tens of kelvin within a second, and a file without typical parameters."""
+    random, pole = np.random.default_rng(3), np.exp(-1.0 / 120.0)
+    u = np.repeat([0.0, 60.0, 20.0, 80.0, 40.0, 0.0], 300)
+    block = lfilter([0.0, 1 - pole], [1.0, -pole], 0.6 * u) + 20.0 + 0.1 * random.standard_normal(u.size)
+    spikes = np.zeros(u.size)
+    spikes[::97] = np.resize([94.0, -30.0, 60.0], spikes[::97].size)
+    spikes[0] = 0.0
+    y = np.round(block + spikes, 2)
+    rows = "\n".join(f"{k},{a},{b}" for k, (a, b) in enumerate(zip(y, u, strict=True)))
+    (tmp_path / "log.csv").write_text(f"when,T (degC),Heat (%)\n{rows}\n")
+    held = propose(read_table(tmp_path / "log.csv"), parse_map(MAP))
+    assert (held.gain, held.lag, held.noise) == pytest.approx((0.6, 120.0, 0.1), rel=0.1)
+    plant = find_plant(str(written(tmp_path, held, "spiky_one")[0]))
+    settled = filled(samples_of(Window(y, y, u)), TwinSettings.of(plant))
+    assert [one.index for one in settled if not one.seen] == np.flatnonzero(spikes).tolist()
 
 
 def test_defaults_are_within_their_bounds(tmp_path: Path) -> None:

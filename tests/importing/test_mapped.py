@@ -148,7 +148,8 @@ HEADLESS = "".join(f"{k},2{k % 3}.5,{k // 40 * 10}\n" for k in range(120))
         (HEADLESS, "line 1: has numbers; .*: write one above it, such as time,output,input"),
         (
             "time (s),output,input\n" + "".join(f"{k // 50},2{k % 3}.5,{k % 7}\n" for k in range(300)),
-            "line 2 and line 3 have the same time, 0 s.*too few digits for rows about 0.02 s apart; .*--period 0.02",
+            "line 2 and line 3 have the same time, 0 s.*too few digits for rows about 0.02 s apart; .*"
+            "--period 0.02",
         ),
         (
             "time,output,input\n" + "".join(f"{k % 60},2{k % 3}.5,{k // 40}\n" for k in range(120)),

@@ -67,9 +67,10 @@ def _once(findings: Iterable[Finding], title: str) -> Iterator[Finding]:
         shared.setdefault(key, {}).setdefault(place, one._replace(what=rest))
     for by_structure in shared.values():
         *others, last = by_structure
-        of = f"structures {', '.join(others)} and {last}: " if others else f"structure {last}: " if last else ""
+        of_one = f"structure {last}: " if last else ""
+        names = f"structures {', '.join(others)} and {last}: " if others else of_one
         (what, todo), *_ = by_structure.values()
-        yield Finding(f"{of}{what}", todo)
+        yield Finding(f"{names}{what}", todo)
 
 
 def _steps(

@@ -160,7 +160,9 @@ def _of_matches(
         yield Finding(what, _FAULTY)
     elif not matches and size <= least:
         what = f"no window could be matched: the recording lasts {size * period:g} s"
-        yield Finding(what, f"record at least {2 * least * period:g} s, with steps of the input that stand out")
+        yield Finding(
+            what, f"record at least {2 * least * period:g} s, with steps of the input that stand out"
+        )
     elif not matches:
         what = (
             "no window could be matched: the signals did not move far enough, or not for long enough "

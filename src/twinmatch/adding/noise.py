@@ -39,11 +39,11 @@ _FAR: Final = 9.0
 _LOUD: Final = 4.0
 """Blocks count up to so many medians: noise may depend on the level, a movement is larger."""
 _LEVEL, _BENT, _STEEP = 1.25, 1.7, 5.0
-"""Growth of the variance when h doubles: below the first it has arrived; below the second it had nearly, when
-from the third on the plant's movement takes over. An average or a filter gives up to 4, a movement up to 16."""
+"""Growth of the variance when h doubles: below the first it has arrived; below the second nearly so, when
+from the third on the plant's movement takes over. Averages and filters give up to 4, movements up to 16."""
 _ALL: Final = 1.0
-"""Squared median deviation of all that is left, in that variance, up to which it is nothing but noise (of white
-noise: 0.45)."""
+"""Squared median deviation of all that is left, in that variance, up to which it is nothing but noise (of
+white noise: 0.45)."""
 _STEPS: Final = 20
 """Steps between held readings from which a sensor is a coarse one."""
 _FLOOR: Final = 1e-4
@@ -51,7 +51,7 @@ _FLOOR: Final = 1e-4
 _DIGIT: Final = 1e-6
 """Smaller changes, as a share of the range, are no digit."""
 _ON_GRID, _NEARLY_ALL = 1e-3, 0.95
-"""So close to a multiple of the last digit are nearly all changes; resampling leaves a few fractions of it."""
+"""So close to a multiple of the last digit are nearly all changes; resampling leaves a few fractions."""
 
 
 def noise_of(values: FloatArray, inputs: Sequence[FloatArray] = ()) -> float:
@@ -125,8 +125,8 @@ def _noise(values: FloatArray) -> float:
 
 
 def _typical(values: FloatArray, distance: int) -> tuple[float, float] | None:
-    """Variance of the noise from second differences at a distance, the median of blocks and their mean without
-    movements; None if the recording is too short."""
+    """Variance of the noise from second differences at a distance, the median of blocks and their mean
+    without movements; None if the recording is too short."""
     bends = np.abs(values[2 * distance :] - 2.0 * values[distance:-distance] + values[: -2 * distance])
     block = max(_BLOCK, _PER_DISTANCE * distance)
     if bends.size < _BLOCK or (distance > 1 and bends.size < 4 * block):

@@ -26,6 +26,8 @@ from twinmatch.sessions.files import RecordingError
 from twinmatch.signals import FloatArray
 from twinmatch.units import measure
 
+_SPIKE: Final = 10.0
+"""Distance from the median of its neighbours, in noises, from which a reading is a spike."""
 _MOST: Final = 1e100
 """Size from which squares of values are not numbers any longer."""
 _KNOWN: Final = ("time", "output", "input", "reference")
@@ -134,7 +136,7 @@ def propose(table: Table, given: SignalMap) -> Proposal:
     part = max(done.stretches, key=lambda stretch: stretch.stop - stretch.start)  # no rate across a gap
     beside = [done.columns[n][part] for n in others]
     noise = noise_of(y[part], [u[part], *beside])
-    gain, lag, rest = _first_order(y[part], u[part], beside, noise, done.period)
+    gain, lag, rest = _first_order(_without_spikes(y[part], noise), u[part], beside, noise, done.period)
     wanted = _unit(table, sources, "output")
     around = next((name for name in others if _alike(_unit(table, sources, name), wanted)), None)
     if around is not None:  # it is taken as the steady-state output without input
@@ -232,6 +234,14 @@ def _first_order(
             guess = float(slopes[2]) / back, lag, float(slopes[0]) / back
             break
     return rounded(guess[0]), rounded(guess[1]), rounded(guess[2], 3)
+
+
+def _without_spikes(values: FloatArray, noise: float) -> FloatArray:
+    """Readings with the median of five neighbours where one is far from it."""
+    from scipy.ndimage import median_filter  # noqa: PLC0415 (slow to import, used only here)
+
+    middle = median_filter(values, 5, mode="nearest")
+    return np.where(np.abs(values - middle) > _SPIKE * noise, middle, values)
 
 
 def rounded(value: float, digits: int = 2) -> float:

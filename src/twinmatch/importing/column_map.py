@@ -54,7 +54,9 @@ _INPUT: Final = re.compile(
     re.IGNORECASE,
 )
 _AROUND: Final = re.compile(r"amb|room|outside|outdoor|environment|t_?inf|surround", re.IGNORECASE)
-_TIME: Final = re.compile(r"^t$|^t[ _.-](ns|us|ms|s|min|h)$|time|stamp|date|^sec|elapsed|^zeit", re.IGNORECASE)
+_TIME: Final = re.compile(
+    r"^t$|^t[ _.-](ns|us|ms|s|min|h)$|time|stamp|date|^sec|elapsed|^zeit", re.IGNORECASE
+)
 _FEW: Final = 12
 """A column with at most so many different values looks commanded rather than measured."""
 _REPEATED: Final = 0.9
@@ -180,12 +182,14 @@ SEEN: Final = (
 
 
 def seen_by_controller(columns: Sequence[Column], sources: Mapping[str, SignalSource]) -> bool:
-    """Whether Input and Output are those of the controller, as PID libraries call them: it measures its input.
+    """Whether Input and Output are those of the controller, as PID libraries call them.
 
     The set-point tells: what is measured follows it.
     """
     found = _in_and_out(columns)
-    target = next((c for c in columns if "reference" in sources and c.title in sources["reference"].places), None)
+    target = next(
+        (c for c in columns if "reference" in sources and c.title in sources["reference"].places), None
+    )
     if len(found) != 2 or target is None:
         return False
     given, made = (abs(c.low - target.low) + abs(c.high - target.high) for c in found)

@@ -283,9 +283,9 @@ def _refuse_standing(
         if many > 1 and steps.size >= _FEW and not (steps < 0).any():
             mean = float(f"{usual_step(steps) / many:.3g}")
             raise RecordingError(
-                f"{place}: {row(at)} and {row(at + 1)} have the same time, {stamps[at]:.12g} s, and so on: the "
-                f"times have too few digits for rows about {mean:g} s apart; record more digits, or map no time "
-                f"and give --period {mean:g}"
+                f"{place}: {row(at)} and {row(at + 1)} have the same time, {stamps[at]:.12g} s, and so on: "
+                f"the times have too few digits for rows about {mean:g} s apart; record more digits, or map "
+                f"no time and give --period {mean:g}"
             )
         remedy = "sort the rows, and keep one per time"
         if steps[at] < 0 and not split:
