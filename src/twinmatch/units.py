@@ -17,6 +17,26 @@ if TYPE_CHECKING:
 
 _COLUMN_WORDS = {"C": "degC", "c": "degC", "°c": "degC", "F": "degF", "°f": "degF", "k": "K"}
 """Abbreviations of temperature units that pint would read as coulomb or farad."""
+_NAMES = {
+    **dict.fromkeys(("celsius", "deg c", "deg_c", "deg.c", "degc", "°c", "ºc", "℃"), "degC"),
+    **dict.fromkeys(("fahrenheit", "deg f", "deg_f", "degf", "°f", "℉"), "degF"),
+    **dict.fromkeys(("kelvin", "degk", "°k"), "K"),
+    **dict.fromkeys(("pct", "percent", "%rh", "% rh"), "%"),
+    **dict.fromkeys(("lpm", "slpm", "nl/min", "lit/min"), "l/min"),
+    **dict.fromkeys(("rpm", "u/min", "r/min", "rev/min", "min-1", "min^-1", "min⁻¹"), "rpm"),
+    **dict.fromkeys(("barg", "bara", "bar(g)", "bar(a)"), "bar"),
+    **dict.fromkeys(("", "-", "ph", "none"), "dimensionless"),
+    **{"volt": "V", "volts": "V", "amp": "A", "amps": "A", "watt": "W", "watts": "W", "ppmv": "ppm"},
+    **{"ohm": "Ω", "ohms": "Ω", "kohm": "kΩ", "n.m": "N m"},
+}
+"""Units as people write them, in small letters, and as pint reads them."""
+_FORMS = (
+    (re.compile(r"√\s*(\w+|\([^()]*\))"), r"(\1)**0.5"),
+    (re.compile(r"(?<![A-Za-zµ])([cdkmµu]?m|s|min)\^?(-?[234])(?!\d)"), r"\1**\2"),  # m2, s-2
+    (re.compile(r"/\(?(kg|m²|m\*\*2)K\)?$"), r"/(\1 K)"),  # W/m²K
+    (re.compile(r"(?<![A-Za-z])Nm(?![A-Za-z])"), "N m"),
+)
+"""Forms of compound units, likewise."""
 _FAR = 2.0**20
 """Value at which the slope of a conversion is computed: large, so that rounding of offsets is negligible."""
 _TEMPERATURE = (("[temperature]", 1.0),)
@@ -69,10 +89,9 @@ def conversion(given: str, wanted: str) -> Conversion:
     """
     if _plain(given) == _plain(wanted):
         return Conversion()
-    target = measure(wanted)
-    if target.dimension == _TEMPERATURE:
-        given = _COLUMN_WORDS.get(given.strip(), given)
-    source = measure(given)
+    if _TEMPERATURE in (measure(given).dimension, measure(wanted).dimension):
+        given, wanted = (_COLUMN_WORDS.get(unit.strip(), unit) for unit in (given, wanted))
+    source, target = measure(given), measure(wanted)
     if not (source.known and target.known) or source.dimension != target.dimension:
         msg = f"{given or 'a plain number'} cannot be converted to {wanted or 'a plain number'}"
         raise UnitError(msg)
@@ -86,8 +105,11 @@ def _float(magnitude: Any) -> float:
 
 
 def _plain(unit: str) -> str:
-    text = re.sub(r"√\s*(\w+|\([^()]*\))", r"(\1)**0.5", unit.strip().replace("·", " "))
-    return text or "dimensionless"
+    text = unit.strip().replace("·", " ")
+    text = _NAMES.get(text.lower(), text)
+    for form, written in _FORMS:
+        text = form.sub(written, text)
+    return text
 
 
 @lru_cache(maxsize=1)

@@ -26,6 +26,29 @@ from twinmatch.dynamics import Drive, Equations, Output, Parameter, Plant, State
 from twinmatch.plants import PLANTS, Peltier, find_plant
 
 
+class Fan(Plant, name="fan"):
+    """A speed that follows a power of a voltage, which begins at 0."""
+
+    speed = Output(unit="1/s", noise=0.5, span=(-10.0, 200.0))
+    volts = Drive(unit="V", limits=(0.0, 5.0), noise=0.01)
+    omega = State(unit="1/s", span=(-10.0, 200.0))
+    acts = State(unit="V", span=(0.0, 5.0))
+    gain = Parameter(unit="1/s", default=10.0, bounds=(1.0, 100.0), positive=True)
+    one = Parameter(unit="V", default=1.0, bounds=(0.5, 2.0), positive=True)
+    power = Parameter(default=1.5, bounds=(1.0, 4.0), positive=True)
+    lag = Parameter(unit="s", default=1.0, bounds=(0.1, 10.0), positive=True)
+    slow = Parameter(unit="s", default=0.3, bounds=(0.05, 3.0), positive=True)
+    structures = {"all": Structure(free=("gain", "power", "lag", "slow"))}  # noqa: RUF012
+
+    def equations(self, parts: frozenset[str]) -> Equations:  # noqa: ARG002
+        thrust = self.gain * (self.acts / self.one) ** self.power
+        rates = {
+            self.omega: (thrust - self.omega) / self.lag,
+            self.acts: (self.volts - self.acts) / self.slow,
+        }
+        return Equations(rates=rates, output=self.omega, start={self.omega: self.speed, self.acts: 0})
+
+
 class Twice(Plant, name="twice"):
     """A lag whose parameters are seen only in combinations, each structure in another way."""
 
@@ -105,6 +128,19 @@ def test_how_far_an_angle_goes_is_not_a_contradiction() -> None:
 
     (finding,) = ranges(Slow.model("free"))
     assert "state omega goes from" in finding.what
+
+
+def test_a_power_of_a_state_that_begins_at_zero_is_not_a_finding() -> None:
+    """Its slope is 0/0 there for SymPy, which writes power·acts**power/acts."""
+    checked = check_plant(Fan, 0.05)
+    assert (checked.unusable, checked.findings) == ("", ())
+
+
+def test_what_several_structures_share_is_said_once() -> None:
+    said = [finding.what for finding in check_plant(Twice, 500.0).findings]
+    slow = [what for what in said if "shortest time constant" in what]
+    assert len(slow) == 1
+    assert slow[0].startswith("structures 'plain', 'ratio', 'product'")
 
 
 def checked_file(
@@ -341,6 +377,6 @@ def test_plants_with_several_loops_are_checked_signal_by_signal() -> None:
             return replace(whole, rates={s: r.subs(self.second_power, 0) for s, r in whole.rates.items()})
 
     found = check_plant(Idle, 2.0)
-    what = "structure 'all': the drive second_power does not act on the output"
+    what = "structures 'all' and 'apart': the drive second_power does not act on the output"
     assert what in [finding.what for finding in found.findings]
     assert "second_gain is free, but does not occur" in found.unusable

@@ -23,7 +23,7 @@ from tests.support.processes import Process, run_twinmatch
 from tests.support.servo import Servo, turns
 from twinmatch.adding import Proposal, check_plant, example, files_of, propose
 from twinmatch.adding.data import check_data, compare_structures, loop_findings
-from twinmatch.adding.proposal import noise_of
+from twinmatch.adding.noise import noise_of
 from twinmatch.adding.written_files import AddingError
 from twinmatch.cli import main
 from twinmatch.dynamics import PidGains, begin, simulate_closed_loop, simulate_driven
@@ -38,6 +38,7 @@ from twinmatch.sessions import Session, samples_of
 from twinmatch.sessions.files import RecordingError
 from twinmatch.signals import Sample, Window, stretches
 from twinmatch.twin import TwinSettings
+from twinmatch.twin.door import filled
 
 
 @given(st.floats(1e-3, 1e2), st.integers(0, 1000))
@@ -55,6 +56,54 @@ def test_noise_is_that_of_the_rest_where_the_plant_moves_fast() -> None:
     run = turns(servo, 6000)
     assert np.ptp(run.output) > 2000.0
     assert noise_of(run.output) == pytest.approx(0.18 / np.sqrt(12.0), rel=0.5)
+
+
+def divider(kelvin: np.ndarray) -> np.ndarray:
+    """Counts of a 10-bit converter, not rounded, at a thermistor of 100 kΩ and B 3950 below 100 kΩ."""
+    ratio = np.exp(3950.0 * (1.0 / kelvin - 1.0 / 298.15))
+    return np.asarray(1023.0 * ratio / (ratio + 1.0))
+
+
+def thermistor(counts: np.ndarray) -> np.ndarray:
+    """What a program shows for such counts, °C with two decimals."""
+    shown = 1.0 / (1.0 / 298.15 + np.log(counts / (1023.0 - counts)) / 3950.0) - 273.15
+    return np.round(np.asarray(shown), 2)
+
+
+def readings(plant: np.ndarray) -> dict[str, tuple[np.ndarray, float]]:
+    """Readings of a plant by twelve sensors, and the noise of each."""
+    random, size = np.random.default_rng(1), plant.size
+    white, counts = random.standard_normal(size), divider(plant + 273.15)
+    many = np.rint(counts + 0.7 * random.standard_normal((8, size))).mean(axis=0)
+    thermistors = [np.rint(counts), np.rint(counts + 0.4 * white), np.rint(counts + 3.0 * white), many]
+    moving = np.convolve(random.standard_normal(size + 7), np.ones(8) / 8, "valid")
+    later = random.standard_normal(size + 500)
+    slow = {a: lfilter([1 - a], [1, -a], later)[500:] * np.sqrt((1 + a) / (1 - a)) for a in (0.5, 0.9)}
+    twice = lfilter([0.5], [1, -0.5], lfilter([0.5], [1, -0.5], later))[500:] / np.sqrt(5 / 27)
+    spikes = np.where(random.random(size) < 0.02, random.uniform(-80.0, 80.0, size), 0.0)
+    shown = {
+        "white": (plant + 0.1 * white, 0.1),
+        "even steps": (np.round(plant / 0.25) * 0.25, 0.25 / np.sqrt(12.0)),
+        "even steps, noise": (np.round(4 * plant + 0.4 * white) / 4, np.hypot(0.1, 0.25 / np.sqrt(12.0))),
+        "mean of eight": (plant + 0.3 * moving, 0.3 / np.sqrt(8.0)),
+        "low-pass": (plant + 0.1 * slow[0.5], 0.1),
+        "slow low-pass": (plant + 0.1 * slow[0.9], 0.1),
+        "low-pass of second order": (plant + 0.1 * twice, 0.1),
+        "spikes": (plant + 0.1 * white + spikes, 0.1),
+    }  # fmt: skip
+    for number, seen in enumerate(map(thermistor, thermistors)):
+        shown[f"thermistor {number}"] = seen, float(np.sqrt(np.mean((seen - plant) ** 2)))
+    return shown
+
+
+@pytest.mark.parametrize(("lag", "hold"), [(250.0, 450), (40.0, 60)])
+def test_the_noise_of_coarse_averaging_and_filtering_sensors_is_known(lag: float, hold: int) -> None:
+    levels = np.tile([0.0, 25.0, 85.0, 50.0, 15.0, 100.0, 0.0], 3150 // (7 * hold) + 1)
+    u = np.repeat(levels, hold)[:3150]
+    pole = np.exp(-1.0 / lag)
+    plant = lfilter([0.0, 1 - pole], [1.0, -pole], 0.57 * u) + 28.0
+    for name, (seen, noise) in readings(plant).items():
+        assert noise_of(seen, [u]) == pytest.approx(noise, rel=0.3), name
 
 
 def lagged(folder: Path, gain: float, lag: float, period: float, room: np.ndarray | None = None) -> Path:
@@ -102,6 +151,75 @@ def test_a_table_without_input_or_with_a_bad_name_is_refused(tmp_path: Path) -> 
         files_of("peltier", example())
     with pytest.raises(AddingError, match="there is a Python module of this name"):
         files_of("numpy", example())
+
+
+def pid_log(folder: Path, *titles: str) -> Path:
+    """A boiler under a PI controller: time, set-point, measured and drive under these titles."""
+    rows, y, integral = [",".join(titles)], 20.0, 0.0
+    for k in range(900):
+        target = 40.0 + 20.0 * (k // 300)
+        integral += 0.02 * (target - y)
+        u = min(max(4.0 * (target - y) + integral, 0.0), 100.0)
+        rows.append(f"{k},{target:g},{y:.2f},{u:.1f}")
+        y += (0.9 * u + 20.0 - y) / 120.0
+    path = folder / "pid.csv"
+    path.write_text("\n".join(rows) + "\n")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("titles", "said"),
+    [
+        (("Time", "Setpoint", "Input", "Output"), True),
+        (("time", "setpoint", "temperature", "output"), False),
+        (("t", "r", "output", "input"), False),
+    ],
+)
+def test_the_files_of_any_log_of_a_loop_go_through_the_next_command(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], titles: tuple[str, ...], said: bool
+) -> None:
+    """PID libraries call what they measure Input, and the drive Output."""
+    log, here, name = pid_log(tmp_path, *titles), str(tmp_path), f"boiler_of_{titles[2].lower()}"
+    assert main(["new-plant", name, "--from", str(log), "-o", here]) == 0
+    assert ("Input is taken as what is measured" in capsys.readouterr().out) == said
+    plant, mapped = tmp_path / f"{name}.py", tmp_path / f"{name}_map.yaml"
+    columns = yaml.safe_load(mapped.read_text())["columns"]
+    assert [columns[name] for name in ("time", "reference", "output", "input")] == [*titles]
+    asked = ["import", str(log), "--map-file", str(mapped), "--plant", str(plant), "-o", f"{here}/s"]
+    assert main(asked) == 0
+    session = open_any(tmp_path / "s")
+    assert session.samples[-1].input == pytest.approx(float(log.read_text().split(",")[-1]))
+    assert session.has_reference
+
+
+def test_spikes_are_refused_before_any_twin_is_known(tmp_path: Path) -> None:
+    """A thermocouple that jumps by tens of kelvin within a second, and a file without typical parameters."""
+    random, pole = np.random.default_rng(3), np.exp(-1.0 / 120.0)
+    u = np.repeat([0.0, 60.0, 20.0, 80.0, 40.0, 0.0], 300)
+    block = lfilter([0.0, 1 - pole], [1.0, -pole], 0.6 * u) + 20.0 + 0.1 * random.standard_normal(u.size)
+    spikes = np.zeros(u.size)
+    spikes[::97] = np.resize([94.0, -30.0, 60.0], spikes[::97].size)
+    spikes[0] = 0.0
+    y = np.round(block + spikes, 2)
+    rows = "\n".join(f"{k},{a},{b}" for k, (a, b) in enumerate(zip(y, u, strict=True)))
+    (tmp_path / "log.csv").write_text(f"when,T (degC),Heat (%)\n{rows}\n")
+    held = propose(read_table(tmp_path / "log.csv"), parse_map(MAP))
+    assert (held.gain, held.lag, held.noise) == pytest.approx((0.6, 120.0, 0.1), rel=0.1)
+    plant = find_plant(str(written(tmp_path, held, "spiky_one")[0]))
+    settled = filled(samples_of(Window(y, y, u)), TwinSettings.of(plant))
+    assert [one.index for one in settled if not one.seen] == np.flatnonzero(spikes).tolist()
+
+
+def test_defaults_are_within_their_bounds(tmp_path: Path) -> None:
+    """A pump that never stops: the level without it is far from all readings."""
+    random = np.random.default_rng(3)
+    u = np.repeat(random.uniform(40.0, 55.0, 20), 60)
+    y = lfilter([0.0, 0.05], [1.0, -0.95], 3.0 * u - 150.0) + 0.05 * random.standard_normal(u.size)
+    rows = "\n".join(f"{k},{a:.3f},{b:.2f}" for k, (a, b) in enumerate(zip(y, u, strict=True)))
+    (tmp_path / "log.csv").write_text(f"when,T (mbar),Heat (l/min)\n{rows}\n")
+    held = propose(read_table(tmp_path / "log.csv"), parse_map(MAP))
+    plant = find_plant(str(written(tmp_path, held, "pumped_one")[0]))
+    assert not [finding for finding in check_plant(plant).findings if "outside its bounds" in finding.what]
 
 
 TITLES = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\n\r\0"), max_size=12)

@@ -139,6 +139,54 @@ def test_rows_of_one_time_that_differ_are_refused(tmp_path: Path, heated: type[P
         mapped(tmp_path, heated, CSV.replace(row, row + other))
 
 
+HEADLESS = "".join(f"{k},2{k % 3}.5,{k // 40 * 10}\n" for k in range(120))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (HEADLESS, "line 1: has numbers; .*: write one above it, such as time,output,input"),
+        (
+            "time (s),output,input\n" + "".join(f"{k // 50},2{k % 3}.5,{k % 7}\n" for k in range(300)),
+            "line 2 and line 3 have the same time, 0 s.*too few digits for rows about 0.02 s apart; .*"
+            "--period 0.02",
+        ),
+        (
+            "time,output,input\n" + "".join(f"{k % 60},2{k % 3}.5,{k // 40}\n" for k in range(120)),
+            "does not advance from 59 s in line 61 to 0 s in line 62; if a clock was set back .*--gaps split",
+        ),
+    ],
+    ids=["headless", "whole seconds", "restarted"],
+)
+def test_times_and_titles_that_loggers_get_wrong_have_one_message(
+    tmp_path: Path, text: str, message: str
+) -> None:
+    table = tmp_path / "log.csv"
+    table.write_text(text)
+    with pytest.raises(RecordingError, match=message):
+        map_samples(*(read_table(table), SignalMap(proposed(columns_of(read_table(table))))), Motor)
+
+
+def test_a_drive_may_be_called_output(tmp_path: Path) -> None:
+    path = plant_file(tmp_path, "heated_by_output")
+    path.write_text(path.read_text().replace("heater", "output"))
+    plant, table = find_plant(str(path)), tmp_path / "log.csv"
+    table.write_text("time,temperature,output\n0,20,0\n1,21,50\n2,22,50\n")
+    maps = SignalMap(), parse_map(["output=temperature", "input=output"])
+    for given_map in maps:
+        done = map_samples(read_table(table), with_plant_names(read_table(table), plant, given_map), plant)
+        assert [(sample.output, sample.input) for sample in done.samples] == [(20, 0), (21, 50), (22, 50)]
+
+
+def test_quoted_decimal_commas_are_read(tmp_path: Path) -> None:
+    table = tmp_path / "log.csv"
+    table.write_text('time,output,input\n"0,0","20,25","1,5"\n"0,5","20,75","2,5"\n"1,0","21,25","3,5"\n')
+    assert read_table(table).columns["output"].tolist() == [20.25, 20.75, 21.25]
+    table.write_text('time,output,input\n0,"1,234",1\n1,"2,345",1\n2,"3,456",1\n')
+    with pytest.raises(RecordingError, match="without separators of thousands"):
+        read_table(table).values("output")
+
+
 def test_a_time_column_may_repeat_a_few_stamps(tmp_path: Path) -> None:
     """And a counter that stands still most of the time is not a time, whatever the first column is called."""
     stamps = [10 * k for k in range(100)]

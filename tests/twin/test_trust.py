@@ -52,13 +52,21 @@ def test_the_newest_samples_are_held_against_the_end_of_the_forecast() -> None:
     assert check_band(told, newest, newest) == BandCheck(0.0, 1.0, 0.0, 1.0, 90.0, 99.0, 99.0)
 
 
+def test_readings_outside_their_band_are_no_level() -> None:
+    values = np.full((1, 60), 20.0)
+    values[0, 30], values[0, 59] = 22.0, 19.5
+    found = check_band(forecast(20.0, 1.0), values, None)
+    assert found.inside_y == pytest.approx(59 / 60)
+    assert (found.low, found.high, found.last) == (19.5, 20.0, 19.5)
+
+
 def test_readings_that_do_not_count_are_neither_a_miss_nor_a_level() -> None:
     values = np.full((1, 60), 20.0)
     values[0, 30], values[0, 59] = 120.0, -40.0
     counted = np.abs(values[0] - 20.0) < 1.0
     found = check_band(forecast(20.0, 1.0), values, None, counted)
     assert (found.miss, found.inside_y, found.low, found.high, found.last) == (0.0, 1.0, 20.0, 20.0, 20.0)
-    assert check_band(forecast(20.0, 1.0), values, None).high == 120.0
+    assert check_band(forecast(20.0, 1.0), values, None).miss > 10.0
 
 
 def inside(*output: float) -> BandCheck:

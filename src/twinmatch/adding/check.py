@@ -5,6 +5,7 @@ Equations, declarations, and behaviour at its defaults and within the bounds of 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Iterator
 from itertools import combinations
 from typing import Any, Final
@@ -25,6 +26,8 @@ from twinmatch.adding.trial import (
 from twinmatch.dynamics import Equations, Model, Parameters, Plant, PlantError, advance, begin
 from twinmatch.dynamics.equations import outputs_of, written_equations
 
+_OF_STRUCTURE: Final = re.compile(r"structure ('[^']*'|\"[^\"]*\"): ")
+_NUMBER: Final = re.compile(r"(?<![\w.])-?\d")
 Shown = Callable[[str, int, int], None]
 """Called with what is being done, how many parts of it are, and of how many."""
 
@@ -42,16 +45,32 @@ def check_plant(
     """
     if period is None and plant.loop is not None:
         period = plant.loop.period
-    findings: dict[str, Finding] = {}
+    findings: list[Finding] = []
     notes: list[str] = []
     unusable = ""
     try:
         for faults, remarks in _steps(plant, period, show):
-            findings |= {one.what: one for one in faults}
+            findings += faults
             notes += [note for note in remarks if note not in notes]
     except PlantError as error:
         unusable = str(error)
-    return CheckedPlant(plant.title, tuple(findings.values()), tuple(notes), unusable)
+    return CheckedPlant(plant.title, tuple(_once(findings, plant.title)), tuple(notes), unusable)
+
+
+def _once(findings: Iterable[Finding], title: str) -> Iterator[Finding]:
+    """Findings that several structures share, once: their numbers are those of the first."""
+    shared: dict[str, dict[str, Finding]] = {}
+    for one in findings:
+        of = _OF_STRUCTURE.match(one.what)
+        place, rest = (of[1], one.what[of.end() :]) if of else ("", one.what)
+        key = _NUMBER.split(rest)[0] if of or rest.startswith(f"{title}:") else rest
+        shared.setdefault(key, {}).setdefault(place, one._replace(what=rest))
+    for by_structure in shared.values():
+        *others, last = by_structure
+        of_one = f"structure {last}: " if last else ""
+        names = f"structures {', '.join(others)} and {last}: " if others else of_one
+        (what, todo), *_ = by_structure.values()
+        yield Finding(f"{names}{what}", todo)
 
 
 def _steps(
@@ -244,7 +263,7 @@ def pace(model: Model, period: float | None) -> tuple[list[Finding], list[str]]:
         steps = parameters.steps(period)
     except PlantError as error:
         todo = "replace the fast state by its steady-state value, or sample faster"
-        return [*faults, Finding(f"{place}: {error}", todo)], notes
+        return [*faults, Finding(f"{place}: {str(error).partition(': ')[2]}", todo)], notes
     what = (
         f"{place}: a sample of {period:g} s takes {steps} simulation steps; its shortest time constant "
         f"is {lags[0]:.3g} s"

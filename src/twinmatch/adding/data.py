@@ -15,7 +15,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from twinmatch.adding.check import Shown
-from twinmatch.adding.proposal import noise_of
+from twinmatch.adding.noise import noise_of
 from twinmatch.adding.trial import CheckedPlant, Finding, time_constants
 from twinmatch.dynamics import Law, Parameters, Plant, PlantError, commands_of
 from twinmatch.fitting import FittingError, Noise, in_parts
@@ -79,14 +79,14 @@ def check_data(session: Session, plant: type[Plant], show: Shown = lambda *_: No
         return _check_fits(session, plant, show)
     terms = terms_from_files(session)
     judgement = judge(session, terms, watch=partial(show, "judging the recording"))
-    findings, notes = _of_samples(session, plant, terms.settings.start)
-    findings += loop_findings(session, plant, terms.settings.law)
     faults = [verdict.reason for verdict in judgement.verdicts if verdict.fault]
     size = len(session.samples)
     show(f"fitting {len(plant.structures)} structures to {size} samples", size, size)
     chosen = next((verdict.structure for verdict in reversed(judgement.verdicts) if verdict.structure), "")
     compared = compare_structures(judgement.stretches, plant, terms.settings, chosen)
-    findings += _of_matches(judgement.matches, faults)
+    findings, notes = _of_samples(session, plant, terms.settings.start, compared.least)
+    findings += loop_findings(session, plant, terms.settings.law)
+    findings += _of_matches(judgement.matches, faults, terms.settings, size)
     notes += [*_accepted(judgement.matches), *compared.notes]
     matches = [report.match for report in judgement.matches]
     accepted = sum(match.accepted for match in matches)
@@ -98,31 +98,33 @@ def check_data(session: Session, plant: type[Plant], show: Shown = lambda *_: No
 
 
 def _check_fits(session: Session, plant: type[Plant], show: Shown) -> CheckedPlant:
-    findings, notes = _of_samples(session, plant, plant.model().parameters())
     size = len(session.samples)
     show(f"fitting {len(plant.structures)} structures to {size} samples", size, size)
     windows = [
         part for w in _windows(stretches(session.samples, session.period)) for part in in_parts(plant, w)
     ]
     compared = _compared(windows, plant, size, noise=Noise.of(plant), law=None)
+    findings, notes = _of_samples(session, plant, plant.model().parameters(), compared.least)
     findings += [*compared.findings, *_of_what_is_left(compared.least, plant)]
     return CheckedPlant(f"{plant.title} on {session.name}", tuple(findings), (*notes, *compared.notes))
 
 
 def _of_samples(
-    session: Session, plant: type[Plant], parameters: Parameters
+    session: Session, plant: type[Plant], parameters: Parameters, least: tuple[float, ...]
 ) -> tuple[list[Finding], list[str]]:
-    """The noise of every output, and the duration."""
+    """The noise of every output, which may be what the best fit leaves at `least`, and the duration."""
     findings, size, outputs = [], len(session.samples), plant.outputs
-    rows = np.array([sample.outputs for sample in session.samples]).T
-    measured = {name: noise_of(row) for name, row in zip(outputs, rows, strict=True)}
+    longest = max(stretches(session.samples, session.period), key=len)
+    inputs = [*longest.inputs.T, *longest.disturbances.T]
+    measured = {n: noise_of(y, inputs) for n, y in zip(outputs, longest.outputs.T, strict=True)}
     listed = ", ".join(
         f"{noise:g}{f' ({name})' if len(outputs) > 1 else ''}" for name, noise in measured.items()
     )
     notes = [f"{session.name}: {size} samples, one every {session.period:g} s; measured noise {listed}"]
+    left = dict(zip(outputs, least, strict=False))
     for name, noise in measured.items():
         declared, of = outputs[name].noise, f" {name}" if len(outputs) > 1 else ""
-        if not declared / _LARGE <= noise <= declared * _SMALL:
+        if noise > declared * _SMALL or declared > _LARGE * max(noise, left.get(name, 0.0) / _PART):
             what = f"the noise of the output{of} is declared as {declared:g}, but measured as {noise:g}"
             findings.append(Finding(what, "correct `noise`: every judgement of the fit depends on it"))
         if _SMALL * noise < declared <= _LARGE * noise:
@@ -131,7 +133,7 @@ def _of_samples(
     lags = time_constants(parameters)
     if lags.size and size * session.period < 2 * lags[-1]:
         what = f"the recording lasts {size * session.period:g} s, less than twice the slowest time constant"
-        todo = "record longer, or check the default of that parameter"
+        todo = f"record at least {2 * lags[-1]:.3g} s, or check the default of that parameter"
         findings.append(Finding(f"{what} ({lags[-1]:.3g} s)", todo))
     return findings, notes
 
@@ -149,12 +151,23 @@ def _of_what_is_left(least: tuple[float, ...], plant: type[Plant]) -> Iterator[F
             )
 
 
-def _of_matches(matches: tuple[MatchReport, ...], faults: Sequence[str]) -> Iterator[Finding]:
+def _of_matches(
+    matches: tuple[MatchReport, ...], faults: Sequence[str], settings: TwinSettings, size: int
+) -> Iterator[Finding]:
+    least, period = settings.schedule.min_span, settings.period
     if not matches and faults:
         what = f"no window could be matched, because the plant seemed to be at fault: {faults[0]}"
         yield Finding(what, _FAULTY)
+    elif not matches and size <= least:
+        what = f"no window could be matched: the recording lasts {size * period:g} s"
+        yield Finding(
+            what, f"record at least {2 * least * period:g} s, with steps of the input that stand out"
+        )
     elif not matches:
-        what = "no window could be matched: the signals did not move far enough, or not for long enough"
+        what = (
+            "no window could be matched: the signals did not move far enough, or not for long enough "
+            f"({least * period:g} s without a gap, from one step to the next)"
+        )
         yield Finding(what, _TODO[Status.NO_EXCITATION])
     elif not any(report.match.accepted for report in matches):
         for status, number in Counter(report.match.status for report in matches).most_common(2):

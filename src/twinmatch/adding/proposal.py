@@ -16,6 +16,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from twinmatch.adding.noise import noise_of
 from twinmatch.dynamics import Plant
 from twinmatch.importing.mapped import require_columns, times_of, with_titles
 from twinmatch.importing.resampling import Kind, repeated, resample
@@ -25,9 +26,13 @@ from twinmatch.sessions.files import RecordingError
 from twinmatch.signals import FloatArray
 from twinmatch.units import measure
 
+_SPIKE: Final = 10.0
+"""Distance from the median of its neighbours, in noises, from which a reading is a spike."""
 _MOST: Final = 1e100
 """Size from which squares of values are not numbers any longer."""
 _KNOWN: Final = ("time", "output", "input", "reference")
+_ROLES: Final = {"output": "measured", "input": "drive"}
+"""Names of these signals where the table calls them by the name of another one, as PID libraries do."""
 _RANGES: Final = ((0.0, 1.0), (0.0, 100.0), (-1.0, 1.0), (-100.0, 100.0), (0.0, 255.0), (-255.0, 255.0))
 """Usual ranges of a drive's command."""
 _OFFSET_UNITS: Final = {"degc": "°C", "c": "°C", "°c": "°C", "celsius": "°C", "degf": "°F", "sec": "s"}
@@ -65,6 +70,8 @@ class Proposal:
     table: str = ""
     """Name of the table's file."""
     has_reference: bool = False
+    split: bool = False
+    """Whether the table has gaps, or a clock that was set back."""
 
     @property
     def thermal(self) -> bool:
@@ -127,9 +134,9 @@ def propose(table: Table, given: SignalMap) -> Proposal:
     y, u = done.columns["output"], done.columns["input"]
     others = [name for name in given.sources if name not in _KNOWN]
     part = max(done.stretches, key=lambda stretch: stretch.stop - stretch.start)  # no rate across a gap
-    noise = noise_of(y[part])
     beside = [done.columns[n][part] for n in others]
-    gain, lag, rest = _first_order(y[part], u[part], beside, noise, done.period)
+    noise = noise_of(y[part], [u[part], *beside])
+    gain, lag, rest = _first_order(_without_spikes(y[part], noise), u[part], beside, noise, done.period)
     wanted = _unit(table, sources, "output")
     around = next((name for name in others if _alike(_unit(table, sources, name), wanted)), None)
     if around is not None:  # it is taken as the steady-state output without input
@@ -137,7 +144,7 @@ def propose(table: Table, given: SignalMap) -> Proposal:
     taken: list[str] = []
     output, input_ = (_signal(table, sources, s, taken) for s in ("output", "input"))
     span, reach = float(np.ptp(y)) or 1.0, _range_of(u)
-    ends = [rest + gain * limit for limit in reach]
+    ends = [rest, *(rest + gain * limit for limit in reach)]
     low, high = _round_out(min(float(y.min()), *ends) - span, max(float(y.max()), *ends) + span)
     disturbances = []
     for name in others:
@@ -157,6 +164,7 @@ def propose(table: Table, given: SignalMap) -> Proposal:
         sources={names.get(signal, signal): source for signal, source in given.sources.items()},
         table=table.path.name,
         has_reference="reference" in given.sources,
+        split=bool(done.gaps),
     )
 
 
@@ -171,6 +179,7 @@ def _signal(
 ) -> tuple[str, str]:
     """Name and unit."""
     title = split_title(sources[signal].places[0])[0]
+    title = _ROLES[signal] if title.lower() in _KNOWN and title.lower() != signal else title
     name = _word(title if re.search(r"[a-zA-Z]{3}", title) else signal, taken)
     return name, _unit(table, sources, signal)
 
@@ -227,6 +236,14 @@ def _first_order(
     return rounded(guess[0]), rounded(guess[1]), rounded(guess[2], 3)
 
 
+def _without_spikes(values: FloatArray, noise: float) -> FloatArray:
+    """Readings with the median of five neighbours where one is far from it."""
+    from scipy.ndimage import median_filter  # noqa: PLC0415 (slow to import, used only here)
+
+    middle = median_filter(values, 5, mode="nearest")
+    return np.where(np.abs(values - middle) > _SPIKE * noise, middle, values)
+
+
 def rounded(value: float, digits: int = 2) -> float:
     """To so many digits."""
     return float(f"{value:.{digits}g}")
@@ -236,57 +253,3 @@ def _round_out(low: float, high: float) -> tuple[float, float]:
     """Round numbers just outside the range."""
     step = 10.0 ** math.floor(math.log10((high - low) / 2)) if high > low else 1.0
     return math.floor(low / step) * step, math.ceil(high / step) * step
-
-
-_BLOCK: Final = 20
-"""Second differences whose median shows how quiet the signal is there."""
-_QUIET: Final = 0.82
-"""Lower quartile of such medians of white noise, in the median of all."""
-_FAR: Final = 3.0
-"""A quarter of the recording is far quieter if its noise is less by this factor: white noise never is."""
-_OFTEN: Final = 0.005
-"""Share of the second differences that a sensor's step must have; resampling leaves a few fractions of it."""
-_NEARLY_ALL: Final = 0.95
-"""Share of them that are multiples of the step if the sensor has one."""
-_FLOOR: Final = 1e-4
-"""Least noise of values without steps, which are computed ones, as a share of their range."""
-
-
-def noise_of(values: FloatArray) -> float:
-    """Standard deviation of white noise on a signal of a plant that moved, two digits.
-
-    Second differences are hardly affected by a slow plant: for white noise of standard deviation σ they have
-    the variance 6 σ²; the median is robust to a few jumps. A sensor that rounds to steps q has at least
-    q/√12.
-
-    If a quarter of the recording is far quieter than the rest, the rest is the plant's own movement, and the
-    noise is that of the quiet part.
-    """
-    bends = np.abs(np.diff(values, 2))
-    white = _white(np.median(bends)) if bends.size else 0.0
-    if bends.size >= 10 * _BLOCK:
-        blocks = bends[: bends.size - bends.size % _BLOCK].reshape(-1, _BLOCK)
-        quiet = _white(np.quantile(np.median(blocks, axis=1), 0.25)) / _QUIET
-        white = quiet if quiet < white / _FAR else white
-    step = _step(bends)
-    if step:
-        return rounded(max(white, step / math.sqrt(12.0)))
-    changes = np.round(np.abs(np.diff(values)), 9)
-    rounding = float(np.min(changes[changes > 0.0], initial=math.inf)) / math.sqrt(12.0)
-    floor = _FLOOR * (float(np.ptp(values)) or 1.0)
-    return rounded(max(white, rounding if rounding < 10 * max(white, floor) else 0.0, floor))
-
-
-def _white(median: float | np.float64) -> float:
-    """Standard deviation of white noise whose second differences have this median size."""
-    return float(median) / 0.6745 / math.sqrt(6.0)
-
-
-def _step(bends: FloatArray) -> float:
-    """The step of a sensor that shows it; zero if the signal has none."""
-    sizes, times = np.unique(np.round(bends, 9), return_counts=True)
-    often = sizes[(times > _OFTEN * bends.size) & (sizes > 0.0)]
-    if not often.size:
-        return 0.0
-    counts = bends / often[0]
-    return float(often[0]) if np.mean(np.abs(counts - np.round(counts)) < 1e-3) > _NEARLY_ALL else 0.0

@@ -76,10 +76,13 @@ def modes(parameters: Parameters) -> NDArray[np.complex128]:
         PlantError: the equations have no finite values there.
     """
     model = parameters.model
-    states = begin(parameters, middle_of(model))
     rest = np.array([sum(drive.limits) / 2 for drive in model.plant.drives.values()])
-    slopes = model.kernels.slopes_at(parameters.vector, states, rest, model.disturbances)[1]
-    if not np.isfinite(slopes).all():
+    middle = np.array([sum(model.plant.states[name].span) / 2 for name in model.states])
+    for states in (begin(parameters, middle_of(model), input=rest), middle):  # a power may begin at 0
+        slopes = model.kernels.slopes_at(parameters.vector, states, rest, model.disturbances)[1]
+        if np.isfinite(slopes).all():
+            break
+    else:
         msg = f"{model.title}: the derivatives of its rates are not finite in the middle of its range"
         raise PlantError(msg)
     return np.asarray(np.linalg.eigvals(slopes), dtype=np.complex128)

@@ -12,7 +12,7 @@ from twinmatch.cli.shared import Progress, add_options, column_map, console_for,
 from twinmatch.errors import TwinmatchError
 from twinmatch.importing import read_recording
 from twinmatch.importing.bags import is_bag, open_bag
-from twinmatch.importing.column_map import columns_of, proposed
+from twinmatch.importing.column_map import SEEN, columns_of, proposed, seen_by_controller
 from twinmatch.importing.mapped import map_samples, with_plant_names
 from twinmatch.importing.mapped_bags import map_bag
 from twinmatch.importing.tables import read_table
@@ -139,6 +139,8 @@ def _list(path: Path) -> int:
     if sources:
         entries = [f"{signal}={source.text}" for signal, source in sources.items()]
         print(f"A guess, please check: --map {shlex.join(entries)}")
+    if seen_by_controller(columns, sources):
+        print(SEEN)
     if "room" in sources:
         print("room stands for a measured disturbance of your plant; use the names in your plant's file.")
     return 0

@@ -11,7 +11,7 @@ from typing import Any
 from twinmatch.adding import Proposal, example, files_of, propose
 from twinmatch.cli.shared import add_options, positive_period
 from twinmatch.errors import TwinmatchError
-from twinmatch.importing.column_map import columns_of, proposed
+from twinmatch.importing.column_map import SEEN, columns_of, proposed, seen_by_controller
 from twinmatch.importing.tables import read_table
 from twinmatch.sampling.sources import SignalMap, parse_map
 
@@ -34,7 +34,8 @@ def run(options: argparse.Namespace) -> int:
         TwinmatchError: the table cannot be used, or a file already exists.
     """
 
-    files = files_of(options.name, _proposal(options))
+    held = _proposal(options)
+    files = files_of(options.name, held)
     folder: Path = options.output
     if not folder.is_dir():
         raise TwinmatchError(f"new-plant: the folder {folder} does not exist; create it first")
@@ -46,7 +47,7 @@ def run(options: argparse.Namespace) -> int:
             (folder / name).write_text(text, encoding="utf-8")
         except OSError as error:
             raise TwinmatchError(f"{folder / name}: cannot be written ({error.strerror})") from error
-    _say(options, [str(folder / name) for name in files])
+    _say(options, [str(folder / name) for name in files], " --gaps split" if held.split else "")
     return 0
 
 
@@ -58,13 +59,16 @@ def _proposal(options: argparse.Namespace) -> Proposal:
         return example()
     table = read_table(options.table)
     if not given.sources:
-        given = SignalMap(proposed(columns_of(table)))
+        columns = columns_of(table)
+        given = SignalMap(proposed(columns))
         words = shlex.join(f"{signal}={source.text}" for signal, source in given.sources.items())
         print(f"Columns guessed as: --map {words}")
+        if seen_by_controller(columns, given.sources):
+            print(SEEN)
     return propose(table, replace(given, period=period))
 
 
-def _say(options: argparse.Namespace, files: list[str]) -> None:
+def _say(options: argparse.Namespace, files: list[str], more: str) -> None:
     plant, test, config, *mapped = map(shlex.quote, files)
     session = f"{options.name}_session"
     print(f"Written: {', '.join(files)}")
@@ -74,7 +78,7 @@ def _say(options: argparse.Namespace, files: list[str]) -> None:
     print(f"  3. python -m pytest {test}        # passes as it is; keep it so")
     if mapped:
         table = shlex.quote(str(options.table))
-        print(f"  4. twinmatch import {table} --map-file {mapped[0]} --plant {plant} -o {session}")
+        print(f"  4. twinmatch import {table} --map-file {mapped[0]} --plant {plant}{more} -o {session}")
     else:
         print(f"  4. twinmatch import LOG.csv --plant {plant} --map time=… output=… input=… -o {session}")
     print(f"  5. twinmatch replay {session} --plant {plant}        # or --config {config}")

@@ -17,6 +17,8 @@ from twinmatch.signals import FloatArray, Sample, Signals
 _REACH: Final = 1.2
 """Factor by which drive and surroundings may move the plant further than the twin says. Where a large
 movement is expected, its absence is a drive fault, not an implausible reading."""
+_GUESSED: Final = 20.0
+"""The same factor before there is a twin: as far as the defaults of a new plant file may be off."""
 _SURE: Final = 6.0
 """A movement below `jump` by this factor is never implausible: what is missing of the expected movement is
 then within its reach."""
@@ -48,6 +50,7 @@ class Refusals:
         """Begin without samples; at most `longest` in a row are replaced."""
         plant = settings.reference.model.plant
         self._spans = [output.span for output in plant.outputs.values()]
+        self._defaults = settings.reference
         self._twin = settings.reference if plant.typical else None
         self._period, self._longest = settings.period, longest
         self._jump = settings.jump * max(1.0, settings.pace)
@@ -90,7 +93,7 @@ class Refusals:
     def _leaps(self, sample: Sample) -> bool:
         """Whether the plant cannot have moved there since the newest accepted sample."""
         before = self._since[0]
-        if self._twin is None or len(sample.outputs) != 1 or len(sample.inputs) != 1:
+        if len(sample.outputs) != 1 or len(sample.inputs) != 1:
             return False
         if self._cut and not self._possible(before):
             return False
@@ -98,8 +101,9 @@ class Refusals:
         if abs(moved) <= self._jump / _SURE:
             return False
         inputs = [None, *self._earlier]  # the plant may answer later than the twin
-        expected = (self._movement(self._twin, sample.index, given) for given in inputs)
-        return all(abs(moved - to) > max(self._jump, _REACH * size) for to, size in expected)
+        twin, reach = (self._twin, _REACH) if self._twin else (self._defaults, _GUESSED)
+        expected = (self._movement(twin, sample.index, given) for given in inputs)
+        return all(abs(moved - to) > max(self._jump, reach * size) for to, size in expected)
 
     def _movement(self, twin: Parameters, index: int, given: float | None = None) -> tuple[float, float]:
         """Expected movement from the newest accepted sample to an index, and the sum of its parts' sizes;

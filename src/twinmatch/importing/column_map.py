@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -54,7 +54,9 @@ _INPUT: Final = re.compile(
     re.IGNORECASE,
 )
 _AROUND: Final = re.compile(r"amb|room|outside|outdoor|environment|t_?inf|surround", re.IGNORECASE)
-_TIME: Final = re.compile(r"^t$|^t[ _.-](ns|us|ms|s|min|h)$|time|stamp|date|^sec|elapsed", re.IGNORECASE)
+_TIME: Final = re.compile(
+    r"^t$|^t[ _.-](ns|us|ms|s|min|h)$|time|stamp|date|^sec|elapsed|^zeit", re.IGNORECASE
+)
 _FEW: Final = 12
 """A column with at most so many different values looks commanded rather than measured."""
 _REPEATED: Final = 0.9
@@ -62,6 +64,10 @@ _JUMP: Final = 0.05
 """A column that repeats its value in this share of the rows, and otherwise jumps by this share of its range,
 looks commanded too. A slow reading that is rounded repeats its value as often, but moves by one digit."""
 
+_TIMES: Final = ("time", "t", "timestamp", "seconds", "sec", "elapsed", "zeit", "temps", "tiempo", "tempo")
+"""Titles of times that may also stand still or go back."""
+_RESTARTS: Final = 0.1
+"""Most steps back, as a share of those forward, in a column that is a time by its title."""
 _TWICE: Final = 0.05
 """Largest share of rows that may repeat the time before in a column that is a time by its title."""
 
@@ -115,8 +121,11 @@ def described(title: str, unit: str, values: FloatArray, *, ordered: bool) -> Co
     grows = finite.size > 2 and bool((steps > 0).all())
     # A logger may write a row twice; more repeats are those of another quantity, such as a counter.
     twice = int(np.sum(steps == 0))
-    few = finite.size > 2 and bool((steps >= 0).all()) and twice <= max(1, _TWICE * steps.size)
-    repeats = few and _TIME.search(split_title(title)[0]) is not None
+    by_title = finite.size > 2 and _TIME.search(split_title(title)[0]) is not None
+    # Also a time that a restarted logger set back, or whose digits are too few: the import says so.
+    restarted = by_title and bool((steps < 0).sum() <= _RESTARTS * (steps > 0).sum())
+    few = bool((steps >= 0).all()) and twice <= max(1, _TWICE * steps.size)
+    repeats = by_title and (few or (restarted and split_title(title)[0].lower() in _TIMES))
     if different == 1:
         kind = "constant"
     elif ordered and (grows or repeats):
@@ -160,8 +169,37 @@ def proposed(columns: Sequence[Column]) -> dict[str, SignalSource]:
         if signal not in sources and choice is not None:
             sources[signal] = SignalSource((choice,))
             taken.add(choice)
+    if seen_by_controller(columns, sources):
+        sources["output"], sources["input"] = (SignalSource((c.title,)) for c in _in_and_out(columns))
     order = ("time", "output", "input", "reference", "room")
     return {signal: sources[signal] for signal in order if signal in sources}
+
+
+SEEN: Final = (
+    "Input is taken as what is measured, and Output as the drive: the set-point is near Input, as where PID "
+    "libraries give these names. If that is wrong, exchange them in --map."
+)
+
+
+def seen_by_controller(columns: Sequence[Column], sources: Mapping[str, SignalSource]) -> bool:
+    """Whether Input and Output are those of the controller, as PID libraries call them.
+
+    The set-point tells: what is measured follows it.
+    """
+    found = _in_and_out(columns)
+    target = next(
+        (c for c in columns if "reference" in sources and c.title in sources["reference"].places), None
+    )
+    if len(found) != 2 or target is None:
+        return False
+    given, made = (abs(c.low - target.low) + abs(c.high - target.high) for c in found)
+    return given < made
+
+
+def _in_and_out(columns: Sequence[Column]) -> list[Column]:
+    """The columns Input and Output, if there are both."""
+    named = {split_title(c.title)[0].lower(): c for c in columns if c.kind != "text"}
+    return [named[name] for name in ("input", "output") if name in named]
 
 
 def _named(columns: Sequence[Column], words: re.Pattern[str], kinds: Sequence[str]) -> Iterator[Column]:

@@ -74,13 +74,18 @@ class LoopNames(NamedTuple):
 def with_plant_names(table: Table, plant: type[Plant], given: SignalMap) -> SignalMap:
     """The map, completed with columns that have the names of signals."""
     sources = dict(by_signal(plant, given.sources))
-    for signal, names in _names(plant).items():
-        if signal not in sources:
-            for name in names:
-                titles = [title for title in table.columns if split_title(title)[0].lower() == name.lower()]
-                if len(titles) == 1:
-                    sources[signal] = SignalSource((titles[0],))
-                    break
+    taken = {table.find(place) for source in sources.values() for place in with_titles(table, source).places}
+    titled: dict[str, list[str]] = {}
+    for title in table.columns:
+        titled.setdefault(split_title(title)[0].lower(), []).append(title)
+    # The plant's own names first: a drive may be called output.
+    for signal, names in sorted(_names(plant).items(), key=lambda entry: len(entry[1]) == 1):
+        for name in reversed(names) if signal not in sources else ():
+            titles = titled.get(name.lower(), [])
+            if len(titles) == 1 and titles[0] not in taken:
+                sources[signal] = SignalSource((titles[0],))
+                taken.add(titles[0])
+                break
     return SignalMap(sources, given.plant, given.period)
 
 
@@ -187,6 +192,7 @@ def by_signal(plant: type[Plant], sources: Mapping[str, SignalSource]) -> dict[s
         RecordingError: the plant has no signal of that name, or a signal is given twice.
     """
     known = {name: signal for signal, names in _names(plant).items() for name in names}
+    known |= {signal: signal for signal in _names(plant)}  # also where a drive is called output
     named: dict[str, SignalSource] = {}
     used: dict[str, str] = {}
     for name, source in sources.items():

@@ -44,6 +44,8 @@ _USUAL: Final = 1.5
 """Longer steps, in medians, contain lost rows."""
 _RARELY: Final = 0.1
 """Largest share of the steps that lead back where a clock was set; more are rows out of order."""
+_FEW: Final = 20
+"""Rows from which times that all repeat are rounded ones."""
 _DIGITS: Final = 9
 """Significant digits of the period of a regular recording."""
 _JITTER: Final = 0.1
@@ -277,6 +279,14 @@ def _refuse_standing(
     back = np.flatnonzero(steps == 0 if rare else steps <= 0)
     if back.size:
         at = int(back[0])
+        many = np.median(np.unique(stamps, return_counts=True)[1])
+        if many > 1 and steps.size >= _FEW and not (steps < 0).any():
+            mean = float(f"{usual_step(steps) / many:.3g}")
+            raise RecordingError(
+                f"{place}: {row(at)} and {row(at + 1)} have the same time, {stamps[at]:.12g} s, and so on: "
+                f"the times have too few digits for rows about {mean:g} s apart; record more digits, or map "
+                f"no time and give --period {mean:g}"
+            )
         remedy = "sort the rows, and keep one per time"
         if steps[at] < 0 and not split:
             remedy = "if a clock was set back there, import it with --gaps split; otherwise sort the rows"

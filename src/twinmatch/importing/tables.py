@@ -218,10 +218,14 @@ def _parse(path: Path, lines: Iterator[tuple[int, str]]) -> Table:
     rows = _rows(path, chain(head, lines), divider)
     (place, titles), *beginning = islice(rows, len(head))
     if all(number(title) is not None for title in titles):
-        raise RecordingError(f"{path}, line {place}: has numbers; the first line must name the columns")
+        names = ("time", "output", "input", *(f"other {k}" for k in range(1, 4)))[: len(titles)]
+        raise RecordingError(
+            f"{path}, line {place}: has numbers; the first line must name the columns: write "
+            f"one above it, such as {divider.join(names)}"
+        )
     _check_titles(path, titles)
     titles, skipped = _with_units(titles, [cells for _, cells in beginning[:2]])
-    decimal = "." if divider == "," else _decimal([cells for _, cells in beginning])
+    decimal = _decimal([cells for _, cells in beginning], quoted=divider == ",")
     places, numbers = array("q"), [array("d") for _ in titles]
     texts: list[dict[int, str]] = [{} for _ in titles]
     for place, cells in chain(beginning[skipped:], rows):
@@ -290,8 +294,10 @@ def _with_units(titles: list[str], cells: list[list[str]]) -> tuple[list[str], i
     ], 1
 
 
-def _decimal(rows: Sequence[Sequence[str]]) -> str:
-    return "," if any(re.fullmatch(r"\s*-?\d+,\d+\s*", cell) for row in rows for cell in row) else "."
+def _decimal(rows: Sequence[Sequence[str]], *, quoted: bool) -> str:
+    """The decimal separator; in `quoted` cells three digits behind a comma may be thousands."""
+    form = r"\s*-?\d+,(\d{1,2}|\d{4,})\s*" if quoted else r"\s*-?\d+,\d+\s*"
+    return "," if any(re.fullmatch(form, cell) for row in rows for cell in row) else "."
 
 
 def _distinct(titles: Sequence[str]) -> list[str]:

@@ -62,7 +62,7 @@ COLUMNS: Final[dict[str, Callable[[Verdict, float], str]]] = {
     "miss u / half band": lambda v, _: number(v.miss_u),
     "nominal": lambda v, _: v.nominal or number(None),
     "leader": lambda v, _: v.leader or number(None),
-    "why": lambda v, _: v.reason,
+    "why": lambda v, _: v.level_reason if v.level is TrustLevel.DOUBTFUL else v.reason,
 }
 """Headings of a verdict's cells, and their texts for a sampling period in s.
 

@@ -56,7 +56,10 @@ def check_band(
 
     miss_y, inside_y = worst(outputs, forecast.outputs)
     miss_u, inside_u = (float("nan"),) * 2 if inputs is None else worst(inputs, forecast.inputs)
-    came = outputs[0] if counted is None else outputs[0, counted]
+    band, size = forecast.outputs[0], outputs.shape[1]
+    known = np.ones(size, dtype=np.bool_) if counted is None else counted
+    held = known & (band.low[-size:] <= outputs[0]) & (outputs[0] <= band.high[-size:])  # no spikes
+    came = outputs[0, held if held.any() else known]
     low, high, last = float(came.min()), float(came.max()), float(came[-1])
     return BandCheck(miss_y, inside_y, miss_u, inside_u, low, high, last)
 
