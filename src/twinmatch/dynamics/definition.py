@@ -6,7 +6,7 @@ import inspect
 import math
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, TypeVar
 
 from twinmatch.dynamics.declarations import (
@@ -44,6 +44,12 @@ class Equations:
     """Initial value of each state, from the output, the drive until then, disturbances and parameters."""
     quantities: Mapping[str, Expression] = field(default_factory=dict)
     """Other quantities of interest, by name: currents, heat flows."""
+
+    def driven(self, drive: Expression, by: Expression) -> Equations:
+        """These equations with `by` in place of a drive in the rates, such as what is left of it."""
+        import sympy  # noqa: PLC0415 (slow; needed only to derive equations)
+
+        return replace(self, rates={s: sympy.sympify(rate).subs(drive, by) for s, rate in self.rates.items()})
 
 
 class PlantType(type):
