@@ -16,7 +16,17 @@ from dataclasses import replace
 from functools import cache
 from typing import Any, Final, NamedTuple
 
-from twinmatch.dynamics import DeadTime, Drive, Model, Output, Parameter, Parameters, State, Structure, dry_friction
+from twinmatch.dynamics import (
+    DeadTime,
+    Drive,
+    Model,
+    Output,
+    Parameter,
+    Parameters,
+    State,
+    Structure,
+    dry_friction,
+)
 from twinmatch.dynamics.equations import outputs_of, written_equations
 from twinmatch.dynamics.pace import time_constant
 from twinmatch.errors import TwinmatchError
@@ -189,7 +199,11 @@ def lack_of(
     """
     if base.model.is_external:
         return None
-    best, least, each = None, independent * math.log(max(left, 1.0)) / 2 - _SURE, math.log(max(independent, 2.0))
+    best, least, each = (
+        None,
+        independent * math.log(max(left, 1.0)) / 2 - _SURE,
+        math.log(max(independent, 2.0)),
+    )
     for grown in _plants_with_effects(base.model, period):
         found = fit(grown.model.parameters(**base))
         if found is None or found[1] > (1.0 - _EXPLAINED) * left:
@@ -197,7 +211,10 @@ def lack_of(
         added = len(grown.effect.free) + len(grown.effect.hidden)
         charge = (independent * math.log(max(found[1], 1.0)) + added * each) / 2
         if charge < least:
-            best, least = Lack(_words(grown, found[0]), 1.0 - found[1] / left, _lines(base.model, grown)), charge
+            best, least = (
+                Lack(_words(grown, found[0]), 1.0 - found[1] / left, _lines(base.model, grown)),
+                charge,
+            )
     return best
 
 
