@@ -156,7 +156,8 @@ def test_a_match_names_the_dead_time_that_no_structure_has(late: int) -> None:
     found = carry_out(asked, PROMPT).match
     assert found.status is Status.NOT_EXPLAINED
     said, of, explained = found.reason.split("; ")[-1].partition(" s would explain ")
-    assert of and int(explained.split("%")[0]) > 90, found.reason
+    assert of, found.reason
+    assert int(explained.split("%")[0]) > 90
     # A dead time of a few states rounds off an exact one of two or three samples.
     assert float(said.removeprefix("a dead time of about ")) == pytest.approx(late * PERIOD, abs=1.0)
 

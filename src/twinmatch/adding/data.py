@@ -244,8 +244,8 @@ class Compared(NamedTuple):
 
 
 def compare_structures(held: Sequence[Window], plant: type[Plant], settings: TwinSettings) -> Compared:
-    """Fit every structure of the plant file to a recording as a whole, its stretches without a gap, and choose
-    one as the twin does: by free runs on samples held back."""
+    """Fit every structure of the plant file to a recording, its stretches without a gap, and choose one as
+    the twin does."""
     windows, total = _windows(held), sum(map(len, held))
     first = settings.start.model.structure_name
     return _compared(windows, plant, total, noise=settings.noise, law=settings.law, first=first)
@@ -272,20 +272,15 @@ def _compared(
     notes = [f"each structure fitted to {'all' if used == total else 'the first'} {used} samples:"]
     notes += [f"  {_line(score, plant)}" for score in choice.scores]
     notes += [choice.sentence] if len(names) > 1 else []
-    least, chosen = (
-        tuple(np.min([_rms(score.fitted) for score in choice.scores], axis=0).tolist()),
-        choice.chosen,
-    )
-    findings, first = [], first or names[0]
+    least = tuple(np.min([_rms(score.fitted) for score in choice.scores], axis=0).tolist())
+    chosen, findings, first = choice.chosen, [], first or names[0]
     if chosen != first:
         what = f"the recording supports the structure {chosen!r} rather than {first!r}"
         todo = "put it first in `structures`: single windows are matched with the first one"
         findings.append(Finding(what, todo))
     if lack := _lack(choice.score, windows, noise, law):
-        what = (
-            f"the equations lack an effect: of the squares that {chosen!r} leaves, {lack.what} would explain "
-        )
-        findings.append(Finding(f"{what}{lack.explained:.0%}", "add the lines above to the plant file"))
+        what = f"the structure {chosen!r} leaves residuals: {lack} (squared)"
+        findings.append(Finding(what, "add the lines above to the plant file"))
         notes += [f"lines that add {lack.what} to the plant file:", *(f"  {line}" for line in lack.lines)]
     return Compared(findings, notes, least)
 

@@ -233,9 +233,8 @@ def held_back_costs(
         both = np.concatenate([response.outputs.T, response.inputs.T])[:signals]
         off = (run.measured[:signals] - both)[:, end - SKIPPED :] / noise.all[:signals, None]
         costs = np.sum(2.0 * (np.sqrt(1.0 + off**2) - 1.0), axis=0)[run.window.marks[end:]] / signals
-        blocks += [
-            part.mean() for part in np.array_split(costs, max(round(costs.size / LASTING), 1)) if part.size
-        ]
+        each = np.array_split(costs, max(round(costs.size / LASTING), 1))
+        blocks += [part.mean() for part in each if part.size]
     return np.array(blocks or [fitted.cost])
 
 

@@ -132,7 +132,7 @@ def _lacking(request: MatchRequest, settings: TwinSettings, first: Match) -> Lac
 
     def fit(start: Parameters) -> tuple[Parameters, float] | None:
         best = usable_fit(request.window, start, settings.noise, settings.law)
-        return best and (best.problem.experiment.parameters_at(best.values), best.chi2)
+        return None if best is None else (best.problem.experiment.parameters_at(best.values), best.chi2)
 
     independent = len(request.window) / LASTING
     return lack_of(first.parameters, request.window.period, first.chi2, independent, fit)

@@ -1,12 +1,12 @@
-"""Choice of the plant structure that the data support: by how it runs on samples that its fit has not seen.
+"""Choice of the plant structure that the data support: by free runs on samples that its fit has not seen.
 
-Every structure is fitted to the first two thirds of each window and then runs on freely, in the loop or driven
-by the recorded input, over the last third. What counts is what it is off there, in units of the noise, errors
-of more than a noise linearly. One step ahead, a noise model would carry even the poorest structure; and what a
-richer one gains on the samples that it was fitted to says little of the next ones.
+Every structure is fitted to the first two thirds of each window and then runs freely over the last third, in
+the loop or driven by the recorded input. What counts is its error there, in units of the noise, large ones
+linearly. One step ahead, a noise model would carry even the poorest structure; and what a richer one gains on
+the samples that it was fitted to says little of the next ones.
 
-The errors are compared in blocks as long as residuals are correlated. A structure is worse than the best if its
-mean cost is above that one's by more than two standard errors of the difference or, where few blocks hold most of
+The errors are compared in blocks as long as residuals are correlated. A structure is worse than the best if
+its mean cost is higher by more than two standard errors of the difference or, where few blocks hold most of
 it, so far that their likelihoods differ by two nats. Of those that are not worse, the one with the fewest
 parameters is chosen; of as many, the one that errs less.
 """
@@ -27,8 +27,8 @@ from twinmatch.signals import FloatArray, Window
 
 _TINY: Final = float(np.finfo(np.float64).tiny)
 _EQUAL: Final = 2.0
-"""Standard errors of a difference, and nats, up to which structures are equal. Of twelve simulated rigs each, the
-plain and the rich structure were always chosen where they had made the data; at one, two plain rigs were not."""
+"""Standard errors of a difference, and nats, up to which structures are equal. At one, two of twelve plain
+simulated rigs are called richer; at two none, and every rich one is."""
 
 
 @dataclass(frozen=True, eq=False)
