@@ -38,7 +38,7 @@ class Equations:
     rates: Mapping[Expression, Expression]
     """Time derivative of each state that the structure has, in its unit per second."""
     output: Expression | Mapping[Expression, Expression]
-    """The quantity that the sensor measures, a smooth function of states and parameters; for several outputs,
+    """The quantity that the sensor measures, a smooth function of states and other quantities; for several,
     that of each."""
     start: Mapping[Expression, Expression]
     """Initial value of each state, from the output, the drive until then, disturbances and parameters."""

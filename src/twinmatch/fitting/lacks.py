@@ -46,13 +46,10 @@ class _Effect(NamedTuple):
 
     title: str
     declared: str
-    """The lines of its declarations; states are unknown at the start."""
+    """The lines of its declarations. States are unknown at the start and parameters free; the first of these
+    is said: a time, which is tried from several starts, or a value."""
     equations: str
     """The lines in `equations`, where `held` are those without it."""
-    free: tuple[str, ...]
-    """Its parameters. The first is said: a time, which is tried from several starts, or a value."""
-    hidden: tuple[str, ...] = ()
-    """States whose value at the start is unknown."""
 
 
 _STATE = "State(unit={unit!r}, span={span}, start_bounds={span})\n"
@@ -68,7 +65,6 @@ _OF_A_DRIVE: Final = (
         "held = held.driven(self.{at}, arrives.value)\n"
         "held.rates.update(arrives.rates)\n"
         "held.start.update(arrives.start)\n",
-        ("delay",),
     ),
     _Effect(
         "a second store behind {at}",
@@ -76,14 +72,11 @@ _OF_A_DRIVE: Final = (
         "held = held.driven(self.{at}, self.between)\n"
         "held.rates[self.between] = (self.{at} - self.between) / self.between_lag\n"
         "held.start[self.between] = self.{at}\n",
-        ("between_lag",),
-        ("between",),
     ),
     _Effect(
         "a scale of {at}",
         "input_scale = Parameter(default=1.0, bounds=(0.05, 20.0), positive=True)\n",
         "held = held.driven(self.{at}, self.input_scale * self.{at})\n",
-        ("input_scale",),
     ),
 )
 _OF_AN_OUTPUT: Final = _Effect(
@@ -92,8 +85,6 @@ _OF_AN_OUTPUT: Final = _Effect(
     "held.rates[self.shown] = (held.output - self.shown) / self.shown_lag\n"
     "held.start[self.shown] = self.{at}\n"
     "held = replace(held, output=self.shown)\n",
-    ("shown_lag",),
-    ("shown",),
 )
 _BESIDE: Final = _Effect(
     "a second store beside {at}",
@@ -101,8 +92,6 @@ _BESIDE: Final = _Effect(
     "held.rates[self.{at}] += self.beside_rate * (self.beside - self.{at})\n"
     "held.rates[self.beside] = (self.{at} - self.beside) / self.beside_lag\n"
     "held.start[self.beside] = held.start[self.{at}]\n",
-    ("beside_lag", "beside_rate"),
-    ("beside",),
 )
 _FED: Final = _Effect(
     "a second store between {drive} and {at}",
@@ -111,33 +100,26 @@ _FED: Final = _Effect(
     "held.rates[self.fed] = held.rates[self.{at}] - idle + (self.{at} - self.fed) / self.fed_lag\n"
     "held.rates[self.{at}] = idle + self.fed_rate * (self.fed - self.{at})\n"
     "held.start[self.fed] = held.start[self.{at}]\n",
-    ("fed_lag", "fed_rate"),
-    ("fed",),
 )
 _BOTH: Final = _Effect(
     f"{_FED.title}, and a third one beside it",
     _FED.declared + _BESIDE.declared,
     _FED.equations + _BESIDE.equations,
-    _FED.free + _BESIDE.free,
-    _FED.hidden + _BESIDE.hidden,
 )
 _LOAD: Final = _Effect(
     "a constant load on {at}",
     f"load_rate = {_STEEP}".replace("{low}", "-{steep}"),
     "held.rates[self.{at}] += self.load_rate\n",
-    ("load_rate",),
 )
 _FRICTION: Final = _Effect(
     "friction of {at}",
     f"friction = {_STEEP}".replace("{low}", "0.0"),
     "held.rates[self.{at}] += dry_friction(self.{at}, self.friction, {soft})\n",
-    ("friction",),
 )
 _COLUMN: Final = _Effect(
     "the measured {column} on {at}, by a rate",
     "by_column = Parameter(default=0.0, bounds=(-{wide}, {wide}), scale={per}, relative=False)\n",
     "held.rates[self.{at}] += self.by_column * (self.{column} - {middle})\n",
-    ("by_column",),
 )
 
 
@@ -186,10 +168,11 @@ def lack_of(
         found = fit(grown.model.parameters(**base))
         if found is None or found[1] > (1.0 - _EXPLAINED) * left:
             continue
-        added = len(grown.effect.free) + len(grown.effect.hidden)
+        added = grown.model.structure.n_parameters() - base.model.structure.n_parameters()
         charge = (independent * math.log(max(found[1], 1.0)) + added * each) / 2
         if charge < least:
-            least, what = charge, f"{grown.effect.title} of about {_said(grown, found[0])}"
+            said = _said(found[0], grown.model.structure.free[len(base.model.structure.free)])
+            least, what = charge, f"{grown.effect.title} of about {said}"
             best = Lack(what, 1.0 - found[1] / left, _lines(base.model, grown))
     return best
 
@@ -267,11 +250,12 @@ def _with_effect(model: Model, effect: _Effect, words: dict[str, Any]) -> Model:
         exec(effect.equations, local)  # noqa: S102 — lines of this module
         return local["held"]
 
-    first, times = effect.free[0], (words["usual"] / 10, 10 * words["usual"])
+    free, hidden = ([n for n, v in declared.items() if isinstance(v, kind)] for kind in (Parameter, State))
+    first, times = free[0], (words["usual"] / 10, 10 * words["usual"])
     richer = replace(
         structure,
-        free=(*structure.free, *effect.free),
-        free_starts=(*structure.free_starts, *effect.hidden),
+        free=(*structure.free, *free),
+        free_starts=(*structure.free_starts, *hidden),
         starts=tuple({first: t} for t in times if declared[first].unit == "s" and t > words["short"]),
     )
     body = declared | {"equations": equations, "structures": {model.structure_name: richer}, "followed": ""}
@@ -280,9 +264,8 @@ def _with_effect(model: Model, effect: _Effect, words: dict[str, Any]) -> Model:
     return made.model()  # type: ignore[no-any-return]
 
 
-def _said(grown: _Grown, found: Parameters) -> str:
-    name = grown.effect.free[0]
-    value, unit = found[name], grown.model.declared[name].unit
+def _said(found: Parameters, name: str) -> str:
+    value, unit = found[name], found.model.declared[name].unit
     if unit == "s":
         longer = ((86400, "d"), (3600, "h"), (60, "min"), (0, "s"))
         size, unit = next(one for one in longer if value >= 2 * one[0])
