@@ -100,7 +100,7 @@ def plant_of(rates: str = "{p.x: p.u - p.a * p.x}", output: str = "p.x", start: 
         ({"rates": "{p.x: p.z}"}, "the rate of x uses z, which is the output or a state without a rate"),
         ({"rates": "{p.x: sympy.Symbol('w')}"}, "the rate of x uses 'w', which is not declared"),
         ({"start": "{}"}, "state x has no start value"),
-        ({"output": "p.x + p.u"}, "the output depends on the drive at the same instant"),
+        ({"output": "2 * p.u"}, "the output depends on no state"),
         ({"output": "sympy.Abs(p.x, evaluate=False)"}, "the output has a kink"),
         (
             {"rates": "{p.x: sympy.Piecewise((p.u, sympy.Eq(p.x, 1)), (0, True))}"},

@@ -67,11 +67,10 @@ def test_wrong_physics_loses_the_choice_of_structures(
     right, wrong = adopted(exchange_fmu, "right"), adopted(wrong_fmu, "wrong")
     choice = choose_structure(window, [wrong, right, NATIVE])
     assert choice.chosen != wrong.structure_name
-    assert all(vote != wrong.structure_name for vote in choice.votes.values())
-    bic = {score.name: score.evidence.bic for score in choice.scores}
-    # The right one is the native one, and the wrong one is worse by more than chance can do in 600 samples.
-    assert bic[right.structure_name] == pytest.approx(bic["held sink"], rel=1e-6)
-    assert bic[wrong.structure_name] > bic["held sink"] + 20.0
+    off = {score.name: score.off for score in choice.scores}
+    # The right one is the native one; the wrong one errs in the transient of the part held back.
+    assert off[right.structure_name] == pytest.approx(off["held sink"], rel=1e-6)
+    assert off[wrong.structure_name] > 1.2 * off["held sink"]
 
 
 @pytest.mark.usefixtures("only_fmus")

@@ -247,7 +247,7 @@ def test_what_a_package_declares_wrongly_is_reported(tmp_path: Path, monkeypatch
             "        if self.block > 3: pass\n        lost = ",
             "line 19: equations cannot branch",
         ),
-        ("output=self.block", "output=self.heater", "the output depends on the drive at the same instant"),
+        ("output=self.block", "output=self.heater", "the output depends on no state"),
         ("start={self.block: self.temperature}", "start={}", "state block has no start value"),
         ("rates={self.block: ", "rates={self.gain: ", "`rates` has gain, which is not declared as a state"),
         (

@@ -194,7 +194,7 @@ def test_structures_are_compared_where_controller_and_twins_are_at_their_end(
     """The lost drive of recording 27: for minutes the twin's control is the recorded one exactly."""
     window = recorded_hour(LOST_DRIVE).part(2100, 2399)
     choice = choose_structure(window, [Peltier.model("held sink")], thorough=False)
-    assert all(np.isfinite(score.loss).all() for score in choice.scores)
+    assert all(np.isfinite(score.held_back).all() for score in choice.scores)
 
 
 def test_the_leader_is_hardly_worse_than_the_best_in_hindsight(hours: list[Hour]) -> None:

@@ -127,7 +127,7 @@ def unreached(plant: type[Plant]) -> Iterator[Finding]:
         place = f"structure {name!r}"
         outputs = list(outputs_of(plant(), written).values())
         seen = _acting(written, outputs)
-        used = _names(rate for state, rate in written.rates.items() if str(state) in seen)
+        used = _names([*outputs, *(rate for state, rate in written.rates.items() if str(state) in seen)])
         for drive in plant.drives:
             if drive not in used:
                 what = f"{place}: the drive {drive} does not act on the output"
@@ -219,7 +219,7 @@ def ranges(model: Model) -> Iterator[Finding]:
     trial = trial_for(parameters)
     run, _ = run_trial(parameters, trial)
     states = begin(parameters, trial.outputs, input=trial.inputs[0])
-    _, by_state, _, _, seen, _ = model.kernels.slopes_at(
+    _, by_state, _, _, seen, _, _ = model.kernels.slopes_at(
         parameters.vector, states, trial.inputs[0], model.disturbances
     )
     integrates = ~by_state.any(axis=0)

@@ -18,8 +18,11 @@ from twinmatch.adding.check import Shown
 from twinmatch.adding.noise import noise_of
 from twinmatch.adding.trial import CheckedPlant, Finding, time_constants
 from twinmatch.dynamics import Law, Parameters, Plant, PlantError, commands_of
-from twinmatch.fitting import FittingError, Noise, in_parts
+from twinmatch.errors import TwinmatchError
+from twinmatch.fitting import FittingError, Noise, StructureFit, fit_structure, in_parts
 from twinmatch.fitting.gate import Status
+from twinmatch.fitting.lacks import LEFT, Lack, lack_of
+from twinmatch.fitting.problem import LASTING
 from twinmatch.importing import open_any
 from twinmatch.importing.mapped import map_samples, with_plant_names
 from twinmatch.importing.recordings import session_of
@@ -82,8 +85,7 @@ def check_data(session: Session, plant: type[Plant], show: Shown = lambda *_: No
     faults = [verdict.reason for verdict in judgement.verdicts if verdict.fault]
     size = len(session.samples)
     show(f"fitting {len(plant.structures)} structures to {size} samples", size, size)
-    chosen = next((verdict.structure for verdict in reversed(judgement.verdicts) if verdict.structure), "")
-    compared = compare_structures(judgement.stretches, plant, terms.settings, chosen)
+    compared = compare_structures(judgement.stretches, plant, terms.settings)
     findings, notes = _of_samples(session, plant, terms.settings.start, compared.least)
     findings += loop_findings(session, plant, terms.settings.law)
     findings += _of_matches(judgement.matches, faults, terms.settings, size)
@@ -248,25 +250,18 @@ class Compared(NamedTuple):
     """Result of a comparison."""
 
     findings: list[Finding]
-    """That another structure than the first one is preferred: the first is matched to windows."""
+    """That another structure than the first one is preferred, which is matched to windows; what all lack."""
     notes: list[str]
     least: tuple[float, ...]
     """RMS of each output's smallest residuals, in its unit; empty if nothing could be fitted."""
 
 
-def compare_structures(
-    held: Sequence[Window], plant: type[Plant], settings: TwinSettings, chosen: str = ""
-) -> Compared:
-    """Fit every structure of the plant file to a recording as a whole, its stretches without a gap.
-
-    The structure that the data support is the one that the twin has `chosen`, as the last verdict says.
-    Only of a recording too short for that is it the choice of these fits.
-    """
+def compare_structures(held: Sequence[Window], plant: type[Plant], settings: TwinSettings) -> Compared:
+    """Fit every structure of the plant file to a recording, its stretches without a gap, and choose one as
+    the twin does."""
     windows, total = _windows(held), sum(map(len, held))
     first = settings.start.model.structure_name
-    return _compared(
-        windows, plant, total, noise=settings.noise, law=settings.law, first=first, chosen=chosen
-    )
+    return _compared(windows, plant, total, noise=settings.noise, law=settings.law, first=first)
 
 
 def _compared(
@@ -277,7 +272,6 @@ def _compared(
     noise: Noise,
     law: Law | None,
     first: str = "",
-    chosen: str = "",
 ) -> Compared:
     names = [name for name, structure in plant.structures.items() if structure.external is None]
     if not windows:
@@ -290,16 +284,37 @@ def _compared(
     used = sum(len(window) for window in windows)
     notes = [f"each structure fitted to {'all' if used == total else 'the first'} {used} samples:"]
     notes += [f"  {_line(score, plant)}" for score in choice.scores]
-    if len(names) > 1:
-        notes.append(f"as in the last verdict, the samples justify: {chosen}" if chosen else choice.sentence)
-    chosen = chosen or choice.chosen
-    least = tuple(np.min([_rms(score) for score in choice.scores], axis=0).tolist())
-    first = first or names[0]
-    if chosen == first:
-        return Compared([], notes, least)
-    what = f"the recording supports the structure {chosen!r} rather than {first!r}"
-    todo = "put it first in `structures`: single windows are matched with the first one"
-    return Compared([Finding(what, todo)], notes, least)
+    notes += [choice.sentence] if len(names) > 1 else []
+    least = tuple(np.min([_rms(score.fitted) for score in choice.scores], axis=0).tolist())
+    chosen, findings, first = choice.chosen, [], first or names[0]
+    if chosen != first:
+        what = f"the recording supports the structure {chosen!r} rather than {first!r}"
+        todo = "put it first in `structures`: single windows are matched with the first one"
+        findings.append(Finding(what, todo))
+    if lack := _lack(choice.score, windows, noise, law):
+        what = f"the structure {chosen!r} leaves residuals: {lack} (squared)"
+        findings.append(Finding(what, "add the lines above to the plant file"))
+        notes += [f"lines that add {lack.what} to the plant file:", *(f"  {line}" for line in lack.lines)]
+    return Compared(findings, notes, least)
+
+
+def _lack(score: StructureScore, windows: Sequence[Window], noise: Noise, law: Law | None) -> Lack | None:
+    """The effect that explains most of what the chosen structure leaves, if it leaves much."""
+
+    def left(fitted: StructureFit) -> float:
+        return float(np.mean(np.square(_rms(fitted) / np.atleast_1d(noise.outputs))))
+
+    def fit(start: Parameters) -> tuple[Parameters, float] | None:
+        try:
+            fitted = fit_structure(windows, start.model, noise=noise, law=law)
+        except TwinmatchError:  # too fast for these samples
+            return None
+        return None if fitted.bounds_hit else (fitted.parameters, left(fitted))
+
+    if left(score.fitted) <= LEFT:
+        return None
+    independent = sum(len(window) for window in windows) / LASTING
+    return lack_of(score.parameters, windows[0].period, left(score.fitted), independent, fit)
 
 
 def _windows(whole: Sequence[Window]) -> list[Window]:
@@ -315,13 +330,13 @@ def _windows(whole: Sequence[Window]) -> list[Window]:
 def _line(score: StructureScore, plant: type[Plant]) -> str:
     values = ", ".join(f"{name} = {score.parameters[name]:.4g}" for name in score.fitted.model.structure.free)
     fit = "" if math.isnan(score.fit[0]) else f", fit {score.fit[0]:.1%}"
-    pairs = zip(plant.outputs.values(), _rms(score), strict=True)
+    pairs = zip(plant.outputs.values(), _rms(score.fitted), strict=True)
     left = " and ".join(f"{rms:.3g} {y.unit} ({rms / y.noise:.3g} × noise)" for y, rms in pairs)
-    return f"{score.name}: leaves {left}{fit}; {values}"
+    return f"{score.name}: leaves {left}{fit}; held back, it is off by {score.off:.3g} × noise; {values}"
 
 
-def _rms(score: StructureScore) -> list[float]:
+def _rms(fitted: StructureFit) -> list[float]:
     """Of each output, in its unit."""
-    pairs = list(zip(score.fitted.measured, score.fitted.simulated, strict=True))
-    outputs = len(score.fitted.model.plant.outputs)
+    pairs = list(zip(fitted.measured, fitted.simulated, strict=True))
+    outputs = len(fitted.model.plant.outputs)
     return [root_mean_square([m[k] - s[k] for m, s in pairs]) for k in range(outputs)]

@@ -197,7 +197,7 @@ def _word(title: str, taken: list[str]) -> str:
     plain = re.sub(r"[\s_]+", "_", plain).strip("_") or "signal"
     plain = plain if plain.isidentifier() else f"n{plain}"
     own = {*vars(Plant), *Plant.__annotations__, "gain", "lag", "rest", "inner", "seen", "sensor_lag"}
-    own |= {"acting", "acting_0", "acting_1", "dead_time"}
+    own |= {"acting", "acting_0", "acting_1", "dead_time", "store", "store_lag", "store_share"}
     while keyword.iskeyword(plain) or plain in taken or plain in own - {"output"}:
         plain += "_"
     taken.append(plain)

@@ -43,7 +43,7 @@ class PlantFormulas(NamedTuple):
     (n × n) and by the inputs (n × m)."""
     outputs: Formulas
     output_slopes: Formulas
-    """By the states (o × n), then by the unknowns (o × q)."""
+    """By the states (o × n), then by the unknowns (o × q), then by the inputs (o × m)."""
     start: Formulas
     start_slopes: Formulas
     """By the readings (n × o), then by the unknowns (n × q)."""
@@ -66,7 +66,7 @@ def plant_formulas(derived: Derived) -> PlantFormulas:
         slopes=writer.formulas([*by_unknown, *d.rates, *by_state, *by_input]),
         outputs=writer.formulas(d.outputs),
         output_slopes=writer.formulas(
-            e.diff(s) for by in (d.states, d.unknown) for e in d.outputs for s in by
+            e.diff(s) for by in (d.states, d.unknown, d.inputs) for e in d.outputs for s in by
         ),
         start=writer.formulas(d.start),
         start_slopes=writer.formulas(

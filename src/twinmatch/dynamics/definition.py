@@ -6,7 +6,7 @@ import inspect
 import math
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, TypeVar
 
 from twinmatch.dynamics.declarations import (
@@ -38,12 +38,18 @@ class Equations:
     rates: Mapping[Expression, Expression]
     """Time derivative of each state that the structure has, in its unit per second."""
     output: Expression | Mapping[Expression, Expression]
-    """The quantity that the sensor measures, a smooth function of states and parameters; for several outputs,
+    """The quantity that the sensor measures, a smooth function of states and other quantities; for several,
     that of each."""
     start: Mapping[Expression, Expression]
     """Initial value of each state, from the output, the drive until then, disturbances and parameters."""
     quantities: Mapping[str, Expression] = field(default_factory=dict)
     """Other quantities of interest, by name: currents, heat flows."""
+
+    def driven(self, drive: Expression, by: Expression) -> Equations:
+        """These equations with `by` in place of a drive in the rates, such as what is left of it."""
+        import sympy  # noqa: PLC0415 (slow; needed only to derive equations)
+
+        return replace(self, rates={s: sympy.sympify(rate).subs(drive, by) for s, rate in self.rates.items()})
 
 
 class PlantType(type):

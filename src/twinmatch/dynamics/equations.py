@@ -202,23 +202,11 @@ def _require_usable(plant: PlantDefinition, written: Equations) -> None:
         _require(f"{title}: the start of {state}", written.start[state], given | drives | measured, declared)
     for symbol, expression in outputs_of(plant, written).items():
         name = "the output" if len(measured) == 1 else f"the output {symbol}"
-        _require_output(title, name, expression, drives, states, known, declared)
+        _require(f"{title}: {name}", expression, known | drives, declared)
+        if not _symbols(expression) & set(states):
+            raise PlantError(f"{title}: {name} depends on no state; write it in terms of the states")
     for name, expression in written.quantities.items():
         _require(f"{title}: the quantity {name}", expression, known | drives, declared)
-
-
-def _require_output(  # noqa: PLR0917 (what is known of the plant)
-    title: str, name: str, expression: Any, drives: set[Any], states: list[Any], known: set[Any],
-    declared: Mapping[str, Any],
-) -> None:  # fmt: skip
-    if _symbols(expression) & drives:
-        raise PlantError(
-            f"{title}: {name} depends on the drive at the same instant; add a state between, or declare "
-            "a disturbance, map the drive's column to it too, and use it in the output"
-        )
-    _require(f"{title}: {name}", expression, known, declared)
-    if not _symbols(expression) & set(states):
-        raise PlantError(f"{title}: {name} depends on no state; write it in terms of the states")
 
 
 def _require_states(title: str, declared: list[Any], written: Equations) -> list[Any]:

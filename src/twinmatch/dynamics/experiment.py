@@ -130,7 +130,7 @@ class Experiment:
             places=_indices(model.names, self.free),
             started=_indices(model.states, self.free_starts),
             first=model.row_of("outputs", window.outputs[SKIPPED]),
-            inputs_before=model.row_of("inputs", window.inputs[SKIPPED - 1]),
+            inputs_before=model.row_of("inputs", window.inputs[SKIPPED - (not model.instant)]),
             law=code,
             default_disturbances=model.disturbances,
             corners=model.corners,

@@ -228,10 +228,10 @@ def _carry(moved: FloatArray, covariance: FloatArray, keeps: FloatArray, noise: 
 @compiled
 def correct(
     code: Code, vector: FloatArray, x: FloatArray, covariance: FloatArray, y: FloatArray, d: FloatArray,
-    noise: FloatArray, limit: float, which: NDArray[np.int64], bounds: FloatArray,
+    u: FloatArray, noise: FloatArray, limit: float, which: NDArray[np.int64], bounds: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
-    """Correct by readings, shape (o,), with standard deviations `noise`, in place; return the innovation of
-    each, given those before it, and its expected variance.
+    """Correct by readings, shape (o,), under the inputs u, in place; return the innovation of each, given
+    those before it, and its expected variance. `noise` are their standard deviations.
 
     `which`, shape (2, m), holds the indices of the estimated parameters among those with tangents and among
     all; `bounds`, shape (2, m), limits them. Innovations are clipped at `limit` standard deviations.
@@ -240,8 +240,8 @@ def correct(
     slope, reach, gain, moved = np.zeros(size), np.zeros(size), np.zeros(size), np.zeros(size)
     innovations, variances = np.zeros(outputs), np.zeros(outputs)
     work = work_for(code, vector)
-    call(code[OUTPUTS], x, x, d, work.p, work.b, work.seen)
-    call(code[OUTPUT_SLOPES], x, x, d, work.p, work.b, work.shown)
+    call(code[OUTPUTS], x, u, d, work.p, work.b, work.seen)
+    call(code[OUTPUT_SLOPES], x, u, d, work.p, work.b, work.shown)
     for o in range(outputs):
         innovation = y[o] - work.seen[o]
         for i in range(size):
@@ -293,12 +293,13 @@ def adapt(
 def follow(
     codes: NDArray[np.int64], sizes: NDArray[np.int64], vectors: FloatArray, x: FloatArray,
     covariances: FloatArray, process_noise: FloatArray, factors: FloatArray, rows: FloatArray,
-    steps: NDArray[np.int64], u: FloatArray, seen: NDArray[np.bool_], y: FloatArray, d: FloatArray,
-    period: float, noise: FloatArray, limit: float,
+    steps: NDArray[np.int64], u: FloatArray, now: FloatArray, seen: NDArray[np.bool_], y: FloatArray,
+    d: FloatArray, period: float, noise: FloatArray, limit: float,
 ) -> NDArray[np.int64]:  # fmt: skip
     """For each of N samples: `predict` under the inputs u, shape (N, m), and the disturbances `rows` of the
-    sample before, then, if this one was `seen`, `correct`; for several plants in place, one row of each array
-    per plant. Returns how many samples each took, shape (C,), up to one without finite results.
+    sample before, then, if this one was `seen`, `correct` under its own inputs `now`, shape (N, m); for
+    several plants in place, one row of each array per plant. Returns how many samples each took, shape (C,),
+    up to one without finite results.
 
     `sizes`, shape (C, 2), are the numbers of states and parameters.
     """
@@ -313,7 +314,7 @@ def follow(
             if seen[k]:
                 copy_into(d[k], row)
                 innovations, variances = correct(
-                    code, vector, at, covariance, y[k], row, noise, limit, none, unbounded
+                    code, vector, at, covariance, y[k], row, now[k], noise, limit, none, unbounded
                 )
                 if not np.isfinite(innovations.sum() + variances.sum()):
                     break
@@ -357,6 +358,7 @@ def track(
     _use(code, free, at, vector, work)
     for k in range(u.size):
         given = readings.disturbances[k]
+        inputs[0] = u[k]
         call(code[OUTPUTS], at, inputs, given, work.p, work.b, work.seen)
         call(code[OUTPUT_SLOPES], at, inputs, given, work.p, work.b, work.shown)
         for i in range(n):

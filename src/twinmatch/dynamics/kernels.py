@@ -57,7 +57,7 @@ class Work(NamedTuple):
     seen: FloatArray
     """Outputs."""
     shown: FloatArray
-    """Derivatives of the outputs by the states, and then by the unknowns, row by row."""
+    """Derivatives of the outputs by the states, then by the unknowns, then by the inputs, row by row."""
 
 
 @intrinsic
@@ -114,7 +114,7 @@ def work_for(code: Code, vector: FloatArray) -> Work:
     """The arrays for a plant with these parameters."""
     p = np.empty(code[N_PARAMETERS] + code[N_CONSTANTS])
     b, there, seen = np.zeros(code[N_SWITCHES]), np.zeros(code[N] + 1), np.zeros(code[N_OUTPUTS])
-    shown = np.zeros(code[N_OUTPUTS] * (code[N] + code[N_UNKNOWN]))
+    shown = np.zeros(code[N_OUTPUTS] * (code[N] + code[N_UNKNOWN] + code[N_INPUTS]))
     work = Work(p, b, there, seen, shown)
     prepare(code, vector, work)
     return work
@@ -256,7 +256,7 @@ def parts(
     begun, after, idle = work.seen[0], started[:n].copy(), started[:n].copy()
     tick(code, after, of_u, d, work, period, steps)
     tick(code, idle, of_rest, d, work, period, steps)
-    call(code[OUTPUTS], idle, of_rest, d, work.p, work.b, work.seen)
+    call(code[OUTPUTS], idle, of_u, d, work.p, work.b, work.seen)  # what acts at once is no movement
     passive = work.seen[0]
     call(code[OUTPUTS], after, of_u, d, work.p, work.b, work.seen)
     return work.seen[0] - passive, passive - begun, after
@@ -265,9 +265,9 @@ def parts(
 @compiled
 def slopes_at(
     code: Code, vector: FloatArray, x: FloatArray, u: FloatArray, d: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
     """Rates, their derivatives by states, shape (n, n), inputs, (n, m), and parameters, (n, q); and those of
-    the outputs by states, shape (o, n), and parameters, (o, q)."""
+    the outputs by states, shape (o, n), parameters, (o, q), and inputs, (o, m)."""
     n, q, m, o = code[N], code[N_UNKNOWN], code[N_INPUTS], code[N_OUTPUTS]
     work, slopes = work_for(code, vector), np.empty(n * (q + 1 + n + m))
     call(code[SWITCHES], x, u, d, work.p, work.b, work.b)
@@ -277,7 +277,8 @@ def slopes_at(
     return (
         rates, rest[: n * n].copy().reshape((n, n)), rest[n * n :].copy().reshape((n, m)),
         slopes[: n * q].copy().reshape((n, q)), work.shown[: o * n].copy().reshape((o, n)),
-        work.shown[o * n :].copy().reshape((o, q)),
+        work.shown[o * n : o * (n + q)].copy().reshape((o, q)),
+        work.shown[o * (n + q) :].copy().reshape((o, m)),
     )  # fmt: skip
 
 

@@ -64,9 +64,9 @@ def rest_at(parameters: Parameters, output: ArrayLike, disturbances: ArrayLike |
     least, most = np.array([drive.limits for drive in drives.values()], dtype=np.float64).T
     scales, n, u = np.append(high - low, most - least), states.size, model.rest
     for _ in range(MAX_STEPS):
-        f, fx, fu, _, hx, _ = model.kernels.slopes_at(parameters.vector, states, u, row)
+        f, fx, fu, _, hx, _, hu = model.kernels.slopes_at(parameters.vector, states, u, row)
         off = model.kernels.outputs_at(parameters.vector, states, u, row)[0] - y
-        slopes = np.block([[fx, fu], [hx, np.zeros((y.size, y.size))]]) * scales
+        slopes = np.block([[fx, fu], [hx, hu]]) * scales
         size = np.max(np.abs(slopes), axis=1)
         if not (np.isfinite(slopes).all() and (size > 0).all()):
             break
@@ -121,5 +121,10 @@ def linearised_at(
         parameters.vector, states.copy(), np.zeros((n, n)), np.zeros(n), u, row, float(period),
         parameters.steps(period), np.zeros((2, 0), dtype=np.int64),
     )  # fmt: skip
-    hx = model.kernels.slopes_at(parameters.vector, states, u, row)[4]
-    return Linear(slopes[:, :n].copy(), slopes[:, n:].copy(), hx, period, Rest(states, u))
+    *_, hx, _, hu = model.kernels.slopes_at(parameters.vector, states, u, row)
+    A, B, m = slopes[:, :n].copy(), slopes[:, n:].copy(), u.size
+    if hu.any():
+        # What acts at once is read before the next command: the inputs of the sample before are states.
+        A, B = np.block([[A, np.zeros((n, m))], [np.zeros((m, n + m))]]), np.vstack([B, np.eye(m)])
+        hx, states = np.hstack([hx, hu]), np.append(states, u)
+    return Linear(A, B, hx, period, Rest(states, u))

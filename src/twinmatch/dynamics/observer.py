@@ -157,9 +157,10 @@ class Observer:
         return self._joint.copy()
 
     def correct(
-        self, output: ArrayLike, disturbances: ArrayLike | None = None
+        self, output: ArrayLike, disturbances: ArrayLike | None = None, input: ArrayLike | None = None
     ) -> tuple[FloatArray, FloatArray]:
-        """Take the readings of a sample, shape (o,), or a number; return their innovations, each given the
+        """Take the readings of a sample, shape (o,), or a number, under its inputs (default: the drives at
+        rest), which count where an output depends on them at once; return their innovations, each given the
         readings before it, and the variances expected of them.
 
         Raises:
@@ -168,8 +169,9 @@ class Observer:
         """
         y = self._model.row_of("outputs", output)
         self._row = self._model.disturbance_row(disturbances)
+        u = self._model.rest if input is None else self._model.row_of("inputs", input)
         correction: tuple[FloatArray, FloatArray] = self._kernels.correct(
-            self._vector, self._states, self._joint, y, self._row, self._noise, self._limit,
+            self._vector, self._states, self._joint, y, self._row, u, self._noise, self._limit,
             self._which, self._bounds,
         )  # fmt: skip
         if not math.isfinite(correction[0].sum() + correction[1].sum()):
@@ -250,10 +252,12 @@ class ObserverBank:
 
     def push(
         self, inputs: ArrayLike, outputs: ArrayLike, seen: ArrayLike = (True,),
-        disturbances: ArrayLike | None = None,
+        disturbances: ArrayLike | None = None, now: ArrayLike | None = None,
     ) -> list[int]:  # fmt: skip
         """Move on by N periods, each under the inputs of the sample before, shape (N, i), to the readings,
-        shape (N, o), that were `seen`, shape (N,); signals of one column may have shape (N,).
+        shape (N, o), that were `seen`, shape (N,), under the inputs `now` of these samples (default: the
+        drives at rest), which count where an output depends on them at once; signals of one column may have
+        shape (N,).
 
         Returns:
             Of each observer, how many samples it took: fewer than N if its equations had no finite value at
@@ -262,9 +266,11 @@ class ObserverBank:
         model, among = self._model, self._same[1].size
         u = signal_rows(model.title, "input", inputs, model.rest.size)
         y = np.array(outputs, dtype=np.float64).reshape(len(u), among)
+        still = np.tile(model.rest, (len(u), 1))
+        own = still if now is None else signal_rows(model.title, "input", now, model.rest.size)
         taken: list[int] = follow(
             self._codes, self._sizes, self._vectors, self._states, self._joints, self._noises, self._factors,
-            self._rows, self._steps, u, np.array(seen, dtype=np.bool_), y,
+            self._rows, self._steps, u, own, np.array(seen, dtype=np.bool_), y,
             model.disturbance_rows(disturbances, len(u)), *self._same,
         ).tolist()  # fmt: skip
         return taken

@@ -76,7 +76,7 @@ def time_constant(plant: type[Plant]) -> float:
 def _slowest(parameters: Parameters) -> float:
     model = parameters.model
     states, inputs = rest_of(parameters)
-    _, fx, fu, _, hx, _ = model.kernels.slopes_at(parameters.vector, states, inputs, model.disturbances)
+    _, fx, fu, _, hx, _, _ = model.kernels.slopes_at(parameters.vector, states, inputs, model.disturbances)
     with np.errstate(all="ignore"):
         return _slow_mode(fx, fu, hx)
 

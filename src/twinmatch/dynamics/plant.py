@@ -184,6 +184,15 @@ class Model:
         known = {**self.plant.states, **own}
         return tuple(known[name] for name in self.states)
 
+    @cached_property
+    def instant(self) -> bool:
+        """Whether an output depends on a drive at the same instant."""
+        if self.is_external:
+            return False
+        vector = np.array(list(self.defaults.values()), dtype=np.float64)
+        rows = (self.kernels.slopes_at(vector, self.corners[-1], u, self.disturbances) for u in self.drives)
+        return any(bool(np.any(slopes[6])) for slopes in rows)
+
     @property
     def is_external(self) -> bool:
         """Whether its equations are not in the plant's file, so that they may fail in other ways."""

@@ -178,16 +178,16 @@ def run(
             d[i] = disturbances[k, i]
         for i in range(x.size):
             states[k, i] = at[i]
-        call(code[OUTPUTS], at, at, d, work.p, work.b, work.seen)
+        if kind == GIVEN:
+            for i in range(now.size):
+                now[i] = references[k, i]
+        call(code[OUTPUTS], at, now, d, work.p, work.b, work.seen)
         for o in range(outputs):
             last[o] = reading(work.seen[o], noise[k, o], frozen[k] and k > 0, resolution, last[o])
             y[k, o] = last[o]
         if kind == PID:
             now[0], z[0], z[1] = pid_step(law, references[k, 0], last[0], z[0], z[1])
-        elif kind == GIVEN:
-            for i in range(now.size):
-                now[i] = references[k, i]
-        else:
+        elif kind != GIVEN:
             law_step(law, z, references, k, last, now, after)
             copy_into(after, z)
         for i in range(now.size):
@@ -285,19 +285,19 @@ def run_with_tangents(  # noqa: PLR0915 (one pass over the samples)
     for k in range(size):
         for i in range(d.size):
             d[i] = disturbances[k, i]
-        call(code[OUTPUTS], at, u, d, work.p, work.b, y)
-        call(code[OUTPUT_SLOPES], at, u, d, work.p, work.b, shown)
-        _output_tangents(shown, which, all_columns, dy, n, unknown)
         if kind == GIVEN:
             for i in range(inputs):
                 u[i] = references[k, i]
-        elif kind == PID and not tuned.size:
+        call(code[OUTPUTS], at, u, d, work.p, work.b, y)
+        call(code[OUTPUT_SLOPES], at, u, d, work.p, work.b, shown)
+        _output_tangents(shown, which, all_columns, dy, n, unknown)
+        if kind == PID and not tuned.size:
             u[0], after[0], after[1] = pid_step(law, references[k, 0], y[0], z[0], z[1])
             if stored:
                 law_slopes(law, z, references, k, y, u, slopes)
             z[0], z[1] = after[0], after[1]
             _pid_tangents(law, u[0], dy, dz, du, n)
-        else:
+        elif kind != GIVEN:
             law_step(law, z, references, k, y, u, after)
             law_slopes(law, z, references, k, y, u, slopes)
             law_tangents(slopes, dy, dz, du, moved, n)

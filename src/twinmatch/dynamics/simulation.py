@@ -76,10 +76,16 @@ def n_references(plant: type[Plant], loop: Law | None) -> int:
     """Number of set-points of a loop around a plant; of a driven plant, its inputs.
 
     Raises:
-        PlantError: the controller is one for another number of outputs or inputs.
+        PlantError: the controller is one for another number of outputs or inputs, or reads an output that its
+            own command changes at once.
     """
     if loop is None:
         return len(plant.drives)
+    if any(plant.model(name).instant for name in plant.structures):
+        raise PlantError(
+            f"plant {plant.name}: an output depends on a drive at the same instant, so a controller reads "
+            "what its command changes; leave out the loop (its input drives the twin), or add a state between"
+        )
     sizes = loop.n_outputs, loop.n_inputs
     if sizes != (len(plant.outputs), len(plant.drives)):
         raise PlantError(
@@ -169,7 +175,7 @@ def begin_window(
     return begin(
         parameters,
         window.outputs[SKIPPED],
-        input=window.inputs[SKIPPED - 1],
+        input=window.inputs[SKIPPED - (not parameters.model.instant)],
         disturbances=window.disturbances[SKIPPED],
         starts=starts,
     )
@@ -193,18 +199,28 @@ def advance(
     return np.asarray(after, dtype=np.float64)
 
 
-def read(parameters: Parameters, states: FloatArray, disturbances: FloatArray | None = None) -> float:
-    """The output y of a plant with one output, at some states, shape (n,)."""
-    return float(only("output", readings(parameters, states, disturbances)))
+def read(
+    parameters: Parameters,
+    states: FloatArray,
+    disturbances: FloatArray | None = None,
+    input: ArrayLike | None = None,
+) -> float:
+    """The output y of a plant with one output, at some states, shape (n,); see `readings`."""
+    return float(only("output", readings(parameters, states, disturbances, input)))
 
 
 def readings(
-    parameters: Parameters, states: FloatArray, disturbances: FloatArray | None = None
+    parameters: Parameters,
+    states: FloatArray,
+    disturbances: FloatArray | None = None,
+    input: ArrayLike | None = None,
 ) -> FloatArray:
-    """The outputs y, shape (o,), at some states, shape (n,)."""
+    """The outputs y, shape (o,), at some states, shape (n,), and inputs (default: the drives at rest), which
+    count where an output depends on them at once."""
     model = parameters.model
     row = model.disturbance_row(disturbances)
-    outputs: FloatArray = model.kernels.outputs_at(parameters.vector, states, model.rest, row)[0]
+    u = model.rest if input is None else model.row_of("inputs", input)
+    outputs: FloatArray = model.kernels.outputs_at(parameters.vector, states, u, row)[0]
     return outputs
 
 

@@ -26,6 +26,7 @@ from twinmatch.fitting.structures import (
     StructureFit,
     fit_session,
     fit_structure,
+    held_back_costs,
     in_parts,
     observed_covariance,
 )
@@ -45,6 +46,7 @@ __all__ = [
     "estimate_ladder",
     "fit_session",
     "fit_structure",
+    "held_back_costs",
     "in_parts",
     "match",
     "observed_covariance",

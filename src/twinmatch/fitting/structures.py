@@ -9,6 +9,7 @@ way that no structure explains.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -47,6 +48,8 @@ SETTLE: Final = 60
 """Samples at a window's start that are simulated but not compared, until the loop has forgotten the twin's
 initial state and the sensor its first readings."""
 
+_SEEN: Final = 2 / 3
+"""Share of a window that is fitted where the rest is held back."""
 _LOOK = 8
 """Evaluations after which only the best of several starts continues."""
 _MAX_EVALUATIONS = 40
@@ -203,6 +206,38 @@ def in_parts(
     return [window.part(a, b - 1) for a, b in zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True)]
 
 
+def held_back_costs(
+    fitted: StructureFit,
+    windows: Sequence[Window],
+    noise: Noise | None = None,
+    law: LoopLaw = FROM_PLANT_FILE,
+) -> FloatArray:
+    """The cost of a free run on the last third of each window, after a fit to the rest: means over blocks of
+    `LASTING`.
+
+    A window that is too short for that is fitted as a whole.
+
+    Args:
+        fitted: the fit to the windows, from which the search starts.
+        windows, noise, law: as in `fit_structure`.
+    """
+    noise, ends = noise or Noise.of(fitted.model.plant), [math.ceil(_SEEN * len(w)) for w in windows]
+    least = SETTLE + SKIPPED + 1
+    parts = [w.part(w.first, w.first + max(e, least) - 1) for w, e in zip(windows, ends, strict=True)]
+    before = fit_structure(parts, fitted.model, start=fitted, noise=noise, law=law)
+    problem, blocks = _Problem(_runs(windows, fitted.model, noise, law, {})), []
+    for run, starts, end in zip(problem.runs, before.starts, ends, strict=True):
+        run_values = np.append(run.values_of(before.parameters)[: len(run.free)], [*starts.values()])
+        response = run.simulate(run_values)
+        signals = len(noise.all) if run.closed else len(fitted.model.plant.outputs)
+        both = np.concatenate([response.outputs.T, response.inputs.T])[:signals]
+        off = (run.measured[:signals] - both)[:, end - SKIPPED :] / noise.all[:signals, None]
+        costs = np.sum(2.0 * (np.sqrt(1.0 + off**2) - 1.0), axis=0)[run.window.marks[end:]] / signals
+        each = np.array_split(costs, max(round(costs.size / LASTING), 1))
+        blocks += [part.mean() for part in each if part.size]
+    return np.array(blocks or [fitted.cost])
+
+
 def observed_covariance(
     fitted: StructureFit,
     windows: Sequence[Window],
@@ -269,7 +304,7 @@ class _Problem:
     """Robust least squares over all windows; values are free parameters and each window's initial states."""
 
     def __init__(self, runs: Sequence[Experiment]) -> None:
-        self._runs, model = runs, runs[0].model
+        self.runs, model = runs, runs[0].model
         self._free, self._own = len(runs[0].free), len(runs[0].free_starts)
         unknown = unknown_parameters(model, runs[0].free) + unknown_starts(model) * len(runs)
         self._lower = np.array([u.bounds[0] for u in unknown])
@@ -279,7 +314,7 @@ class _Problem:
 
     def values_of(self, parameters: Parameters, starts: Mapping[str, float] | None = None) -> FloatArray:
         """The values for given parameters, with initial states `starts` in each window, or as in the file."""
-        own = [run.values_of(parameters) for run in self._runs]
+        own = [run.values_of(parameters) for run in self.runs]
         initial = [list(starts.values()) if starts else values[self._free :] for values in own]
         values = np.clip(np.concatenate([own[0][: self._free], *initial]), self._lower, self._upper)
         return np.asarray(values, dtype=np.float64)
@@ -293,7 +328,7 @@ class _Problem:
         """Sum, gradient and JᵀJ over all windows."""
         n = values.size
         cost, gradient, hessian = 0.0, np.zeros(n), np.zeros((n, n))
-        for window, run in enumerate(self._runs):
+        for window, run in enumerate(self.runs):
             places = self._places(window)
             own_cost, own_gradient, own_hessian = run.normal(values[places])
             cost += own_cost
@@ -304,29 +339,29 @@ class _Problem:
     def search(self, start: FloatArray, evaluations: int) -> Descended:
         """Search from one start."""
         box = self._lower, self._upper, self._scales, evaluations
-        if len(self._runs) == 1:
-            return self._runs[0].descend(start, *box)
+        if len(self.runs) == 1:
+            return self.runs[0].descend(start, *box)
         return descend(self.normal, start, *box)
 
     def fitted(self, best: Descended) -> StructureFit:
         """The fit from the result of a search."""
-        parts = [best.values[self._places(window)] for window in range(len(self._runs))]
-        plant = self._runs[0].model.plant
-        signals = len(plant.outputs) + (len(plant.drives) if self._runs[0].closed else 0)
+        parts = [best.values[self._places(window)] for window in range(len(self.runs))]
+        plant = self.runs[0].model.plant
+        signals = len(plant.outputs) + (len(plant.drives) if self.runs[0].closed else 0)
         simulated, states = [], []
-        for run, part in zip(self._runs, parts, strict=True):
+        for run, part in zip(self.runs, parts, strict=True):
             response = run.simulate(part)
             both = np.concatenate([response.outputs.T, response.inputs.T])
             simulated.append(both[:signals, SETTLE:])
             states.append(response.states[SETTLE:-1])
         if not all(np.isfinite(rows).all() for rows in simulated):
-            msg = f"structures: {self._runs[0].model.title} has no finite response at the best parameters"
+            msg = f"structures: {self.runs[0].model.title} has no finite response at the best parameters"
             raise FittingError(msg)
-        measured = tuple(run.measured[:signals, SETTLE:] for run in self._runs)
-        seen = tuple(run.window.marks[SKIPPED + SETTLE :] for run in self._runs)
+        measured = tuple(run.measured[:signals, SETTLE:] for run in self.runs)
+        seen = tuple(run.window.marks[SKIPPED + SETTLE :] for run in self.runs)
         return StructureFit(
-            parameters=self._runs[0].parameters_at(parts[0]),
-            starts=tuple(run.starts_at(part) for run, part in zip(self._runs, parts, strict=True)),
+            parameters=self.runs[0].parameters_at(parts[0]),
+            starts=tuple(run.starts_at(part) for run, part in zip(self.runs, parts, strict=True)),
             measured=measured,
             simulated=tuple(simulated),
             seen=seen,
@@ -342,10 +377,10 @@ class _Problem:
         own = [list(starts.values()) for starts in fitted.starts]
         values = self.values_of(fitted.parameters)
         values[self._free :] = np.concatenate(own)
-        length = sum(run.measured.shape[1] - SETTLE for run in self._runs)
+        length = sum(run.measured.shape[1] - SETTLE for run in self.runs)
         size = min(round(_BLOCKS[1] * LASTING), max(length // _BLOCKS[0], 1))
         scores, slope = [], np.zeros((values.size, values.size))
-        for window, run in enumerate(self._runs):
+        for window, run in enumerate(self.runs):
             places = self._places(window)
             each, own_slope = run.scores(values[places])
             slope[np.ix_(places, places)] += own_slope
@@ -365,7 +400,7 @@ class _Problem:
 
         Without a prior, a value was as uncertain as its scale.
         """
-        before = np.append(self._pull * len(self._runs), np.zeros(self._scales.size - self._free)) / LASTING
+        before = np.append(self._pull * len(self.runs), np.zeros(self._scales.size - self._free)) / LASTING
         before *= self._scales**2
         unknown = np.where(before > 0.0, 0.0, 1.0)
         after = hessian * np.outer(self._scales, self._scales) / LASTING + np.diag(unknown)

@@ -79,7 +79,7 @@ class StateFilter:
             self._observer.predict(self._inputs)
             try:
                 if sample.seen:
-                    self._observer.correct(sample.outputs, row)
+                    self._observer.correct(sample.outputs, row, sample.inputs)
             except PlantError:
                 self.restart()
         if self._observer is None:
@@ -95,7 +95,7 @@ class StateFilter:
                 limit=LIMIT,
                 adaptive=True,
             )
-            self._observer.correct(sample.outputs, row)
+            self._observer.correct(sample.outputs, row, sample.inputs)
         self._inputs = sample.inputs
 
     def follow(self, samples: Sequence[Sample]) -> None:
@@ -197,7 +197,9 @@ def _move_on(bank: ObserverBank, inputs: Signals, samples: Sequence[Sample]) -> 
     """Move a bank on over samples, under these inputs to the first; how many each observer took."""
     before = [inputs, *(s.inputs for s in samples[:-1])]
     rows = [s.disturbances for s in samples] if samples[0].disturbances else None
-    return bank.push(before, [s.outputs for s in samples], [s.seen for s in samples], rows)
+    return bank.push(
+        before, [s.outputs for s in samples], [s.seen for s in samples], rows, [s.inputs for s in samples]
+    )
 
 
 def _spans(model: Model) -> FloatArray:

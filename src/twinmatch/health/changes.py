@@ -355,7 +355,9 @@ class ChangeDetector:
         belief, gone = blocks[0].before[level], [0.0]
         for block, after in itertools.pairwise(blocks):
             belief, _ = self.tracker.run(belief, block.stretch.unseen, level)
-            expected, _ = self.tracker.expected(belief, after.stretch.disturbances[0])
+            expected, _ = self.tracker.expected(
+                belief, after.stretch.disturbances[0], after.stretch.input[:1]
+            )
             gone.append(float(after.stretch.output[2]) - expected)
         return np.diff(gone[: int(np.nanargmax(np.abs(gone))) + 1])
 

@@ -323,10 +323,11 @@ class LaggedEffect(DriveEffect):
         if self._past and self._standing is not None:
             last = self._past[-1]
             on = advance(last.parameters, self._standing, last.input, self._period, last.disturbances)
-            moved = read(last.parameters, on) - read(last.parameters, self._standing)
+            before = read(last.parameters, self._standing, input=last.input)
+            moved = read(last.parameters, on, input=sample.input) - before
             self._standing = on
         change = sample.output - self._reading if self._past else 0.0
-        observer.correct(sample.output, row)
+        observer.correct(sample.output, row, sample.input)
         states = observer.states
         if self._standing is None or change != 0.0:
             self._standing = states

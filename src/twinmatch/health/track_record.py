@@ -106,7 +106,7 @@ class TrackRecord:
         belief, begun, found = blocks[0].before[level], 0, []
         for horizon, after in zip(HORIZONS, came, strict=True):
             belief, _ = self._tracker.run(belief, joined(blocks[begun:horizon]).unseen, level)
-            expected, variance = self._tracker.expected(belief, after.disturbances[0])
+            expected, variance = self._tracker.expected(belief, after.disturbances[0], after.input[:1])
             error, begun = after.output[2] - expected, horizon
             relative = min(error**2 / (variance + after.noise[0] ** 2), _MOST)
             found.append((relative, error, after.output[2] - last))

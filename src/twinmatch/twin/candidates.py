@@ -92,7 +92,6 @@ class CandidatePool:
             law,
             period,
             matched=settings.start.model,
-            decimals=settings.decimals,
             scale=settings.forecasts.scale,
             prior=settings.prior,
         )

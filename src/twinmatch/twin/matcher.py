@@ -7,26 +7,18 @@ from contextlib import contextmanager
 from dataclasses import replace
 from functools import cache
 from threading import Lock
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
-import numpy as np
 from threadpoolctl import ThreadpoolController
 
-from twinmatch.dynamics import DeadTime, Parameters
-from twinmatch.dynamics.pace import slow_scale
+from twinmatch.dynamics import Parameters
 from twinmatch.errors import TwinmatchError
 from twinmatch.fitting import GateLimits, Match, Status, match
+from twinmatch.fitting.lacks import LEFT, Lack, lack_of
 from twinmatch.fitting.match import explaining, usable_fit, without_fit
-from twinmatch.health.late_input import DELAYS_S
+from twinmatch.fitting.problem import LASTING
 from twinmatch.signals import Window
 from twinmatch.twin.settings import TwinSettings
-
-_LEFT: Final = 3.0
-"""Mean squared weighted residual above which a driven twin may lack what another structure has. In a loop the
-twin's errors return through the controller, and 8 is usual: there it is the gate's limit."""
-
-_EXPLAINED: Final = 0.25
-"""Share of the squared residuals up to which a later input must reduce them to be named."""
 
 _blas = cache(ThreadpoolController)
 _lock = Lock()
@@ -93,7 +85,7 @@ def carry_out(request: MatchRequest, settings: TwinSettings) -> MatchReport:
     with one_thread():
         found = _matched(request, settings, start, free)
         new = request.incumbent is None and settings.free == first.structure.free
-        if new and found.chi2 > (_LEFT if settings.law is None else GateLimits().chi2):
+        if new and found.chi2 > (LEFT if settings.law is None else GateLimits().chi2):
             found = _in_another_structure(request, settings, found)
     return MatchReport(request.sample, request.operating_point, found)
 
@@ -129,26 +121,18 @@ def _in_another_structure(request: MatchRequest, settings: TwinSettings, first: 
         found = _matched(request, settings, start, start.model.structure.free)
         if found.accepted:
             return replace(found, reason=f"{found.reason}; in the structure {of!r}: {first.reason}")
-    known = any(isinstance(part, DeadTime) for part in vars(settings.plant).values())
-    if settings.law is None and (first.status is Status.NOT_EXPLAINED or not known):
-        return replace(first, reason=f"{first.reason}{_missing_dead_time(request, settings, first.chi2)}")
+    if settings.law is None:
+        lack = _lacking(request, settings, first)
+        return first if lack is None else replace(first, reason=f"{first.reason}; {lack}")
     return first
 
 
-def _missing_dead_time(request: MatchRequest, settings: TwinSettings, left: float) -> str:
-    """What to add to the plant file, if a later input explains far more than what is left; else empty."""
-    window, found = request.window, dict[float, float]()
-    samples = slow_scale(settings.plant, window.period) / window.period
-    for late in sorted({round(delay * samples) for delay in DELAYS_S if delay} - {0}):
-        held = np.repeat(window.inputs[:1], late, axis=0)
-        inputs = np.concatenate([held, window.inputs])[: len(window)]
-        best = usable_fit(replace(window, inputs=inputs), request.start, settings.noise, None)
-        if best is not None:
-            found[late * window.period] = best.chi2
-    delay = min(found, key=found.__getitem__, default=0.0)
-    if not found or found[delay] > _EXPLAINED * left:
-        return ""
-    return (
-        f"; with its input {delay:g} s later {found[delay]:.3g} times are left: "
-        f"add a dead time of about {delay:g} s to the plant file"
-    )
+def _lacking(request: MatchRequest, settings: TwinSettings, first: Match) -> Lack | None:
+    """The effect that explains most of what the first match leaves."""
+
+    def fit(start: Parameters) -> tuple[Parameters, float] | None:
+        best = usable_fit(request.window, start, settings.noise, settings.law)
+        return None if best is None else (best.problem.experiment.parameters_at(best.values), best.chi2)
+
+    independent = len(request.window) / LASTING
+    return lack_of(first.parameters, request.window.period, first.chi2, independent, fit)

@@ -192,7 +192,7 @@ class Mirror:
     def _observe(
         self, sample: Sample, closed: FloatArray, commands: FloatArray, row: FloatArray | None
     ) -> MirrorState:
-        driven = readings(self._parameters, self._driven, row)
+        driven = readings(self._parameters, self._driven, row, sample.inputs)
         y, u = np.array(sample.outputs), np.array(sample.inputs)
         residual = [*(y - closed).tolist(), *(u - commands).tolist(), *(y - driven).tolist()]
         if sample.seen or not self._recent:

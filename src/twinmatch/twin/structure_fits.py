@@ -87,7 +87,6 @@ class StructureFits:
         period: float = 1.0,
         *,
         matched: Model | None = None,
-        decimals: int = 2,
         choice: tuple[float, float, float] = CHOICE_S,
         scale: float = 1.0,
         prior: Mapping[str, Prior] = MappingProxyType({}),
@@ -100,12 +99,11 @@ class StructureFits:
             law: that of the running controller; None if the loop is not known.
             period: sample time, s.
             matched: the structure that matches fit, which does not compete as a structure, too.
-            decimals: decimal places of the tables of the information gain.
             choice: the times of `CHOICE_S`, s.
             scale: factor on these and the other times.
             prior: what earlier sessions have shown of the parameters, by structure and name.
         """
-        self._noise, self._law, self._decimals, self._matched = noise, law, decimals, matched
+        self._noise, self._law, self._matched = noise, law, matched
         self._models: tuple[Model, ...] = ()
         self._prior = prior
         pace = scale / period
@@ -154,7 +152,6 @@ class StructureFits:
                 previous=self.choice,
                 noise=self._noise,
                 law=self._law,
-                decimals=self._decimals,
                 thorough=False,
             )
         window = self._fitted.push(window)

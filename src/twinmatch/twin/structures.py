@@ -1,41 +1,34 @@
-"""Choice of the plant structure that the data support.
+"""Choice of the plant structure that the data support: by free runs on samples that its fit has not seen.
 
-Every structure is fitted to the same windows and judged by the criteria that also choose the order of the
-Box–Jenkins models: information gain, nAIC, BIC and MDL, for output and input and in total.
+Every structure is fitted to the first two thirds of each window and then runs freely over the last third, in
+the loop or driven by the recorded input. What counts is its error there, in units of the noise, large ones
+linearly. One step ahead, a noise model would carry even the poorest structure; and what a richer one gains on
+the samples that it was fitted to says little of the next ones.
 
-A twin's residuals are far from white: sensor noise circulates in the loop, and a slow error of the twin
-persists for minutes. If each sample counted as independent, a thousand samples would justify any structure.
-So a noise model of fixed order, the same for all, is added to the twin, as C/D is to B/F in a Box–Jenkins
-model, and the loss is that of its one-step prediction errors: only what the past does not predict counts.
-Errors beyond three robust standard deviations are clipped, because the pauses of a sensor cause larger errors
-than any difference between structures. The information gain is that of the simulation without noise model, as
-for the models, less the characters that the parameters cost.
+The errors are compared in blocks as long as residuals are correlated. A structure is worse than the best if
+its mean cost is higher by more than two standard errors of the difference or, where few blocks hold most of
+it, so far that their likelihoods differ by two nats. Of those that are not worse, the one with the fewest
+parameters is chosen; of as many, the one that errs less.
 """
 
 from __future__ import annotations
 
 import math
-from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
-from twinmatch.comparing import information_gain
-from twinmatch.comparing.criteria import Criteria
 from twinmatch.dynamics import FROM_PLANT_FILE, LoopLaw, Model, Parameters
 from twinmatch.errors import TwinmatchError
-from twinmatch.fitting import FittingError, Noise, StructureFit, fit_structure
-from twinmatch.signals import MEDIAN_TO_SIGMA, BoolArray, FloatArray, Window
+from twinmatch.fitting import FittingError, Noise, StructureFit, fit_structure, held_back_costs
+from twinmatch.signals import FloatArray, Window
 
-NOISE_ORDER: Final = 12
-"""Order of the noise model: longer than the loop's time constants, small compared with a window."""
-CUT: Final = 3.0
-"""Robust standard deviations at which prediction errors are clipped."""
-_ROUNDS: Final = 3
-"""How often the noise model is fitted again with new weights."""
 _TINY: Final = float(np.finfo(np.float64).tiny)
+_EQUAL: Final = 2.0
+"""Standard errors of a difference, and nats, up to which structures are equal. At one, two of twelve plain
+simulated rigs are called richer; at two none, and every rich one is."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,13 +36,17 @@ class StructureScore:
     """One structure on the windows of a choice."""
 
     fitted: StructureFit
-    signals: tuple[Criteria, ...]
-    """Criteria of each output and, in closed loop, of each input."""
-    total: Criteria
-    evidence: Criteria
-    """`total` plus that of all previous choices on earlier samples."""
-    loss: tuple[float, ...]
-    """Mean square of the prediction errors of these signals, in their units squared."""
+    """The fit to all of the windows."""
+    held_back: FloatArray
+    """Mean cost of the free run in each block of the parts held back."""
+    evidence: FloatArray
+    """`held_back` after that of all previous choices on earlier samples."""
+
+    @property
+    def off(self) -> float:
+        """The error of the free run over all evidence, in units of the noise: that of a constant error of the
+        same cost."""
+        return math.sqrt((1.0 + float(np.mean(self.evidence)) / 2.0) ** 2 - 1.0)
 
     @property
     def name(self) -> str:
@@ -69,12 +66,10 @@ class StructureScore:
 
 @dataclass(frozen=True, eq=False)
 class StructureChoice:
-    """The scores of all structures, and the one that the criteria prefer."""
+    """The scores of all structures, and the one that was chosen."""
 
     scores: tuple[StructureScore, ...]
     chosen: str
-    votes: Mapping[str, str]
-    """The structure that each criterion prefers by the evidence."""
     samples: tuple[int, int]
     """Session indices of the first and last sample of the windows."""
 
@@ -102,18 +97,14 @@ class StructureChoice:
     @property
     def sentence(self) -> str:
         """A sentence on which structure was chosen and how clearly."""
-        count = sum(name == self.chosen for name in self.votes.values())
-        best = self.score
-        text = f"{count} of {len(self.votes)} criteria choose: {self.chosen}"
-        y, u = best.fit
+        best, (y, u) = self.score, self.score.fit
         of_u = "" if math.isnan(u) else f", {100 * u:.1f} % of u"
-        text += f" ({best.fitted.n_parameters} parameters, fit {100 * y:.1f} % of y{of_u})"
+        text = f"free runs on samples held back choose: {self.chosen} (off by {best.off:.3g} × noise, "
+        text += f"{best.fitted.n_parameters} parameters, fit {100 * y:.1f} % of y{of_u})"
         others = [s for s in self.scores if s.name != self.chosen]
         if others:
-            second = min(others, key=lambda s: s.evidence.bic)
-            lead = second.evidence.bic - best.evidence.bic
-            word = "below" if lead >= 0 else "above"
-            text += f"; its BIC is {abs(lead):.0f} {word} that of: {second.name}"
+            second = min(others, key=lambda s: s.off)
+            text += f"; {second.name} is off by {second.off:.3g} × noise"
         return text
 
 
@@ -124,12 +115,11 @@ def choose_structure(
     previous: StructureChoice | None = None,
     noise: Noise | None = None,
     law: LoopLaw = FROM_PLANT_FILE,
-    decimals: int = 2,
     thorough: bool = True,
 ) -> StructureChoice:
-    """Fit every structure to the windows and choose the one that most criteria prefer.
+    """Fit every structure to the windows and choose the one that errs least on samples held back.
 
-    Of equals the one with fewer parameters is chosen, then the one named first. A structure that runs
+    Of equals the one with fewer parameters is chosen. A structure that runs
     elsewhere and cannot be fitted is skipped.
 
     Args:
@@ -140,7 +130,6 @@ def choose_structure(
             parameters.
         noise: unit of the residuals of the fits; default: the plant's.
         law: that of the running controller, None if the loop is not known; default: the plant file's.
-        decimals: decimal places of the tables of the information gain.
         thorough: as in `fit_structure`.
 
     Raises:
@@ -159,7 +148,8 @@ def choose_structure(
                 law=law,
                 thorough=thorough,
             )
-            scores.append(score_structure(fitted, decimals))
+            costs = held_back_costs(fitted, several, noise, law)
+            scores.append(StructureScore(fitted, costs, costs))
         except TwinmatchError:
             if not model.is_external:
                 raise
@@ -169,86 +159,20 @@ def choose_structure(
         and previous.samples[1] < samples[0]
         and before.keys() >= {s.name for s in scores}
     ):
-        scores = [replace(s, evidence=previous.of(s.name).evidence + s.total) for s in scores]
+        earlier = {s.name: s.evidence for s in previous.scores}
+        scores = [replace(s, evidence=np.append(earlier[s.name], s.held_back)) for s in scores]
     if not scores:
         raise FittingError("structures: there is none to choose from; give at least one")
-    votes = _votes(scores)
-    count = Counter(votes.values())
-    chosen = min(scores, key=lambda s: (-count[s.name], s.fitted.n_parameters))
-    return StructureChoice(tuple(scores), chosen.name, votes, samples)
+    best = min(scores, key=lambda s: s.off)
+    equal = [s for s in scores if s is best or not _worse(s.evidence, best.evidence)]
+    chosen = min(equal, key=lambda s: (s.fitted.n_parameters, s.off))
+    return StructureChoice(tuple(scores), chosen.name, samples)
 
 
-def score_structure(fitted: StructureFit, decimals: int = 2) -> StructureScore:
-    """Score a fit on the windows on which it was made; samples that were not measured are not counted."""
-    seen = np.concatenate(fitted.seen)
-    scores, losses = [], []
-    offsets = [output.absolute for output in fitted.model.plant.outputs.values()]
-    for row in range(len(fitted.measured[0])):
-        offset = offsets[row] if row < len(offsets) else 0.0
-        measured = [window[row] for window in fitted.measured]
-        simulated = [window[row] for window in fitted.simulated]
-        # Where nothing was measured, the twin itself stands in for what comes before an error.
-        pairs = zip(measured, simulated, fitted.seen, strict=True)
-        residuals = [np.where(marks, m - s, 0.0) for m, s, marks in pairs]
-        errors = prediction_errors(residuals, seen=fitted.seen)
-        # An exact twin leaves no errors; the smallest number keeps the logarithm finite.
-        loss = max(float(np.mean(np.square(errors))), _TINY)
-        gain = information_gain(
-            np.concatenate(measured)[seen] + offset,
-            np.concatenate(simulated)[seen] + offset,
-            decimals=decimals,
-        )
-        losses.append(loss)
-        n = fitted.n_parameters
-        scores.append(Criteria.of(gain, loss, parameters=n, coefficients=n, count=errors.size))
-    total = sum(scores[1:], scores[0])
-    return StructureScore(fitted, tuple(scores), total, total, tuple(losses))
-
-
-def prediction_errors(
-    residuals: Sequence[FloatArray], order: int = NOISE_ORDER, *, seen: Sequence[BoolArray] = ()
-) -> FloatArray:
-    """One-step prediction errors of an autoregression of the residuals, clipped; one common model.
-
-    The autoregression is fitted by iteratively reweighted least squares: samples with large errors or large
-    regressors get smaller weights, so that a few outliers do not determine it.
-
-    Args:
-        residuals: one array per window.
-        order: order of the autoregression; windows of no more samples than this are ignored.
-        seen: which samples of each window were measured; by default all. Only their errors are returned.
-    """
-    past, now = [], []
-    seen = seen or [np.ones(window.size, dtype=np.bool_) for window in residuals]
-    for window, marks in zip(residuals, seen, strict=True):
-        if window.size > order:
-            counted = marks[order:]
-            past.append(np.lib.stride_tricks.sliding_window_view(window[:-1], order)[counted])
-            now.append(window[order:][counted])
-    rows, target = np.concatenate(past), np.concatenate(now)
-    reach = 2.0 * CUT * MEDIAN_TO_SIGMA * float(np.median(np.abs(target)))
-    downweighted = _downweighted(reach, np.max(np.abs(rows), axis=1))
-    weights = np.ones(target.size)
-    for _ in range(_ROUNDS + 1):
-        weighed = rows * weights[:, None]
-        errors = target - rows @ np.linalg.lstsq(weighed.T @ rows, weighed.T @ target, rcond=None)[0]
-        limit = CUT * MEDIAN_TO_SIGMA * float(np.median(np.abs(errors)))
-        weights = downweighted * _downweighted(limit, np.abs(errors))
-    return np.clip(errors, -limit, limit)
-
-
-def _downweighted(reach: float, sizes: FloatArray) -> FloatArray:
-    """Weights that scale sizes above the reach down to it."""
-    return np.asarray(reach / np.maximum(sizes, max(reach, _TINY)))
-
-
-def _votes(scores: Sequence[StructureScore]) -> dict[str, str]:
-    def best(name: str) -> str:
-        return min(scores, key=lambda s: (getattr(s.evidence, name), s.fitted.n_parameters)).name
-
-    return {
-        "information gain": best("two_part_length"),
-        "nAIC": best("naic"),
-        "BIC": best("bic"),
-        "MDL": best("mdl"),
-    }
+def _worse(costs: FloatArray, least: FloatArray) -> bool:
+    """Whether costs, block by block, are higher than the least ones by more than chance."""
+    mean, size = float(np.mean(costs)), costs.size
+    if not math.isfinite(mean) or size / 2 * math.log(mean / max(float(np.mean(least)), _TINY)) > _EQUAL:
+        return True
+    error = float(np.std(costs - least, ddof=1)) / math.sqrt(size) if size > 1 else math.inf
+    return float(np.mean(costs - least)) > _EQUAL * error

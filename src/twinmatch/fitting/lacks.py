@@ -1,0 +1,288 @@
+"""What a plant file lacks: effects that are added to its equations and fitted to what it leaves.
+
+An effect is written as the lines that a user would add to the file, and these lines are run: the plant is
+derived with them, compiled, and fitted to the samples that its own equations do not explain. The effect with
+the smallest charge is named: N/2 times the logarithm of the mean square that is left, for N independent
+residuals, and half that of N for each value that it adds (Schwarz 1978). The size of the residuals is unknown
+here, so their ratio counts, not their difference in units of the noise.
+"""
+
+from __future__ import annotations
+
+import math
+import types
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
+from functools import cache
+from typing import Any, Final, NamedTuple
+
+from twinmatch.dynamics import (
+    DeadTime,
+    Drive,
+    Model,
+    Output,
+    Parameter,
+    Parameters,
+    State,
+    dry_friction,
+)
+from twinmatch.dynamics.equations import outputs_of, written_equations
+from twinmatch.dynamics.pace import time_constant
+from twinmatch.errors import TwinmatchError
+
+LEFT: Final = 3.0
+"""Mean squared weighted residual above which a driven twin may lack something."""
+_EXPLAINED: Final = 0.5
+"""Share of the squared residuals that an effect must explain to be named."""
+_SURE: Final = 6.0
+"""Nats by which the charge must fall: 1 in 400."""
+_UNKNOWN: Final = 50.0
+"""Time constant of a plant that only integrates, sampling periods."""
+_NAMES: Final = {one.__name__: one for one in (DeadTime, Parameter, State, dry_friction, replace)}
+
+
+class _Effect(NamedTuple):
+    """An effect that equations may lack; texts have places for the names of the plant."""
+
+    title: str
+    declared: str
+    """The lines of its declarations. States are unknown at the start and parameters free; the first of these
+    is said: a time, which is tried from several starts, or a value."""
+    equations: str
+    """The lines in `equations`, where `held` are those without it."""
+
+
+_STATE = "State(unit={unit!r}, span={span}, start_bounds={span})\n"
+_TIME = "Parameter(unit='s', default={usual}, bounds=({short}, {long}), positive=True)\n"
+_RATE = "Parameter(unit='1/s', default={rate}, bounds=(0.0, {fast}), least=0.0)\n"
+_STEEP = "Parameter(unit={rate_unit!r}, default=0.0, bounds=({low}, {steep}), least={low}, scale={steep})\n"
+_OF_A_DRIVE: Final = (
+    _Effect(
+        "a dead time",
+        "arriving = DeadTime(unit={unit!r}, span={span})\n"
+        "delay = Parameter(unit='s', default={few}, bounds=({short}, {slow}), positive=True)\n",
+        "arrives = self.arriving.after(self.{at}, self.delay)\n"
+        "held = held.driven(self.{at}, arrives.value)\n"
+        "held.rates.update(arrives.rates)\n"
+        "held.start.update(arrives.start)\n",
+    ),
+    _Effect(
+        "a second store behind {at}",
+        f"between = {_STATE}between_lag = {_TIME}",
+        "held = held.driven(self.{at}, self.between)\n"
+        "held.rates[self.between] = (self.{at} - self.between) / self.between_lag\n"
+        "held.start[self.between] = self.{at}\n",
+    ),
+    _Effect(
+        "a scale of {at}",
+        "input_scale = Parameter(default=1.0, bounds=(0.05, 20.0), positive=True)\n",
+        "held = held.driven(self.{at}, self.input_scale * self.{at})\n",
+    ),
+)
+_OF_AN_OUTPUT: Final = _Effect(
+    "a second store behind the output {at}",
+    f"shown = {_STATE}shown_lag = {_TIME}",
+    "held.rates[self.shown] = (held.output - self.shown) / self.shown_lag\n"
+    "held.start[self.shown] = self.{at}\n"
+    "held = replace(held, output=self.shown)\n",
+)
+_BESIDE: Final = _Effect(
+    "a second store beside {at}",
+    f"beside = {_STATE}beside_lag = {_TIME}beside_rate = {_RATE}",
+    "held.rates[self.{at}] += self.beside_rate * (self.beside - self.{at})\n"
+    "held.rates[self.beside] = (self.{at} - self.beside) / self.beside_lag\n"
+    "held.start[self.beside] = held.start[self.{at}]\n",
+)
+_FED: Final = _Effect(
+    "a second store between {drive} and {at}",
+    f"fed = {_STATE}fed_lag = {_TIME}fed_rate = {_RATE}",
+    "idle = held.driven(self.{drive}, {rest}).rates[self.{at}]\n"
+    "held.rates[self.fed] = held.rates[self.{at}] - idle + (self.{at} - self.fed) / self.fed_lag\n"
+    "held.rates[self.{at}] = idle + self.fed_rate * (self.fed - self.{at})\n"
+    "held.start[self.fed] = held.start[self.{at}]\n",
+)
+_BOTH: Final = _Effect(
+    f"{_FED.title}, and a third one beside it",
+    _FED.declared + _BESIDE.declared,
+    _FED.equations + _BESIDE.equations,
+)
+_LOAD: Final = _Effect(
+    "a constant load on {at}",
+    f"load_rate = {_STEEP}".replace("{low}", "-{steep}"),
+    "held.rates[self.{at}] += self.load_rate\n",
+)
+_FRICTION: Final = _Effect(
+    "friction of {at}",
+    f"friction = {_STEEP}".replace("{low}", "0.0"),
+    "held.rates[self.{at}] += dry_friction(self.{at}, self.friction, {soft})\n",
+)
+_COLUMN: Final = _Effect(
+    "the measured {column} on {at}, by a rate",
+    "by_column = Parameter(default=0.0, bounds=(-{wide}, {wide}), scale={per}, relative=False)\n",
+    "held.rates[self.{at}] += self.by_column * (self.{column} - {middle})\n",
+)
+
+
+class Lack(NamedTuple):
+    """What a plant file lacks most."""
+
+    what: str
+    """Such as `a second store beside air of about 3 h`."""
+    explained: float
+    """Share of the squared residuals that it explains."""
+    lines: tuple[str, ...]
+    """What to add to the file, in the order in which it is read."""
+
+    def __str__(self) -> str:
+        """A clause for a sentence about the residuals."""
+        return f"{self.what} would explain {self.explained:.0%} of them"
+
+
+class _Grown(NamedTuple):
+    """A plant with an effect added, in one structure."""
+
+    effect: _Effect
+    """With the plant's names."""
+    model: Model
+
+
+def lack_of(
+    base: Parameters,
+    period: float,
+    left: float,
+    independent: float,
+    fit: Callable[[Parameters], tuple[Parameters, float] | None],
+) -> Lack | None:
+    """The effect that explains most of what a plant leaves; None if none is justified.
+
+    Args:
+        base: the plant as fitted without it.
+        period: sampling period, s.
+        left: mean squared weighted residual of that fit.
+        independent: number of independent residuals.
+        fit: fits a plant from a start; the parameters and what is left; None if it does not converge.
+    """
+    best, each = None, math.log(max(independent, 2.0))
+    least = independent * math.log(max(left, 1.0)) / 2 - _SURE
+    for grown in () if base.model.is_external else _plants_with_effects(base.model, period):
+        found = fit(grown.model.parameters(**base))
+        if found is None or found[1] > (1.0 - _EXPLAINED) * left:
+            continue
+        added = grown.model.structure.n_parameters() - base.model.structure.n_parameters()
+        charge = (independent * math.log(max(found[1], 1.0)) + added * each) / 2
+        if charge < least:
+            said = _said(found[0], grown.model.structure.free[len(base.model.structure.free)])
+            least, what = charge, f"{grown.effect.title} of about {said}"
+            best = Lack(what, 1.0 - found[1] / left, _lines(base.model, grown))
+    return best
+
+
+@cache
+def _plants_with_effects(model: Model, period: float) -> tuple[_Grown, ...]:
+    grown = []
+    for effect, words in _effects(model, period):
+        title, declared, lines = (text.format(**words) for text in effect[:3])
+        named = effect._replace(title=title, declared=declared, equations=lines)
+        try:
+            grown.append(_Grown(named, _with_effect(model, named, words)))
+        except TwinmatchError:  # such as a name that the plant has already
+            continue
+    return tuple(grown)
+
+
+def _effects(model: Model, period: float) -> Iterator[tuple[_Effect, dict[str, Any]]]:
+    """Every effect at every place, with what its lines need."""
+    plant, slow = model.plant, time_constant(model.plant) or _UNKNOWN * period
+    written = written_equations(plant(), model.structure.parts)
+    shown = outputs_of(plant(), written).values()
+    times = {"usual": slow / 3, "few": 3 * period, "short": period, "slow": slow, "long": 100 * slow}
+    times |= {"rate": 1 / slow, "fast": 100 / slow}
+
+    def at(declared: State | Drive | Output, **more: Any) -> dict[str, Any]:
+        low, high = declared.limits if isinstance(declared, Drive) else declared.span
+        numbers = times | {"steep": 10 * (high - low) / slow, "soft": 1e-3 * (high - low)}
+        own = {"at": declared.name, "unit": declared.unit, "span": (low, high)}
+        rounded = {name: float(f"{value:.3g}") for name, value in numbers.items()}
+        return {**rounded, **own, "rate_unit": f"{declared.unit or 1}/s", **more}
+
+    late = any(isinstance(part, DeadTime) for part in vars(plant).values())
+    for drive in plant.drives.values():
+        yield from ((effect, at(drive)) for effect in _OF_A_DRIVE[late:])
+    if len(shown) == 1:
+        yield _OF_AN_OUTPUT, at(plant.output)
+    rates = {str(state): _symbols([rate]) for state, rate in written.rates.items()}
+    idle = plant.disturbances.keys() - _symbols([*written.rates.values(), *shown])
+    for name in (n for n in model.states if n in _symbols(shown) or rates[n] & {*plant.drives}):
+        state = plant.states[name]
+        yield from ((effect, at(state)) for effect in (_BESIDE, _LOAD))
+        for drive in (plant.drives[n] for n in plant.drives if n in rates[name]):
+            words = at(state, drive=drive.name, rest=drive.rest)
+            yield from ((effect, words) for effect in (_FED, _BOTH))
+            if state.span[0] < 0.0 < state.span[1]:
+                yield _FRICTION, words
+        for column in sorted(idle):
+            middle = plant.disturbances[column].default
+            per = (state.span[1] - state.span[0]) / slow / max(abs(middle), 1.0)
+            yield _COLUMN, at(state, column=column, middle=middle, per=per, wide=1e3 * per)
+
+
+def _symbols(expressions: Iterable[Any]) -> set[str]:
+    """Names in some expressions."""
+    return {str(symbol) for e in expressions for symbol in getattr(e, "free_symbols", ())}
+
+
+def _with_effect(model: Model, effect: _Effect, words: dict[str, Any]) -> Model:
+    """The plant's structure with an effect added.
+
+    Raises:
+        TwinmatchError: the plant has one of its names already, or the equations cannot be used.
+    """
+    plant, structure = model.plant, model.structure
+    declared: dict[str, Any] = {}
+    exec(effect.declared, dict(_NAMES), declared)  # noqa: S102 — lines of this module
+    if taken := declared.keys() & vars(plant).keys():
+        raise TwinmatchError(f"plant {plant.name}: it has {', '.join(taken)} already")
+
+    def equations(self: Any, parts: frozenset[str]) -> Any:
+        held = plant.equations(self, parts)
+        held = replace(held, rates=dict(held.rates), start=dict(held.start))
+        local = {**_NAMES, "self": self, "held": held}
+        exec(effect.equations, local)  # noqa: S102 — lines of this module
+        return local["held"]
+
+    free, hidden = ([n for n, v in declared.items() if isinstance(v, kind)] for kind in (Parameter, State))
+    first, times = free[0], (words["usual"] / 10, 10 * words["usual"])
+    richer = replace(
+        structure,
+        free=(*structure.free, *free),
+        free_starts=(*structure.free_starts, *hidden),
+        starts=tuple({first: t} for t in times if declared[first].unit == "s" and t > words["short"]),
+    )
+    body = declared | {"equations": equations, "structures": {model.structure_name: richer}, "followed": ""}
+    body |= {"__module__": __name__, "__qualname__": f"{plant.__qualname__} {effect}"}
+    made: Any = types.new_class(plant.__name__, (plant,), {"name": plant.name}, lambda own: own.update(body))
+    return made.model()  # type: ignore[no-any-return]
+
+
+def _said(found: Parameters, name: str) -> str:
+    value, unit = found[name], found.model.declared[name].unit
+    if unit == "s":
+        longer = ((86400, "d"), (3600, "h"), (60, "min"), (0, "s"))
+        size, unit = next(one for one in longer if value >= 2 * one[0])
+        value /= size or 1
+    return f"{float(f'{value:.2g}'):g} {unit}".rstrip()
+
+
+def _lines(model: Model, grown: _Grown) -> tuple[str, ...]:
+    richer, part = grown.model.structure, grown.effect.title.removeprefix("a ")
+    starts = f", free_starts={richer.free_starts}" if richer.free_starts else ""
+    wanted = f"Structure(free={richer.free}, parts=frozenset({sorted({*richer.parts, part})}){starts})"
+    return (
+        *grown.effect.declared.splitlines(),
+        f"parts = {(*model.plant.parts, part)}",
+        f"structures = {{…, {f'{model.structure_name}, {part}'!r}: {wanted}}}",
+        "in `equations`, write held = Equations(…) in place of return Equations(…), and after it:",
+        f"    if {part!r} in parts:",
+        *(f"        {line}" for line in grown.effect.equations.splitlines()),
+        "    return held",
+    )

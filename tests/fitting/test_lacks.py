@@ -1,0 +1,54 @@
+"""What a plant file lacks is named, and the lines that are shown are what it lacks."""
+
+from __future__ import annotations
+
+import inspect
+import re
+import textwrap
+from pathlib import Path
+
+import pytest
+
+from tests.support.rooms import PERIOD, SETTINGS, Room, judged_room, recorded_room
+from twinmatch.adding.data import compare_structures
+from twinmatch.fitting import fit_structure
+from twinmatch.plants import find_plant
+
+
+@pytest.mark.parametrize(("seed", "stores"), [(2, 2), (3, 3)])
+def test_a_room_of_several_stores_is_told_that_it_lacks_one(seed: int, stores: int) -> None:
+    lack = judged_room(seed, stores).split("; ")[-1]
+    assert lack.startswith("a second store between heating and inner")
+    assert (", and a third one beside it" in lack) is (stores == 3)
+    assert int(lack.split("would explain ")[1].split("%")[0]) >= 90
+
+
+def test_a_room_of_one_store_lacks_none() -> None:
+    assert "store" not in judged_room(1, 1)
+
+
+def test_the_lines_that_are_shown_are_the_second_store(tmp_path: Path) -> None:
+    """Heavy walls beside the room; put into the file as they stand, the lines leave the noise."""
+    window = recorded_room(1, 2)
+    compared = compare_structures([window], Room, SETTINGS)
+    (found,) = compared.findings
+    assert found.what.startswith("the structure 'one store' leaves residuals: a second store beside inner of")
+    titles = [note.startswith("lines that add a second store beside inner") for note in compared.notes]
+    title = titles.index(True)
+    lines = [note[2:] for note in compared.notes[title + 1 :]]
+    split = next(k for k, line in enumerate(lines) if line.startswith("in `equations`"))
+    declared = [re.sub(r"= \{…, (.*)\}$", r"= {\1}", line) for line in lines[:split]]
+    source = textwrap.dedent(inspect.getsource(Room))
+    source = re.sub(
+        r"    structures = .*", textwrap.indent("\n".join(declared), "    ").replace("\\", ""), source
+    )
+    source = source.replace("return Equations(", "held = Equations(").replace('"room"', '"walled"')
+    body = textwrap.indent("\n".join(lines[split + 1 :]), "    ")
+    path = tmp_path / "walled.py"
+    path.write_text(f"from twinmatch.dynamics import *\n\n\n{source.rstrip()}\n{body}\n")
+    plant = find_plant(str(path))
+    fitted = fit_structure([window], plant.model(), law=None)
+    left = (fitted.measured[0] - fitted.simulated[0]) / plant.output.noise
+    assert window.period == PERIOD
+    # White noise of the declared size: within three standard errors of 500 samples.
+    assert float((left**2).mean()) == pytest.approx(1.0, abs=0.2)
