@@ -7,11 +7,13 @@ from math import exp
 
 import numpy as np
 
-from tests.support.abroad import KINDS, AbroadPlant
+from tests.support.plants import Motor
 from tests.support.rig import rig
 from twinmatch.comparing import ForecastScore
+from twinmatch.dynamics import begin, simulate_driven
 from twinmatch.forecasting import Ledger
-from twinmatch.signals import FloatArray
+from twinmatch.sessions import samples_of
+from twinmatch.signals import FloatArray, Window
 from twinmatch.twin import Twin, TwinSettings
 
 HORIZONS = (10, 60, 300)
@@ -58,8 +60,13 @@ def ever_trusted(seed: int, seconds: int = 3600, better: float = 1.0) -> Iterato
 
 
 def levels(seed: int, samples: int) -> list[str]:
-    """Those of all verdicts on a motor whose equations and parts the plant file has."""
-    kind = KINDS["motor"]
-    twin = Twin(TwinSettings.of(kind.plant, period=kind.period, law=None))
-    motor = AbroadPlant(kind, seed, lacks=(), closed=False)
-    return [v.level.value for sample in motor.run(samples) for v in twin.push(sample).verdicts]
+    """Those of all verdicts on a motor, driven by steps, whose equations are those of its plant file."""
+    rng, model = np.random.default_rng(seed), Motor.model("with friction")
+    defaults = model.parameters()
+    truth = model.parameters(**{n: defaults[n] * rng.uniform(0.75, 1.25) for n in ("k", "j", "b", "dry")})
+    u = np.repeat(rng.uniform(-15.0, 15.0, samples), rng.integers(40, 160, samples))[:samples]
+    driven = simulate_driven(truth, u, states=begin(truth, 0.0), period=0.05)
+    speed = driven.output + rng.normal(0.0, Motor.speed.noise, samples)
+    twin = Twin(TwinSettings.of(Motor, period=0.05, law=None))
+    window = Window(np.zeros(samples), speed, u, period=0.05)
+    return [v.level.value for sample in samples_of(window) for v in twin.push(sample).verdicts]

@@ -30,8 +30,6 @@ REFUSED: Final = "refused"
 _SHOWN: Final = 2.5758293035489004
 """Standard errors from which something is more than chance: 0.5 % in one look, and 5 % in an hour of
 them (`python -m benchmarks.trust`)."""
-_KEPT: Final = _SHOWN / 2.0
-"""The same for what stands already: a figure that wanders by one standard error changes nothing."""
 _ONE_SIDED: Final = 1.6448536269514722
 """Quantile of the normal distribution at 95 %: that of `persistence_skill_high` and `arx_skill_high`."""
 _TINY: Final = 1e-12
@@ -185,7 +183,7 @@ class ForecastScore:
     def _doubt(self, k: int, *, held: bool) -> Doubt | None:
         if not self.persistence_skill or math.isnan(self.persistence_skill[k]):
             return FEW
-        needed, allowed = (_KEPT, _SHOWN) if held else (_SHOWN, _KEPT)
+        needed, allowed = (0.0, _SHOWN) if held else (_SHOWN, _SHOWN / 2.0)
         error, sure = self._behind("persistence", k)
         if not sure < -needed:
             return Doubt(_PERSISTENCE.format(**BASELINES), f"{error:.2f}", sure > _SHOWN)
