@@ -42,7 +42,7 @@ BASELINES: Final = {
 """The baselines, and what each is called in a sentence."""
 
 
-class Doubt(NamedTuple):
+class Shortfall(NamedTuple):
     """Why forecasts at a horizon are not trusted."""
 
     words: str
@@ -52,14 +52,14 @@ class Doubt(NamedTuple):
     """Whether it is known that they are not to be trusted; otherwise it is not known that they are."""
 
 
-FEW: Final = Doubt("too few of its forecasts have been compared", "", certain=False)
+FEW: Final = Shortfall("too few of its forecasts have been compared", "", certain=False)
 """Nothing is known yet."""
 _PERSISTENCE: Final = "its forecasts are not surely better than {persistence}, with {{}} times the error"
 _ARX: Final = "its forecasts are worse than {arx}, with {{}} times the error"
 _BANDS: Final = "its bands hold {} % of the readings"
 
 
-def doubt_words(doubts: Mapping[float, Doubt]) -> str:
+def doubt_words(doubts: Mapping[float, Shortfall]) -> str:
     """Where the one test fails, by `ForecastScore.doubts`, in words; empty if nowhere."""
     known = {horizon: doubt for horizon, doubt in doubts.items() if doubt != FEW}
     clauses = []
@@ -170,7 +170,7 @@ class ForecastScore:
     independent: tuple[float, ...] = ()
     """Effective number of forecasts in that share which do not overlap."""
 
-    def doubts(self, horizons: Sequence[float], trusted: Sequence[float] = ()) -> dict[float, Doubt]:
+    def doubts(self, horizons: Sequence[float], trusted: Sequence[float] = ()) -> dict[float, Shortfall]:
         """Where its forecasts do not pass the test, and why, by horizon, s; at the others they are trusted.
 
         They pass if they are better than saying that nothing changes, by more than chance; if ARX is not
@@ -180,19 +180,19 @@ class ForecastScore:
         found = {h: self._doubt(k, held=h in trusted) for k, h in enumerate(horizons)}
         return {horizon: doubt for horizon, doubt in found.items() if doubt is not None}
 
-    def _doubt(self, k: int, *, held: bool) -> Doubt | None:
+    def _doubt(self, k: int, *, held: bool) -> Shortfall | None:
         if not self.persistence_skill or math.isnan(self.persistence_skill[k]):
             return FEW
         needed, allowed = (0.0, _SHOWN) if held else (_SHOWN, _SHOWN / 2.0)
         error, sure = self._behind("persistence", k)
         if not sure < -needed:
-            return Doubt(_PERSISTENCE.format(**BASELINES), f"{error:.2f}", sure > _SHOWN)
+            return Shortfall(_PERSISTENCE.format(**BASELINES), f"{error:.2f}", sure > _SHOWN)
         error, sure = self._behind("arx", k)
         if error > _TENTH and sure > allowed:
-            return Doubt(_ARX.format(**BASELINES), f"{error:.2f}", certain=True)
+            return Shortfall(_ARX.format(**BASELINES), f"{error:.2f}", certain=True)
         share, number = (each[k] if each else math.nan for each in (self.coverage, self.independent))
         if share < CONFIDENCE - allowed * math.sqrt(CONFIDENCE * (1.0 - CONFIDENCE) / number):
-            return Doubt(_BANDS, f"{100 * share:.0f}", certain=True)
+            return Shortfall(_BANDS, f"{100 * share:.0f}", certain=True)
         return None
 
     def _behind(self, baseline: str, k: int) -> tuple[float, float]:

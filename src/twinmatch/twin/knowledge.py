@@ -11,8 +11,8 @@ from twinmatch.comparing import (
     DECIDED_FROM,
     FEW,
     LEVEL_WORDS,
-    Doubt,
     ForecastScore,
+    Shortfall,
     TrustLevel,
     Verdict,
     doubt_words,
@@ -100,7 +100,7 @@ class Knowledge:
         return next((score for score in self.forecasts if score.name == self.leader), None)
 
     @property
-    def doubts(self) -> dict[float, Doubt]:
+    def doubts(self) -> dict[float, Shortfall]:
         """Where the leader's forecasts do not pass the test, and why, by horizon, s."""
         of = self.leading
         return of.doubts(self.horizons, self.trusted) if of else dict.fromkeys(self.horizons, FEW)
@@ -131,7 +131,7 @@ def trust_of(known: Knowledge) -> Trust:
     return Trust(level, reason)
 
 
-def _tested(doubts: Mapping[float, Doubt], known: Knowledge) -> Trust:
+def _tested(doubts: Mapping[float, Shortfall], known: Knowledge) -> Trust:
     """What the test says of a leader with nothing else against it."""
     words, held = doubt_words(doubts), _LEFT if known.miss_since else LEVEL_WORDS[TrustLevel.TRUSTED]
     if len(doubts) < len(known.horizons):
