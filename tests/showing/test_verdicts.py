@@ -263,7 +263,7 @@ SUMMARY = SessionSummary(
     leader="50 °C",
     nominal="70 °C",
     level=TrustLevel.TRUSTED,
-    proven=(10.0, 60.0, 300.0),
+    trusted=(10.0, 60.0, 300.0),
     parameters=rig(),
     fit_y=0.9881,
     fit_u=0.9,
@@ -295,11 +295,11 @@ OVER = {"stretches": (LOST, LevelStretch(401, 500, TRUSTED))}
         ({"closed": False}, f"Leader: match near 50 °C; trust it {HELD}; {FIT}."),
         ({"leader": None}, f"Nominal: match at 70 °C; trust it {HELD}; {FIT}."),
         (
-            {"proven": (60.0, 300.0), "beaten": ARX},
+            {"trusted": (60.0, 300.0), "doubts": ARX},
             f"Leader: match at 50 °C; trust it 60 and 300 s ahead between 25 and 92 °C, but {ARX}; {FIT}.",
         ),
         (
-            {"level": DOUBTFUL, "why": "no match explains the newest window", "beaten": ARX},
+            {"level": DOUBTFUL, "why": "no match explains the newest window", "doubts": ARX},
             "Leader: match at 50 °C; doubtful now: no match explains the newest window "
             f"(its forecasts held {HELD}); {FIT}.",
         ),
@@ -322,7 +322,7 @@ OVER = {"stretches": (LOST, LevelStretch(401, 500, TRUSTED))}
             "(temperature fit −100.3 %).",
         ),
         ({"range": None}, f"Leader: match at 50 °C; how far to trust it is not known yet; {FIT}."),
-        ({"proven": ()}, f"Leader: match at 50 °C; how far to trust it is not known yet; {FIT}."),
+        ({"trusted": ()}, f"Leader: match at 50 °C; how far to trust it is not known yet; {FIT}."),
         (
             {"level": UNKNOWN, "why": "its input acts late"},
             f"Leader: match at 50 °C; how far to trust it is not known yet: its input acts late; {FIT}.",
@@ -386,13 +386,11 @@ def test_the_sentence_names_the_newest_faults() -> None:
     assert often.endswith("; room-changed since 470 s.")
 
 
-def test_proven_is_what_was_compared_and_beats_every_baseline() -> None:
-    """Not compared, worse than one baseline, equal to one, better than both; ARX may not be there yet."""
-    nan = math.nan
-    score = replace(LED.forecasts[0], persistence_skill=(nan, 0.4, 0.0, 0.3, 0.2))
-    beside = replace(score, arx_skill=(nan, -0.1, 0.5, 0.2, nan))
-    assert beside.proven((1.0, 10.0, 60.0, 300.0, 600.0)) == (300.0, 600.0)
-    assert replace(LED, leader=None).proven == ()
+def test_without_a_leader_there_is_nothing_to_doubt() -> None:
+    behind = replace(LED.forecasts[0], persistence_skill=(-0.5,), persistence_skill_high=(-0.4,))
+    told = replace(LED, horizons=(10.0,), forecasts=(behind,))
+    assert told.doubts.endswith("than saying that nothing changes, with 1.50 times the error")
+    assert replace(told, leader=None).doubts == ""
 
 
 def test_where_forecasts_held_is_rounded_to_the_inside_and_to_the_plants_places() -> None:

@@ -67,13 +67,10 @@ def test_only_a_wrong_twin_is_beaten_by_forecasts_that_need_none(samples: list[S
         forecaster.push(sample)
     wrong, truth = forecaster.scores
     horizons = forecaster.settings.horizons
-    assert not truth.useless
-    assert not truth.beaten(horizons)
+    assert not truth.doubts(horizons)
     assert all(skill > 0.9 for skill in truth.persistence_skill[1:])
-    assert wrong.useless
-    assert set(wrong.beaten(horizons)) == set(horizons)
-    assert not wrong.proven(horizons)
-    assert truth.proven(horizons)[-2:] == horizons[-2:]
+    assert set(wrong.doubts(horizons)) == set(horizons)
+    assert [doubt.certain for doubt in wrong.doubts(horizons).values()] == [True, True, False]
     assert re.match(
         r"truth forecasts best: it saves [\d.]+ characters .*, and in \d+ % of cases", forecaster.sentence
     )
@@ -86,7 +83,7 @@ def test_a_leader_that_is_beaten_boasts_of_no_savings() -> None:
     for sample in samples_of(run(TRUTH, np.repeat([45.0, 46.0], 400), seed=5)):
         truth.push(sample)
     assert truth.scores[0].gain < 0.0
-    assert truth.sentence == "no twin forecasts better than saying that nothing changes; wrong comes nearest"
+    assert truth.sentence == "wrong forecasts best: it saves 0.00 characters per forecast"
 
 
 def test_bands_of_the_truth_hold(samples: list[Sample]) -> None:

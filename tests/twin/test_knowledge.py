@@ -20,13 +20,17 @@ from twinmatch.twin.mirror import Residuals
 from twinmatch.twin.trust import BandCheck
 
 INSIDE, OUTSIDE = BandCheck(0.6, 0.9, 0.6, 0.9), BandCheck(0.6, 0.9, 3.0, 0.1)
-NO_MATCH = MatchResult("refused", "match refused: the twin cannot explain it", unexplained=True)
 WELL, POOR, MIXED = (0.5, 0.5), (-0.5, -0.5), (0.5, -0.5)
-WORSE = "60 s ahead its forecasts are worse than saying that nothing changes, with 1.50 times the error"
-EVERYWHERE = WORSE.replace("60", "10 and 60").replace("1.50", "1.50 and 1.50")
-BEFORE = "its forecasts have held so far, and were better than both baselines in earlier sessions"
-UNPROVEN = "no horizon is known at which its forecasts are better"
-USELESS = f"at every horizon forecasts without a twin are better: {EVERYWHERE}"
+UNSURE = (
+    "60 s ahead its forecasts are not surely better than saying that nothing changes, "
+    "with 1.50 times the error"
+)
+EVERYWHERE = UNSURE.replace("60", "10 and 60").replace("1.50", "1.50 and 1.50")
+BEFORE = "its forecasts have held so far, and were trusted in earlier sessions"
+GOOD = (0.9, 20.0)
+FEW = "too few of its forecasts have been compared"
+ARX = "a linear model without physics (ARX)"
+HELD = "measurements lie within the forecast bands"
 
 
 def score(
@@ -42,13 +46,23 @@ def score(
     return ForecastScore(name, parameters, 0, 299, gain, (gain,), 7.0, skill, skill, ends, ends)
 
 
+def compared(errors: tuple[float, float], errs: float, held: tuple[float, float]) -> ForecastScore:
+    """At the first horizon, with so many times the errors of both baselines, the standard error of the
+    logarithms, a share in the bands, and of how many forecasts; at the second too little is known."""
+    skills = [(1.0 - error, math.nan) for error in errors]
+    highs = [(1.0 - error * math.exp(-1.6448536269514722 * errs), math.nan) for error in errors]
+    share, number = ((figure, math.nan) for figure in held)
+    return ForecastScore("leader", rig(), 0, 299, 5.0, (5.0,), 7.0, *skills, *highs, share, number)
+
+
 def known(**more: Any) -> Knowledge:
     said: dict[str, Any] = {
         **{"sample": 300, "window": (0, 299), "match": MatchResult(), "scored": False, "dismissed": ()},
         **{"scores": UNSCORED, "leader": "leader", "confidence": 0.95, "forecasts": (score(),)},
-        **{"standing": "it leads", "horizons": (10.0, 60.0), "bands": INSIDE, "miss_limit": 2.0},
+        **{"standing": "it leads", "horizons": (10.0, 60.0), "bands": INSIDE, "outside": False},
         **{"miss_since": None, "held": (30.0, 50.0), "residuals": Residuals(0.5, 7.0), "health": None},
         **{"reservation": "", "doubt": "", "structure": "", "decimals": 2, "remembered": False},
+        "trusted": (),
     }
     return Knowledge(**said | more)
 
@@ -62,32 +76,17 @@ def faulty(fault: Fault, state: HealthState = HealthState.FAULT) -> Health:
     [
         ({}, TrustLevel.TRUSTED, "measurements lie within the forecast bands"),
         ({"bands": BandCheck()}, TrustLevel.UNKNOWN, "no forecast has been compared with measurements yet"),
-        ({"bands": OUTSIDE}, TrustLevel.DOUBTFUL, "measurements lie outside the forecast bands"),
-        ({"bands": BandCheck(2.0, 0.5)}, TrustLevel.DOUBTFUL, "measurements lie outside the forecast bands"),
-        ({"match": NO_MATCH}, TrustLevel.DOUBTFUL, "no match explains the newest window"),
-        ({"forecasts": (score(skill=POOR),)}, TrustLevel.DOUBTFUL, USELESS),
-        ({"forecasts": (score(skill=POOR, high=(-0.1, -0.01)),)}, TrustLevel.DOUBTFUL, USELESS),
-        # By chance, at one horizon or because nothing is said of it.
-        *(
-            (
-                {"forecasts": (score(skill=POOR, high=high),)},
-                TrustLevel.UNKNOWN,
-                UNPROVEN,
-            )
-            for high in ((-0.1, 0.01), (math.nan, math.nan), ())
-        ),
-        # Too few were compared at the longer horizon.
-        ({"forecasts": (score(skill=(-0.5, math.nan)),)}, TrustLevel.DOUBTFUL, "at every horizon"),
-        # Little worse, but certainly.
-        ({"forecasts": (score(skill=(-0.02, -0.01)),)}, TrustLevel.DOUBTFUL, "at every horizon"),
-        ({"forecasts": (score(skill=(-0.02, -0.01), high=(0.1, 0.1)),)}, TrustLevel.UNKNOWN, UNPROVEN),
-        ({"forecasts": (score(skill=(-0.02, 0.01)),)}, TrustLevel.TRUSTED, "measurements"),
-        ({"forecasts": (score(skill=(math.nan, math.nan)),)}, TrustLevel.UNKNOWN, UNPROVEN),
         (
-            {"forecasts": (score(skill=MIXED),)},
-            TrustLevel.TRUSTED,
-            f"measurements lie within the forecast bands, but {WORSE}",
+            {"bands": OUTSIDE, "outside": True},
+            TrustLevel.DOUBTFUL,
+            "measurements lie outside the forecast bands",
         ),
+        ({"bands": OUTSIDE, "miss_since": 241}, TrustLevel.TRUSTED, "measurements have just left"),
+        ({"forecasts": (score(skill=POOR),)}, TrustLevel.DOUBTFUL, EVERYWHERE),
+        ({"forecasts": (score(skill=POOR, high=(0.9, 0.9)),)}, TrustLevel.UNKNOWN, EVERYWHERE),
+        ({"forecasts": (score(skill=(-0.5, math.nan)),)}, TrustLevel.DOUBTFUL, UNSURE.replace("60", "10")),
+        ({"forecasts": (score(skill=(math.nan, math.nan)),)}, TrustLevel.UNKNOWN, FEW),
+        ({"forecasts": (score(skill=MIXED),)}, TrustLevel.TRUSTED, f"{HELD}, but {UNSURE}"),
         ({"forecasts": (score(), score("other", POOR))}, TrustLevel.TRUSTED, "measurements lie within the"),
         ({"health": faulty(Fault.DRIVE_LOST)}, TrustLevel.FAULT, "the plant shows drive-lost"),
         ({"health": faulty(Fault.LOSSES_CHANGED)}, TrustLevel.DOUBTFUL, "the plant shows losses-changed"),
@@ -95,33 +94,30 @@ def faulty(fault: Fault, state: HealthState = HealthState.FAULT) -> Health:
         ({"health": faulty(Fault.DRIVE_LOST, HealthState.SUSPECT)}, TrustLevel.TRUSTED, "measurements lie"),
         # What it did in earlier sessions counts until this one has shown enough, and never against it.
         ({"remembered": True, "forecasts": (score(skill=(math.nan, math.nan)),)}, TrustLevel.TRUSTED, BEFORE),
+        ({"remembered": True, "forecasts": (compared((0.9, 0.9), 0.1, GOOD),)}, TrustLevel.TRUSTED, BEFORE),
         (
-            {"remembered": True, "forecasts": (score(skill=(-0.02, math.nan), high=(0.1, 1.0)),)},
-            TrustLevel.TRUSTED,
-            BEFORE,
-        ),
-        (
-            {"remembered": True, "forecasts": (score(skill=(-0.5, math.nan)),)},
+            {"remembered": True, "forecasts": (compared((1.5, 0.9), 0.1, GOOD),)},
             TrustLevel.DOUBTFUL,
-            "at every",
+            "10 s ahead",
         ),
         (
-            {"remembered": True, "forecasts": (score(skill=POOR, high=(-0.1, 0.01)),)},
+            {"remembered": True, "forecasts": (score(skill=POOR, high=(0.9, 0.9)),)},
             TrustLevel.UNKNOWN,
-            UNPROVEN,
+            EVERYWHERE,
         ),
-        ({"remembered": True, "bands": OUTSIDE}, TrustLevel.DOUBTFUL, "measurements lie outside"),
+        (
+            {"remembered": True, "bands": OUTSIDE, "outside": True},
+            TrustLevel.DOUBTFUL,
+            "measurements lie outside",
+        ),
         ({"remembered": True, "bands": BandCheck()}, TrustLevel.UNKNOWN, "no forecast has been compared"),
         ({"remembered": True}, TrustLevel.TRUSTED, "measurements lie within the forecast bands"),
         # The first reason that applies is given.
         (
-            {"health": faulty(Fault.DRIVE_LOST), "bands": OUTSIDE, "match": NO_MATCH},
+            {"health": faulty(Fault.DRIVE_LOST), "bands": OUTSIDE, "outside": True},
             TrustLevel.FAULT,
             "the plant shows drive-lost",
         ),
-        ({"match": NO_MATCH, "bands": OUTSIDE}, TrustLevel.DOUBTFUL, "measurements lie outside"),
-        ({"match": NO_MATCH, "forecasts": (score(skill=POOR),)}, TrustLevel.DOUBTFUL, "no match explains"),
-        ({"match": NO_MATCH, "bands": BandCheck()}, TrustLevel.UNKNOWN, "no forecast has been compared"),
         ({"reservation": "not yet", "bands": BandCheck()}, TrustLevel.UNKNOWN, "not yet"),
         ({"reservation": "not yet"}, TrustLevel.TRUSTED, "measurements lie within the forecast bands"),
         ({"doubt": "readings may be off"}, TrustLevel.DOUBTFUL, "readings may be off"),
@@ -143,6 +139,38 @@ def test_the_level_has_one_reason(more: dict[str, Any], level: TrustLevel, reaso
     assert trust.reason.startswith(reason)
     verdict = verdict_of(known(**more))
     assert (verdict.level, verdict.level_reason) == trust
+
+
+@pytest.mark.parametrize(
+    ("errors", "errs", "held", "new", "standing"),
+    [
+        # Half the error is 6.9 standard errors, 0.85 of it 1.6: that may stand, but not begin.
+        ((0.5, 0.5), 0.1, GOOD, "", ""),
+        ((0.85, 0.5), 0.1, GOOD, "not surely better than saying that nothing changes, with 0.85", ""),
+        ((1.05, 0.5), 0.1, GOOD, *["not surely better than saying that nothing changes, with 1.05"] * 2),
+        ((0.5, 0.5), 1.0, GOOD, "not surely better", ""),
+        # As good as ARX but for a tenth is enough, however sure the difference is.
+        ((0.5, 1.09), 0.01, (0.9, 20.0), "", ""),
+        ((0.5, 1.2), 0.1, (0.9, 20.0), f"worse than {ARX}, with 1.20 times", ""),
+        ((0.5, 1.4), 0.1, (0.9, 20.0), *[f"worse than {ARX}, with 1.40 times"] * 2),
+        ((0.05, 1.4), 1.0, (0.9, 20.0), "", ""),
+        # Of 20 forecasts 90 % are held with a standard error of 0.067, of 2 with one of 0.21.
+        ((0.5, 0.5), 0.1, (0.8, 20.0), "its bands hold 80 % of the readings", ""),
+        ((0.5, 0.5), 0.1, (0.7, 20.0), *["its bands hold 70 % of the readings"] * 2),
+        ((0.5, 0.5), 0.1, (0.7, 2.0), "", ""),
+        ((0.5, 0.5), 0.1, (math.nan, math.nan), "", ""),
+    ],
+)
+def test_trusted_is_more_than_chance(
+    errors: tuple[float, float], errs: float, held: tuple[float, float], new: str, standing: str
+) -> None:
+    """At a horizon not trusted before, and at one that was."""
+    for before, said in (((), new), ((10.0,), standing)):
+        verdict = verdict_of(known(forecasts=(compared(errors, errs, held),), trusted=before))
+        assert verdict.trusted == (() if said else (10.0,))
+        assert said in verdict.doubts
+        assert bool(said) == bool(verdict.doubts)
+        assert (verdict.level is TrustLevel.TRUSTED) == (not said)
 
 
 def test_a_verdict_names_the_fault_that_there_is_and_not_a_suspicion() -> None:

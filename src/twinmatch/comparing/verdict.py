@@ -27,8 +27,14 @@ REFUSED: Final = "refused"
 """The gate, a fault of the plant or missing models kept it out; the verdict's reason says which."""
 
 
-_WORSE: Final = 0.05
-"""Errors of so much more than a baseline's, as a share, are named; whether by chance or not."""
+_SHOWN: Final = 2.5758293035489004
+"""Standard errors from which something is more than chance: 0.5 % in one look, and 5 % in an hour of
+them (`python -m benchmarks.trust`)."""
+_ONE_SIDED: Final = 1.6448536269514722
+"""Quantile of the normal distribution at 95 %: that of `persistence_skill_high` and `arx_skill_high`."""
+_TINY: Final = 1e-12
+_TENTH: Final = 1.1
+"""A twin whose errors are up to so many times those of ARX is trusted: it alone can answer what-if."""
 BASELINES: Final = {
     "persistence": "saying that nothing changes",
     "arx": "a linear model without physics (ARX)",
@@ -36,16 +42,30 @@ BASELINES: Final = {
 """The baselines, and what each is called in a sentence."""
 
 
-def beaten_words(beaten: Mapping[float, tuple[str, float]]) -> str:
-    """Where a baseline forecasts better, by `ForecastScore.beaten`, in words; empty if nowhere."""
+class Shortfall(NamedTuple):
+    """Why forecasts at a horizon are not trusted."""
+
+    words: str
+    """With a place for the figure."""
+    figure: str
+    certain: bool
+    """Whether it is known that they are not to be trusted; otherwise it is not known that they are."""
+
+
+FEW: Final = Shortfall("too few of its forecasts have been compared", "", certain=False)
+"""Nothing is known yet."""
+_PERSISTENCE: Final = "its forecasts are not surely better than {persistence}, with {{}} times the error"
+_ARX: Final = "its forecasts are worse than {arx}, with {{}} times the error"
+_BANDS: Final = "its bands hold {} % of the readings"
+
+
+def doubt_words(doubts: Mapping[float, Shortfall]) -> str:
+    """Where the one test fails, by `ForecastScore.doubts`, in words; empty if nowhere."""
+    known = {horizon: doubt for horizon, doubt in doubts.items() if doubt != FEW}
     clauses = []
-    for baseline, words in BASELINES.items():
-        held = {horizon: times for horizon, (name, times) in beaten.items() if name == baseline}
-        if held:
-            ahead, times = number_list(held), number_list(held.values(), ".2f")
-            clauses.append(
-                f"{ahead} s ahead its forecasts are worse than {words}, with {times} times the error"
-            )
+    for words in dict.fromkeys(doubt.words for doubt in known.values()):
+        held = {horizon: doubt.figure for horizon, doubt in known.items() if doubt.words == words}
+        clauses.append(f"{number_list(held)} s ahead {words.format(number_list(held.values()))}")
     return ", and ".join(clauses)
 
 
@@ -59,13 +79,11 @@ class TrustLevel(Enum):
     """How far to trust the leader, from the newest window."""
 
     UNKNOWN = "unknown"
-    """There is no candidate yet, or its forecasts were not better than those of the baselines yet."""
+    """There is no candidate yet, or its forecasts have not passed the test of `ForecastScore.doubts` yet."""
     TRUSTED = "trusted"
-    """The samples lie in the bands forecast for them, and at some horizon the leader's forecasts have been
-    better than those of every baseline."""
+    """The samples lie in the bands forecast for them, and the leader passes that test at some horizon."""
     DOUBTFUL = "doubtful"
-    """The samples lie outside (`miss_since` says since when), no match explains the window, or forecasts that
-    need no twin are better at every horizon, by more than chance."""
+    """The samples lie outside (`miss_since` says since when), or the leader surely fails at every horizon."""
     FAULT = "fault"
     """The plant has a fault, so that no twin holds; check the plant."""
 
@@ -146,39 +164,45 @@ class ForecastScore:
     arx_skill_high: tuple[float, ...] = ()
     """The same of `arx_skill`."""
 
-    def beaten(self, horizons: Sequence[float]) -> dict[float, tuple[str, float]]:
-        """The baseline that forecasts better, and how many times its error the candidate's is, by horizon, s;
-        without those that none forecasts better."""
-        winners = {}
-        for k, horizon in enumerate(horizons):
-            every = {name: getattr(self, f"{name}_skill") for name in BASELINES}
-            skills = {name: skill[k] for name, skill in every.items() if skill}
-            better = [n for n, skill in skills.items() if skill < -_WORSE or self._surely_worse(n, k)]
-            if better:
-                name = min(better, key=lambda name: skills[name])
-                winners[horizon] = name, 1.0 - skills[name]
-        return winners
+    coverage: tuple[float, ...] = ()
+    """At each horizon, the share of the readings since the horizon before that its bands have held, of
+    several signals the least; 0.9 is expected. NaN and empty as above."""
+    independent: tuple[float, ...] = ()
+    """Effective number of forecasts in that share which do not overlap."""
 
-    def proven(self, horizons: Sequence[float]) -> tuple[float, ...]:
-        """The horizons, s, at which its errors were compared, and smaller than those of every baseline."""
-        skills = zip(horizons, self.persistence_skill, self.arx_skill, strict=False)
-        return tuple(h for h, persistence, arx in skills if persistence > 0.0 and not arx <= 0.0)
+    def doubts(self, horizons: Sequence[float], trusted: Sequence[float] = ()) -> dict[float, Shortfall]:
+        """Where its forecasts do not pass the test, and why, by horizon, s; at the others they are trusted.
 
-    def _surely_worse(self, baseline: str, k: int) -> bool:
-        """Whether it is worse than a baseline at the k-th horizon by more than chance."""
-        highs = getattr(self, f"{baseline}_skill_high")
-        return bool(highs) and highs[k] < 0.0
+        They pass if they are better than saying that nothing changes, by more than chance; if ARX is not
+        better by more than chance and a tenth; and if their bands do not hold less than they promise, by more
+        than chance. At horizons that were `trusted` before, the contrary has to be shown.
+        """
+        found = {h: self._doubt(k, held=h in trusted) for k, h in enumerate(horizons)}
+        return {horizon: doubt for horizon, doubt in found.items() if doubt is not None}
 
-    @property
-    def compared(self) -> bool:
-        """Whether enough forecasts were compared with the baselines at every horizon."""
-        return bool(self.persistence_skill) and not any(map(math.isnan, self.persistence_skill))
+    def _doubt(self, k: int, *, held: bool) -> Shortfall | None:
+        if not self.persistence_skill or math.isnan(self.persistence_skill[k]):
+            return FEW
+        needed, allowed = (0.0, _SHOWN) if held else (_SHOWN, _SHOWN / 2.0)
+        error, sure = self._behind("persistence", k)
+        if not sure < -needed:
+            return Shortfall(_PERSISTENCE.format(**BASELINES), f"{error:.2f}", sure > _SHOWN)
+        error, sure = self._behind("arx", k)
+        if error > _TENTH and sure > allowed:
+            return Shortfall(_ARX.format(**BASELINES), f"{error:.2f}", certain=True)
+        share, number = (each[k] if each else math.nan for each in (self.coverage, self.independent))
+        if share < CONFIDENCE - allowed * math.sqrt(CONFIDENCE * (1.0 - CONFIDENCE) / number):
+            return Shortfall(_BANDS, f"{100 * share:.0f}", certain=True)
+        return None
 
-    @property
-    def useless(self) -> bool:
-        """Whether a baseline forecasts better, by more than chance, at every horizon compared."""
-        compared = [k for k, skill in enumerate(self.persistence_skill) if not math.isnan(skill)]
-        return bool(compared) and all(any(self._surely_worse(b, k) for b in BASELINES) for k in compared)
+    def _behind(self, baseline: str, k: int) -> tuple[float, float]:
+        """How many times a baseline's error its own is at the k-th horizon, and by how many standard errors
+        it is worse; NaN where that is not known."""
+        skill, high = (getattr(self, f"{baseline}_skill{end}") for end in ("", "_high"))
+        if not skill or not high:
+            return math.nan, math.nan
+        worse, least = math.log(1.0 - skill[k]), math.log(1.0 - high[k])
+        return 1.0 - skill[k], _ONE_SIDED * worse / max(worse - least, _TINY)
 
 
 @dataclass(frozen=True)
@@ -254,6 +278,8 @@ class Verdict:
     """Horizons of the forecasts, s."""
     forecasts: tuple[ForecastScore, ...] = ()
     """Scores of every candidate that forecasts, including the leader."""
+    trusted: tuple[float, ...] = ()
+    """The horizons, s, at which the leader's forecasts pass the test of `ForecastScore.doubts`."""
 
     @property
     def chosen(self) -> CandidateScore | None:
@@ -266,14 +292,9 @@ class Verdict:
         return next((score for score in self.forecasts if score.name == self.leader), None)
 
     @property
-    def beaten(self) -> str:
-        """Where forecasts that need no twin are better than the leader's, in words; empty if nowhere."""
-        return beaten_words(self.leading.beaten(self.horizons)) if self.leading else ""
-
-    @property
-    def proven(self) -> tuple[float, ...]:
-        """Horizons, s, at which the leader's forecasts have been better than those that need no twin."""
-        return self.leading.proven(self.horizons) if self.leading else ()
+    def doubts(self) -> str:
+        """Where the leader's forecasts do not pass the test, in words; empty if nowhere."""
+        return doubt_words(self.leading.doubts(self.horizons, self.trusted)) if self.leading else ""
 
     @property
     def modelled(self) -> tuple[CandidateScore, ...]:

@@ -88,21 +88,35 @@ class Calibration:
         self._sums = np.zeros((signals, len(leads)))  # of the newest quotients, weighted
         self._counts = np.zeros(len(leads))  # sums of their weights
         self._quantiles = np.zeros((signals, len(leads)))
+        self._inside = np.zeros((signals, len(leads)))  # held by the band, weighted, of `_asked`
+        self._asked = np.zeros(len(leads))
         self._stale = set(range(len(leads)))
 
     def copy(self) -> Calibration:
         """An independent copy."""
         return deepcopy(self)
 
-    def learn(self, quotients: FloatArray, before: int = 0) -> None:
+    def learn(self, quotients: FloatArray, before: int, widths: FloatArray) -> None:
         """Learn from one forecast: quotients of the signals at N samples ahead, shape (signals, N), at leads
-        beyond `before`; NaN where a sample was lost."""
+        beyond `before`; NaN where a sample was lost. `widths`: those it was given with."""
         size = quotients.shape[1]
         due = [k for k, lead in enumerate(self.leads) if before < lead <= size]
         came = quotients[:, [self.leads[k] - 1 for k in due]]
         kept = [k for k, lost in enumerate(np.isnan(came[0]).tolist()) if not lost]
         if kept:
-            self.add([due[k] for k in kept], came[:, kept])
+            of = [due[k] for k in kept]
+            self._inside[:, of] = self._kept * self._inside[:, of] + (came[:, kept] <= widths[:, of])
+            self._asked[of] = self._kept * self._asked[of] + 1.0
+            self.add(of, came[:, kept])
+
+    def coverage(self, before: int, last: int) -> tuple[float, float]:
+        """Share of the readings that the bands have held at leads after `before` up to `last`, of the signals
+        the least, and the effective number of forecasts in it that do not overlap; NaN without any."""
+        due = [k for k, lead in enumerate(self.leads) if before < lead <= last and self._asked[k] > 0.0]
+        if not due:
+            return np.nan, np.nan
+        share = (self._inside[:, due] / self._asked[due]).mean(axis=1).min()
+        return float(share), float(self._asked[due[-1]] * self._new[due[-1]])
 
     def add(self, leads: Sequence[int], quotients: FloatArray) -> None:
         """Learn the signals' quotients of one forecast at n leads, given by index; shape (signals, n)."""

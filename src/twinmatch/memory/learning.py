@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from twinmatch.comparing import ForecastScore, Verdict
+from twinmatch.comparing import Verdict
 from twinmatch.dynamics import Law, Model, Plant
 from twinmatch.errors import TwinmatchError
 from twinmatch.fitting import Noise, StructureFit, fit_structure, observed_covariance
@@ -90,13 +90,9 @@ def _worth_keeping(judged: SessionEvidence) -> list[Model]:
     plant, verdicts = judged.plant, judged.before_fault
     names = [next(iter(plant.structures)), *(n for n, s in plant.structures.items() if s.watched)]
     names += [name for v in verdicts[-1:] if (name := v.structure)]
-    names += [score.parameters.model.structure_name for v in verdicts if (score := _leader(v)) is not None]
+    names += [score.parameters.model.structure_name for v in verdicts if (score := v.leading) is not None]
     models = [plant.model(name) for name in dict.fromkeys(names) if name in plant.structures]
     return [model for model in models if not model.is_external and model.structure.free]
-
-
-def _leader(verdict: Verdict) -> ForecastScore | None:
-    return next((score for score in verdict.forecasts if score.name == verdict.leader), None)
 
 
 def _lesson(judged: SessionEvidence, windows: Sequence[Window], model: Model) -> Lesson | None:
@@ -109,7 +105,7 @@ def _lesson(judged: SessionEvidence, windows: Sequence[Window], model: Model) ->
     if fit.bounds_hit or not np.isfinite(covariance).all() or np.linalg.eigvalsh(covariance)[0] <= 0.0:
         return None
     last = judged.before_fault[-1] if judged.before_fault else None
-    leader = None if last is None else _leader(last)
+    leader = None if last is None else last.leading
     scores = [] if last is None else [s for s in last.forecasts if s.parameters.model is model]
     best = max(scores, key=lambda s: (s is leader, np.nan_to_num(s.gain, nan=-np.inf)), default=None)
     return Lesson(

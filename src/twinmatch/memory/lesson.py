@@ -86,12 +86,6 @@ class Lesson:
         raise MemoryFaultError(f"{place}: {why}; forget the session, and remember it again")
 
     @property
-    def proven(self) -> bool:
-        """Whether its forecasts were better than both baselines at some horizon."""
-        skills = zip(self.persistence_skill, self.arx_skill, strict=False)
-        return any(persistence > 0.0 and not arx <= 0.0 for persistence, arx in skills)
-
-    @property
     def values(self) -> FloatArray:
         """Values of the free parameters, shape (n,)."""
         return np.array([self.parameters[name] for name in self.free])

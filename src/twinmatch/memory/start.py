@@ -29,10 +29,9 @@ _FAR: Final = 3.0
 def start_from(lessons: Iterable[Lesson], plant: type[Plant]) -> list[Candidate]:
     """The remembered candidates for a session of this plant; empty without lessons that fit its equations.
 
-    First comes the centre of the structure that led, and beat both baselines, in most of the newest
-    sessions, then twins of single
-    sessions in it, the newest and those farthest from what is there already; then the centres of the other
-    structures. The covariance of all of them is the spread between sessions.
+    First comes the centre of the structure that led, and was trusted, at the end of most of the newest
+    sessions, then twins of single sessions in it, the newest and those farthest from what is there already;
+    then the centres of the other structures. The covariance of all of them is the spread between sessions.
     """
     usable = [each for each in in_order(current_lessons(lessons, plant)) if _possible(each, plant)]
     newest = list(dict.fromkeys(lesson.session for lesson in reversed(usable)))[:MAX_SESSIONS]
@@ -40,7 +39,7 @@ def start_from(lessons: Iterable[Lesson], plant: type[Plant]) -> list[Candidate]
     for lesson in usable:
         if lesson.session in newest:
             of.setdefault(lesson.structure, []).append(lesson)
-    led = {structure: sum(lesson.led and lesson.proven for lesson in each) for structure, each in of.items()}
+    led = {name: sum(one.led and one.level == "trusted" for one in each) for name, each in of.items()}
     order = sorted(of, key=lambda structure: led[structure], reverse=True)
     if not order or not led[order[0]]:
         return []

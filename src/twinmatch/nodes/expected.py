@@ -220,8 +220,9 @@ def _check_verdict(message: Any) -> None:
     for candidate in message.candidates:
         _check_candidate(candidate)
     for score in message.forecasts:
-        skills = "gains", *(f"{name}_skill{end}" for name in BASELINES for end in ("", "_high"))
-        _check_size(score, len(message.horizons), *skills, of="its horizons", empty=True)
+        skills = [f"{name}_skill{end}" for name in BASELINES for end in ("", "_high")]
+        each = "gains", *skills, "coverage", "independent"
+        _check_size(score, len(message.horizons), *each, of="its horizons", empty=True)
         _check_score(score)
 
 

@@ -115,10 +115,10 @@ class SessionSummary:
     """Where forecasts have held."""
     why: str = ""
     """The reason of the level."""
-    proven: tuple[float, ...] = ()
-    """Horizons, s, at which the leader's forecasts have been better than those that need no twin."""
-    beaten: str = ""
-    """Where a forecast that needs no twin is better, in words; empty if nowhere."""
+    trusted: tuple[float, ...] = ()
+    """Horizons, s, at which the last verdict trusts the leader's forecasts."""
+    doubts: str = ""
+    """At which others it does not, and why; empty if at none."""
     leader: str | None = None
     """The twin to ask what comes next."""
     leader_confidence: float = math.nan
@@ -244,8 +244,8 @@ def conclude(
         order=nominal.chosen_order if nominal else None,
         range=trust_range(tally.held, output.unit, output.decimals) if output else None,
         why=last.level_reason if last else "",
-        proven=last.proven if last else (),
-        beaten=last.beaten if last else "",
+        trusted=last.trusted if last else (),
+        doubts=last.doubts if last else "",
         leader=last.leader if last else None,
         leader_confidence=last.leader_confidence if last else math.nan,
         refusal=tally.refusal,

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from twinmatch.comparing import Verdict, number_list
 from twinmatch.dynamics import Plant
 from twinmatch.forecasting import (
     NEAR,
@@ -237,21 +238,13 @@ def backtest_words(backtest: Backtest) -> list[str]:
             f"{w.output.text(own.end_output * noise, finer=1)} half of the time, and its band held "
             f"{100 * own.coverage_output:.0f} % of the readings ({100 * backtest.confidence:.0f} % expected)"
         )
-        peers = [card for card in cards if card.who not in TWINS]
-        if peers:
-            best = min(peers, key=lambda card: card.median)
-            text += f"; {best.who}, the best of the peers, {_compare(best.median, own.median)}"
         sentences.append(f"{text}.")
-    return sentences
+    return [*sentences, *_trust(backtest.last)]
 
 
-def _compare(theirs: float, ours: float) -> str:
-    """Compare a peer's error with ours."""
-    if not ours or not theirs:
-        return "cannot be compared with it"
-    ratio = theirs / ours
-    if ratio >= 1.05:
-        return f"had {number(ratio, 1)} times the error"
-    return (
-        f"had a smaller error, {number(ratio, 2)} times as large" if ratio <= 0.95 else "had the same error"
-    )
+def _trust(last: Verdict | None) -> Iterator[str]:
+    """What the last verdict says of the leader's forecasts, horizon by horizon."""
+    if last is not None and last.leader is not None:
+        ahead = f"{number_list(last.trusted)} s ahead" if last.trusted else "at no horizon"
+        why = f": {last.doubts}" if last.doubts else ""
+        yield f"At the end they pass the test of trust {ahead}{why}."

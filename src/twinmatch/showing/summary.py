@@ -60,9 +60,8 @@ def _named(summary: SessionSummary, name: str) -> str:
 
 
 def _trust(summary: SessionSummary) -> str:
-    """How far to trust the leader now: names only horizons and levels at which it has been better than the
-    baselines."""
-    ahead = f"{number_list(summary.proven)} s ahead {summary.range}" if summary.proven else ""
+    """How far to trust the leader now: names only horizons and levels at which it passes the test."""
+    ahead = f"{number_list(summary.trusted)} s ahead {summary.range}" if summary.trusted else ""
     held = ahead if summary.range else ""
     if summary.level in {TrustLevel.FAULT, TrustLevel.DOUBTFUL}:
         word = "doubtful now" if summary.level is TrustLevel.DOUBTFUL else "do not trust it now"
@@ -70,7 +69,7 @@ def _trust(summary: SessionSummary) -> str:
     if summary.level is TrustLevel.UNKNOWN or not held:
         why = summary.why if summary.level is TrustLevel.UNKNOWN else ""
         return f"how far to trust it is not known yet{f': {why}' if why else ''}"
-    return f"trust it {held}, but {summary.beaten}" if summary.beaten else f"trust it {held}"
+    return f"trust it {held}, but {summary.doubts}" if summary.doubts else f"trust it {held}"
 
 
 def _faults(summary: SessionSummary) -> str:

@@ -87,6 +87,7 @@ class Discriminator:
         self._settled: int | None = None
         self._recent: deque[Sample] = deque(maxlen=self.settings.schedule.stride)
         self._health: Health | None = None
+        self._trusted: tuple[float, ...] = ()
 
     @property
     def forecaster(self) -> Forecaster:
@@ -202,7 +203,7 @@ class Discriminator:
             window = Window.from_samples(list(self._recent) or [sample], self.settings.period)
             with one_thread():
                 self._pool.score_leader()
-                verdicts.append(verdict_of(self._known(sample.index, window, match, dismissed=gone)))
+                verdicts.append(self._told(self._known(sample.index, window, match, dismissed=gone)))
         self.forecaster.notes = self._notes()
         return verdicts
 
@@ -254,8 +255,13 @@ class Discriminator:
             if not scored:
                 pool.score_leader()
             known = self._known(trigger.sample, window, match, scored=scored, dismissed=dismissed)
-            self._door.learn(verdict := verdict_of(known))
+            self._door.learn(verdict := self._told(known))
             return verdict
+
+    def _told(self, known: Knowledge) -> Verdict:
+        verdict = verdict_of(known)
+        self._trusted = verdict.trusted
+        return verdict
 
     def _known(
         self,
@@ -280,9 +286,10 @@ class Discriminator:
             forecasts=forecaster.scores,
             standing="; ".join(text for text in (forecaster.sentence, self._pool.estranged) if text),
             remembered=self._pool.rests_on_memory(forecaster.leader),
+            trusted=self._trusted,
             horizons=forecaster.settings.horizons,
             bands=bands,
-            miss_limit=self.settings.limits.doubtful,
+            outside=self._bands.lasts,
             miss_since=self._bands.since,
             held=self._bands.levels or (float("nan"), float("nan")),
             residuals=self._residuals(window),
@@ -301,7 +308,7 @@ class Discriminator:
         check = self.forecaster.check_bands(samples)
         if check is None:
             return BandCheck()
-        self._bands.push(check, self._recent[-1].index - samples + 1)
+        self._bands.push(check, self._recent[-1].index - samples + 1, samples)
         return check
 
     def _residuals(self, window: Window) -> Residuals:
@@ -335,8 +342,7 @@ class Discriminator:
     def _admit(self, trigger: Trigger, report: MatchReport) -> MatchResult:
         match, window = report.match, trigger.window
         if match.status is not Status.ACCEPTED:
-            unexplained = match.status is Status.NOT_EXPLAINED
-            return MatchResult(REFUSED, f"match refused: {match.reason}", unexplained)
+            return MatchResult(REFUSED, f"match refused: {match.reason}")
         name = f"{report.operating_point:g} {self.settings.plant.output.unit}"
         free, covariance = match.of_parameters()
         candidate = Candidate(name, report.operating_point, match.parameters, window, free, covariance)

@@ -4,7 +4,7 @@ what is derived from them is derived once."""
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
@@ -57,10 +57,13 @@ class Standings:
     """How the forecasts of all candidates stand after some samples."""
 
     def __init__(
-        self, entrants: Mapping[str, Entrant] = MappingProxyType({}), ledger: Ledger | None = None
+        self,
+        entrants: Mapping[str, Entrant] = MappingProxyType({}),
+        ledger: Ledger | None = None,
+        horizons: Sequence[int] = (),
     ) -> None:
-        """Of these candidates, if there is a ledger."""
-        self._entrants, self._ledger = entrants, ledger
+        """Of these candidates, if there is a ledger; `horizons` in samples."""
+        self._entrants, self._ledger, self._horizons = entrants, ledger, horizons
 
     def best_of(self, names: Collection[str]) -> str | None:
         """Of the named candidates, the one whose forecasts have saved the most; None if none is present."""
@@ -84,9 +87,7 @@ class Standings:
             return ""
         if math.isnan(best.gain):
             return f"{best.name} leads until a forecast can be compared with the samples"
-        if best.gain <= 0.0:
-            return f"no twin forecasts better than saying that nothing changes; {best.name} comes nearest"
-        saved = f"{best.name} forecasts best: it saves {best.gain:.2f} characters per forecast"
+        saved = f"{best.name} forecasts best: it saves {max(best.gain, 0.0):.2f} characters per forecast"
         right = f", and in {100 * confidence:.0f} % of cases no other was more than 3 % better"
         return saved + (right if len(self._entrants) > 1 else "")
 
@@ -96,8 +97,10 @@ class Standings:
         ledger, scored = self._ledger, []
         if ledger is None:
             return ()
+        spans = [(max((b for b in self._horizons if b < h), default=0), h) for h in self._horizons]
         for name, (total, gains) in self._saved.items():
-            candidate = self._entrants[name].candidate
+            candidate, calibration = self._entrants[name].candidate, self._entrants[name].calibration
+            coverage, independent = zip(*(calibration.coverage(*span) for span in spans), strict=True)
             first, last = candidate.samples
             scored.append(
                 ForecastScore(
@@ -108,6 +111,8 @@ class Standings:
                     gain=total,
                     gains=tuple(gains),
                     forecasts=ledger.forecasts(name),
+                    coverage=coverage,
+                    independent=independent,
                     **dict(
                         zip(_SKILLS, map(tuple, np.concatenate(ledger.skills(name)).tolist()), strict=True)
                     ),

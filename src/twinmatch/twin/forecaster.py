@@ -69,6 +69,8 @@ class _Departure(NamedTuple):
     foresight: Foresight | None
     now: TwinsNow | None
     arx: ArxForecast
+    widths: Mapping[str, FloatArray]
+    """Of the bands of those that learn from this forecast."""
 
 
 class Forecaster:
@@ -211,7 +213,10 @@ class Forecaster:
             foresight = self._twins.foresight(self._law, self.period)
             states, covariances = [f.states for f in filters], [f.joint for f in filters]
             now = foresight.at(states, covariances, self._recent[-1].inputs, self._controller)
-        return _Departure(leader, outlooks, names, foresight, now, self.arx)
+        skipped = self._recent[-1].index // self._stride % _OTHERS_EVERY
+        learning = (leader,) if skipped else self._twins
+        widths = {name: self._twins[name].calibration.widths for name in learning}
+        return _Departure(leader, outlooks, names, foresight, now, self.arx, widths)
 
     def enter(self, candidates: Sequence[Candidate], successors: Mapping[str, str] | None = None) -> None:
         """Set the candidates; those already present with the same parameters continue.
@@ -248,7 +253,7 @@ class Forecaster:
         self._twins = Entrants(twins)
         if self._ledger is not None:
             self._ledger.keep(twins)
-        self.standings = Standings(twins, self._ledger)
+        self.standings = Standings(twins, self._ledger, self.horizons)
 
     def snapshot(self) -> Snapshot:
         """The outlooks of all candidates at the newest sample."""
@@ -389,8 +394,7 @@ class Forecaster:
         first = self._columns[1].start
         measured = np.ascontiguousarray(came[:, first : first + signals].T)
         measured = measured[:, 1:]
-        skipped = sample // self._stride % _OTHERS_EVERY
-        banded = {n for n in self._twins if not skipped or n == departure.leader}
+        banded = departure.widths.keys() & self._twins.keys()
         forecasts: dict[str, tuple[FloatArray, FloatArray]] = {}
         if departure.foresight is not None and departure.now is not None:
             wanted = [(n in self._twins) * (BANDED if n in banded else MEAN) for n in departure.names]
@@ -410,12 +414,12 @@ class Forecaster:
                 twin = self._twins[name]
                 quotients = np.abs(error) / deviations(twin.candidate.parameters.model, variances)[:signals]
                 quotients[:, ~seen] = np.nan
-                twin.calibration.learn(quotients, before)
+                twin.calibration.learn(quotients, before, departure.widths[name])
         kept = np.flatnonzero(seen)
         new = kept[kept >= before]
         baselines = measured - departure.arx.referees(given, rows)[:, :signals]
         ledger.add(tuple(forecasts), off[:, :, new], baselines[:, :, new], place)
-        self.standings = Standings(self._twins, ledger)
+        self.standings = Standings(self._twins, ledger, self.horizons)
         if ahead == self._longest and departure.leader in forecasts:
             paths = rms(rms(off[:, :, kept], ledger.noise[:, None]))
             leading = paths[list(forecasts).index(departure.leader)]

@@ -3,10 +3,20 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
-from twinmatch.comparing import DECIDED_FROM, LEVEL_WORDS, ForecastScore, TrustLevel, Verdict, beaten_words
+from twinmatch.comparing import (
+    DECIDED_FROM,
+    FEW,
+    LEVEL_WORDS,
+    ForecastScore,
+    Shortfall,
+    TrustLevel,
+    Verdict,
+    doubt_words,
+)
 from twinmatch.dynamics import Parameters
 from twinmatch.health import SLOW, Fault, Health, HealthState
 from twinmatch.twin.candidates import FamilyScores
@@ -15,9 +25,8 @@ from twinmatch.twin.trust import BandCheck
 
 _ADAPTABLE: Final = SLOW | {Fault.DISTURBANCE}
 """Faults of a plant that still obeys its drive: its next matches adapt the twin."""
-_UNEXPLAINED: Final = "no match explains the newest window"
-_UNPROVEN: Final = "no horizon is known at which its forecasts are better than those that need no twin"
-_AS_BEFORE: Final = "its forecasts have held so far, and were better than both baselines in earlier sessions"
+_LEFT: Final = "measurements have just left the forecast bands, perhaps by chance"
+_AS_BEFORE: Final = "its forecasts have held so far, and were trusted in earlier sessions"
 
 
 class MatchResult(NamedTuple):
@@ -27,8 +36,6 @@ class MatchResult(NamedTuple):
     """`ADMITTED` or `REFUSED`; empty if no match was requested."""
     reason: str = ""
     """What caused the verdict, in one sentence."""
-    unexplained: bool = False
-    """Whether no parameters explain the window."""
 
 
 class Trust(NamedTuple):
@@ -59,13 +66,15 @@ class Knowledge:
     standing: str
     """A sentence on who leads."""
     remembered: bool
-    """Whether the leader has forecast better than both baselines in earlier sessions."""
+    """Whether the leader was trusted in earlier sessions."""
+    trusted: tuple[float, ...]
+    """The horizons, s, at which the verdict before trusted its leader."""
     horizons: tuple[float, ...]
     """Horizons of the forecasts, s."""
     bands: BandCheck
     """How the newest readings lie in the leader's bands."""
-    miss_limit: float
-    """RMS miss, in half widths of the band, from which the leader is doubtful."""
+    outside: bool
+    """Whether readings lie outside the bands by more than chance."""
     miss_since: int | None
     """First sample of the current stretch outside the bands."""
     held: tuple[float, float]
@@ -91,6 +100,12 @@ class Knowledge:
         return next((score for score in self.forecasts if score.name == self.leader), None)
 
     @property
+    def doubts(self) -> dict[float, Shortfall]:
+        """Where the leader's forecasts do not pass the test, and why, by horizon, s."""
+        of = self.leading
+        return of.doubts(self.horizons, self.trusted) if of else dict.fromkeys(self.horizons, FEW)
+
+    @property
     def structure_parameters(self) -> Parameters | None:
         """Parameters of the twin in that structure whose forecasts have saved the most; None without one.
 
@@ -103,28 +118,29 @@ class Knowledge:
 
 def trust_of(known: Knowledge) -> Trust:
     """How far to trust the leader: the first reason against it that applies."""
-    leading, miss = known.leading, known.bands.miss
-    beaten = beaten_words(leading.beaten(known.horizons)) if leading else ""
     level, reason = TrustLevel.DOUBTFUL, LEVEL_WORDS[TrustLevel.DOUBTFUL]
     shown = f"the plant shows {known.fault.value}" if known.fault is not None else ""
     if shown and known.fault not in _ADAPTABLE:
         level, reason = TrustLevel.FAULT, shown
     elif known.doubt or shown:
         reason = known.doubt or shown
-    elif math.isnan(miss):
+    elif math.isnan(known.bands.miss):
         level, reason = TrustLevel.UNKNOWN, known.reservation or LEVEL_WORDS[TrustLevel.UNKNOWN]
-    elif miss < known.miss_limit and known.match.unexplained:
-        reason = _UNEXPLAINED
-    elif miss < known.miss_limit and leading is not None and leading.useless:
-        reason = f"at every horizon forecasts without a twin are better: {beaten}"
-    elif miss < known.miss_limit and known.remembered and leading is not None and not leading.compared:
-        level, reason = TrustLevel.TRUSTED, _AS_BEFORE
-    elif miss < known.miss_limit and leading is not None and not leading.proven(known.horizons):
-        level, reason = TrustLevel.UNKNOWN, _UNPROVEN
-    elif miss < known.miss_limit:
-        level, held = TrustLevel.TRUSTED, LEVEL_WORDS[TrustLevel.TRUSTED]
-        reason = f"{held}, but {beaten}" if beaten else held
+    elif not known.outside:
+        return _tested(known.doubts, known)
     return Trust(level, reason)
+
+
+def _tested(doubts: Mapping[float, Shortfall], known: Knowledge) -> Trust:
+    """What the test says of a leader with nothing else against it."""
+    words, held = doubt_words(doubts), _LEFT if known.miss_since else LEVEL_WORDS[TrustLevel.TRUSTED]
+    if len(doubts) < len(known.horizons):
+        return Trust(TrustLevel.TRUSTED, f"{held}, but {words}" if words else held)
+    if words and all(doubt.certain for doubt in doubts.values() if doubt != FEW):
+        return Trust(TrustLevel.DOUBTFUL, words)
+    if known.remembered and FEW in doubts.values():
+        return Trust(TrustLevel.TRUSTED, _AS_BEFORE)
+    return Trust(TrustLevel.UNKNOWN, words or FEW.words)
 
 
 def verdict_of(known: Knowledge) -> Verdict:
@@ -167,4 +183,5 @@ def verdict_of(known: Knowledge) -> Verdict:
         held_high=known.held[1],
         horizons=known.horizons,
         forecasts=known.forecasts,
+        trusted=tuple(horizon for horizon in known.horizons if horizon not in known.doubts),
     )

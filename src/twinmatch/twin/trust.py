@@ -89,13 +89,16 @@ class BandHistory:
         self._spans: list[tuple[float, float]] = []
         self.since: int | None = None
         """First sample of the current stretch outside the bands; None while inside."""
+        self.lasts = False
+        """Whether the bands were missed in two windows that share no sample, or by twice the limit."""
 
-    def push(self, check: BandCheck, first: int) -> None:
-        """Add the result for samples from index `first` on."""
+    def push(self, check: BandCheck, first: int, samples: int) -> None:
+        """Add the result for so many samples from index `first` on."""
         if check.miss >= self._limit:
             self.since = first if self.since is None else self.since
+            self.lasts |= first >= self.since + samples or check.miss >= 2.0 * self._limit
             return
-        self.since = None
+        self.since, self.lasts = None, False
         self._spans = merged([*self._spans, (check.low, check.high)], self._near)
         self._newest = check.last
 

@@ -17,7 +17,9 @@ from tests.support.places import SHIPPED
 from tests.support.plants import Motor
 from tests.support.processes import run_twinmatch
 from tests.support.steps import drive_lost
+from tests.support.verdicts import verdict
 from twinmatch.cli.shared import PEERS as OFFERED
+from twinmatch.comparing import TrustLevel
 from twinmatch.dynamics import Sensor, begin, simulate_closed_loop
 from twinmatch.forecasting import Arx
 from twinmatch.importing import open_any
@@ -298,12 +300,17 @@ def test_cells_are_in_the_units_of_the_plant() -> None:
 
 def test_the_sentence_says_how_the_leader_did() -> None:
     marked = (one(LEADER, 2.0), one("ARX", 5.0), one("persistence", 9.0))
-    assert backtest_words(of(*marked, horizons=HORIZONS)) == [
+    tested = of(*marked, horizons=HORIZONS)
+    held = (
         "60 s ahead, the leader's temperature was off by less than 0.20 °C half of the time, and its band "
-        "held 93 % of the readings (90 % expected); ARX, the best of the peers, had 2.5 times the error."
-    ]
-    worse = of(one(LEADER, 2.0), one("ARX", 1.0))
-    assert "had a smaller error, 0.50 times as large." in backtest_words(worse)[0]
+        "held 93 % of the readings (90 % expected)."
+    )
+    assert backtest_words(tested) == [held]
+    last = verdict(TrustLevel.TRUSTED, leader="50 °C", trusted=(60.0,))
+    at_end = backtest_words(replace(tested, last=last))
+    assert at_end == [held, "At the end they pass the test of trust 60 s ahead."]
+    nowhere = backtest_words(replace(tested, last=replace(last, trusted=())))
+    assert nowhere == [held, "At the end they pass the test of trust at no horizon."]
 
 
 def test_json_holds_cards_and_every_forecast(tested: Backtest) -> None:

@@ -374,6 +374,7 @@ def graded(judgement: Judgement, listener: Listener, *, watch: Watch | None = No
         came=listener.held,
         shown=one_after_another(result.shown for result, _ in results if result.shown.sample in judged),
         notes=tuple(_notes(total, judged, everything, spoilt, unasked)),
+        last=judgement.verdicts[-1] if judgement.verdicts else None,
     )
 
 

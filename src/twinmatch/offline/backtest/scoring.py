@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from twinmatch.comparing import Verdict
 from twinmatch.dynamics import Plant
 from twinmatch.errors import TwinmatchError
 from twinmatch.forecasting import Band, Forecast
@@ -310,6 +311,8 @@ class Backtest:
     """Sentences on what was left out and why."""
     health: ChannelHealth | None = None
     """Of the whole plant, if it has several channels."""
+    last: Verdict | None = None
+    """The session's last verdict; None without one, and for several sessions together."""
 
     @cached_property
     def cards(self) -> list[Card]:
@@ -345,6 +348,7 @@ def over_all(tests: Sequence[Backtest]) -> Backtest:
         name=f"all {len(tests)} sessions",
         marked=tuple(marked),
         pictured=first.name,
+        last=None,
         notes=tuple(f"{each.name}: {note}" for each in tests for note in each.notes),
         health=None,
     )

@@ -182,7 +182,7 @@ def _trust(judgement: Judgement) -> str:
     s = judgement.summary
     if s.range is None:
         return f"There is no range of the {_signals(judgement).output} in which its forecasts have held."
-    held, but = f"Its forecasts have held {s.range}", f", but {s.beaten}" if s.beaten else ""
+    held, but = f"Its forecasts have held {s.range}", f", but {s.doubts}" if s.doubts else ""
     if s.level is TrustLevel.TRUSTED:
         return f"{held}, and at the end of the session the twin can be trusted there{but}."
     doubt = "doubtful" if s.level is TrustLevel.DOUBTFUL else "not to be trusted"
