@@ -27,8 +27,8 @@ REFUSED: Final = "refused"
 """The gate, a fault of the plant or missing models kept it out; the verdict's reason says which."""
 
 
-_SHOWN: Final = 2.5758293035489004
-"""Standard errors from which something is more than chance: 0.5 % in one look, and 5 % in an hour of
+_SHOWN: Final = 2.5
+"""Standard errors from which something is more than chance: 0.6 % in one look, less than 5 % in an hour of
 them (`python -m benchmarks.trust`)."""
 _ONE_SIDED: Final = 1.6448536269514722
 """Quantile of the normal distribution at 95 %: that of `persistence_skill_high` and `arx_skill_high`."""

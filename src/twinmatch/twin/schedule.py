@@ -176,11 +176,12 @@ class Schedule:
 
     def _moved(self, sample: Sample) -> int | None:
         """Index of the first sample of a movement that is far enough now; None if there is none."""
+        far = 0.0
         if self._movement is not None:
-            deviation = self._movement.take(np.array(sample.inputs))
-        else:
-            deviation = np.subtract(sample.references, self._anchor)
-        far = float(np.max(np.abs(deviation))) / self.settings.min_step
+            far = float(np.max(np.abs(self._movement.take(np.array(sample.inputs)))))
+        elif sample.references != self._anchor:
+            far = max(abs(now - then) for now, then in zip(sample.references, self._anchor, strict=True))
+        far /= self.settings.min_step
         if far < _LEAVING:
             self._away = sample.index + 1
         self._moving += far * far
