@@ -22,7 +22,7 @@ pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; r
 from twinmatch.showing.foxglove.layout import TOPICS
 
 PAGE = PROJECT / "docs" / "your_plant.md"
-HOT_END = PROJECT / "docs" / "hot_end.md"
+HOT_END, ROOM = (PROJECT / "docs" / f"{name}.md" for name in ("hot_end", "room"))
 
 
 def commands(page: Path) -> list[list[str]]:
@@ -69,6 +69,19 @@ def test_a_lead_that_breaks_has_its_name_in_the_last_line(tmp_path: Path) -> Non
     found = dict(re.findall(r"(power|losses|blown|lag) ([\d.]+) (?:m?W/%|W/K|mW/K|s)", said[-1][2]))
     wanted = {"power": 0.4, "losses": 0.07, "blown": 40.0, "lag": 4.0}
     assert {name: float(value) for name, value in found.items()} == pytest.approx(wanted, rel=0.05)
+
+
+@pytest.mark.slow
+def test_a_room_lacks_a_store_and_then_names_an_open_window(tmp_path: Path) -> None:
+    (_, lacking, asked), *others = followed(ROOM, tmp_path)
+    assert lacking == 1
+    assert re.search("a second store beside air of about [0-9.]+ h would explain 9.%", asked)
+    assert all(code == 0 for _, code, _ in others), others
+    last = others[-1][2]
+    assert re.search(r"Faults: losses-changed from 98\d\d\d\d to 10[12]\d\d\d\d s", last)
+    found = dict(re.findall(r"(capacity|mass|losses|surface|shell) ([\d.]+) (?:J/K|W/K)", last))
+    wanted = {"capacity": 8e5, "mass": 6e6, "losses": 12.0, "surface": 150.0, "shell": 20.0}
+    assert {name: float(value) for name, value in found.items()} == pytest.approx(wanted, rel=0.1)
 
 
 @pytest.mark.slow
