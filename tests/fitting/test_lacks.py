@@ -16,7 +16,7 @@ from twinmatch.plants import find_plant
 
 
 @pytest.mark.parametrize(("seed", "stores"), [(2, 2), (3, 3)])
-def test_a_room_of_several_stores_is_told_that_it_lacks_one(seed: int, stores: int) -> None:
+def test_of_a_room_of_several_stores_the_lacking_one_is_named(seed: int, stores: int) -> None:
     lack = judged_room(seed, stores).split("; ")[-1]
     assert lack.startswith("a second store between heating and inner")
     assert (", and a third one beside it" in lack) is (stores == 3)

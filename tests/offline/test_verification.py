@@ -257,7 +257,7 @@ def test_parameters_say_that_the_loop_is_not_known(config: Path, tmp_path: Path)
     assert settings_from(twin_values("again", values_of(settings))) == settings
     assert "pid.proportional" not in values_of(settings)
     wrong = tmp_path / "wrong.yaml"
-    for line in ("pid.integral: 0.6", "schedule.min_step: 2.0"):
+    for line in ("pid.integral: 0.6", "schedule.min_input_step: 2.0"):
         wrong.write_text(f"/**:\n  ros__parameters:\n    loop: unknown\n    {line}\n", encoding="utf-8")
         assert main(["replay", str(SHIPPED), "--config", str(wrong)]) == 2
 

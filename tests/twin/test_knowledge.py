@@ -193,13 +193,17 @@ def test_the_parameters_of_the_structure_are_those_of_its_best_twin() -> None:
     assert verdict_of(known(forecasts=every)).structure_parameters is None
 
 
-def test_a_leader_of_the_structure_has_its_parameters(simulated_outcomes: list[Outcome]) -> None:
+def test_the_structure_has_parameters_of_its_own_and_a_leaders_if_it_has_that_structure(
+    simulated_outcomes: list[Outcome],
+) -> None:
     verdicts = [v for o in simulated_outcomes for v in o.verdicts if v.structure]
-    same = [v for v in verdicts if v.leading and v.leading.parameters.model.structure_name == v.structure]
-    assert same
-    for verdict in same:
+    assert verdicts
+    for verdict in verdicts:
+        assert verdict.structure_parameters is not None
+        assert verdict.structure_parameters.model.structure_name == verdict.structure
         assert verdict.leading is not None
-        assert verdict.structure_parameters == verdict.leading.parameters, verdict.sample
+        if verdict.leading.parameters.model.structure_name == verdict.structure:
+            assert verdict.structure_parameters == verdict.leading.parameters, verdict.sample
 
 
 def test_a_reading_that_was_refused_widens_no_range(simulated_session: list[Sample]) -> None:

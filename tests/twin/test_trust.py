@@ -55,7 +55,7 @@ def test_the_newest_samples_are_held_against_the_end_of_the_forecast() -> None:
     assert check_band(told, newest, newest) == BandCheck(0.0, 1.0, 0.0, 1.0, 90.0, 99.0, 99.0)
 
 
-def test_readings_outside_their_band_are_no_level() -> None:
+def test_readings_outside_their_band_are_not_level() -> None:
     values = np.full((1, 60), 20.0)
     values[0, 30], values[0, 59] = 22.0, 19.5
     found = check_band(forecast(20.0, 1.0), values, None)
@@ -112,7 +112,7 @@ def test_since_when_and_between_which_levels() -> None:
     assert bands.levels == (30.0, 82.0)
 
 
-def test_twice_the_limit_is_no_chance() -> None:
+def test_twice_the_limit_is_not_a_chance() -> None:
     bands = BandHistory(2.0, NOISE)
     bands.push(BandCheck(4.0, 0.1, low=30.0, high=31.0, last=30.0), 0, 60)
     assert bands.lasts

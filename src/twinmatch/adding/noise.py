@@ -49,7 +49,7 @@ _STEPS: Final = 20
 _FLOOR: Final = 1e-4
 """Least noise of computed values, as a share of their range; that of written ones is their last digit's."""
 _DIGIT: Final = 1e-6
-"""Smaller changes, as a share of the range, are no digit."""
+"""Smaller changes, as a share of the range, are below a digit."""
 _ON_GRID, _NEARLY_ALL = 1e-3, 0.95
 """So close to a multiple of the last digit are nearly all changes; resampling leaves a few fractions."""
 

@@ -256,7 +256,7 @@ def parts(
     begun, after, idle = work.seen[0], started[:n].copy(), started[:n].copy()
     tick(code, after, of_u, d, work, period, steps)
     tick(code, idle, of_rest, d, work, period, steps)
-    call(code[OUTPUTS], idle, of_u, d, work.p, work.b, work.seen)  # what acts at once is no movement
+    call(code[OUTPUTS], idle, of_u, d, work.p, work.b, work.seen)  # what acts at once is not a movement
     passive = work.seen[0]
     call(code[OUTPUTS], after, of_u, d, work.p, work.b, work.seen)
     return work.seen[0] - passive, passive - begun, after

@@ -237,7 +237,7 @@ class Monitor:
     @property
     def _predictor(self) -> Balance | LaggedEffect | SlowChanges:
         """The one that sees best how the plant moves."""
-        if self._late is not None:
+        if self._late is not None and self.settings.reference.model.plant.loop is not None:
             return self._late
         return self._balance if self._prompt else self._slow
 

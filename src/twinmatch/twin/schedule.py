@@ -4,8 +4,9 @@ A trigger depends on the samples alone, never on the time of day or on how fast 
 replayed session triggers exactly where the live one did. There are two kinds:
 
 * **excited**: the window may determine parameters. A movement begins a regime, and the regime is judged when
-  the next movement ends it, provided that both came after a rest of `min_span` samples, or `span` samples
-  after it began; earlier if there are many samples and they determine the parameters already.
+  the next movement ends it, provided that both came after a rest of `min_span` samples (in a loop: that it
+  has lasted for so long), or `span` samples after it began; earlier if there are many samples and they
+  determine the parameters already.
 * **quiet**: `stride` samples without such a window. It holds just those, and shows the twin's residual.
 
 What counts is how far the output is expected to move: by the set-point where the loop is known, otherwise by
@@ -193,7 +194,10 @@ class Schedule:
 
     def _on_movement(self, sample: Sample, began: int) -> Trigger | None:
         rested = began - self._newest >= self.settings.min_span
-        ends = rested and self._waits and self._from_rest
+        long = rested and self._from_rest
+        if self._movement is None:  # a controller holds what it follows: time is enough
+            long = began - self._since >= self.settings.min_span
+        ends = long and self._waits
         since = max(began, self._judged_to + 1)
         trigger = self._excited(sample.index, since - 1) if ends else None
         if rested:

@@ -171,8 +171,8 @@ def choose_structure(
 
 def _worse(costs: FloatArray, least: FloatArray) -> bool:
     """Whether costs, block by block, are higher than the least ones by more than chance."""
-    mean, size = float(np.mean(costs)), costs.size
-    if not math.isfinite(mean) or size / 2 * math.log(mean / max(float(np.mean(least)), _TINY)) > _EQUAL:
+    mean, best, size = (max(float(np.mean(costs)), _TINY), max(float(np.mean(least)), _TINY), costs.size)
+    if not math.isfinite(mean) or size / 2 * math.log(mean / best) > _EQUAL:
         return True
     error = float(np.std(costs - least, ddof=1)) / math.sqrt(size) if size > 1 else math.inf
     return float(np.mean(costs - least)) > _EQUAL * error
