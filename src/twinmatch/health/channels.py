@@ -119,10 +119,10 @@ class ChannelMonitor:
         return f.cause[0] is not Fault.DISTURBANCE or self.competition.remains(f) < _FADED
 
     def _judge(self, found: list[Suspect]) -> None:
-        bank, on = self.competition, self.on
+        competition, on = self.competition, self.on
         if on is not None and self._over(on, found):
             self._close()
-        if not found or found[0].evidence < CHANGE or bank.count < _START * bank.second:
+        if not found or found[0].evidence < CHANGE or competition.count < _START * competition.second:
             self._leads, self._unnamed = (None, 0), 0
             return
         named = [f for f in found if f.cause[0] is not Fault.DRIFT]
@@ -138,8 +138,8 @@ class ChannelMonitor:
             self._name(best, found)
         elif not leads:
             self._unnamed += 1
-            enough = best.evidence >= 2.0 * CHANGE and self._unnamed > _UNNAMED * bank.second
-            if enough and self.on is None and bank.known >= _LEARNED:
+            enough = best.evidence >= 2.0 * CHANGE and self._unnamed > _UNNAMED * competition.second
+            if enough and self.on is None and competition.known >= _LEARNED:
                 self._raise(Fault.DRIFT, best, found)
 
     def _over(self, on: ChannelAlarm, found: list[Suspect]) -> bool:

@@ -146,6 +146,7 @@ def _tested(doubts: Mapping[float, Shortfall], known: Knowledge) -> Trust:
 def verdict_of(known: Knowledge) -> Verdict:
     """The verdict that what is known makes."""
     trust, scores, bands, fault = trust_of(known), known.scores, known.bands, known.fault
+    doubts = known.doubts
     led = known.leader is not None
     return Verdict(
         sample=known.sample,
@@ -183,5 +184,5 @@ def verdict_of(known: Knowledge) -> Verdict:
         held_high=known.held[1],
         horizons=known.horizons,
         forecasts=known.forecasts,
-        trusted=tuple(horizon for horizon in known.horizons if horizon not in known.doubts),
+        trusted=tuple(horizon for horizon in known.horizons if horizon not in doubts),
     )

@@ -159,9 +159,8 @@ class Schedule:
         self._step: int | None = None  # index of the regime's first sample; None before the first movement
         self._since = sample.index  # the same, but behind the windows before
         self._previous_step = self._newest = sample.index  # the newest movement
-        self._judged = self._from_rest = (
-            False  # whether the regime is judged, and whether it began out of rest
-        )
+        self._judged = False  # whether the regime is judged
+        self._from_rest = False  # whether it began out of rest
         self._judged_to = sample.index - 1  # last sample of the newest trigger's window
         # Movements out of rest; the start of the record counts as one.
         self._rested: deque[int] = deque([sample.index + self.settings.lead])
@@ -194,17 +193,17 @@ class Schedule:
 
     def _on_movement(self, sample: Sample, began: int) -> Trigger | None:
         rested = began - self._newest >= self.settings.min_span
-        long = rested and self._from_rest
+        steady = rested and self._from_rest
         if self._movement is None:  # a controller holds what it follows: time is enough
-            long = began - self._since >= self.settings.min_span
-        ends = long and self._waits
+            steady = began - self._since >= self.settings.min_span
         since = max(began, self._judged_to + 1)
-        trigger = self._excited(sample.index, since - 1) if ends else None
+        trigger = self._excited(sample.index, since - 1) if steady and self._waits else None
         if rested:
             self._rested.append(began)
         self._newest = began
         if trigger is not None or not self._waits:
-            self._previous_step = self._previous_step if self._step is None else self._step
+            if self._step is not None:
+                self._previous_step = self._step
             self._step, self._since, self._judged, self._from_rest = began, since, False, rested
         return trigger
 
