@@ -12,7 +12,8 @@ ROS_EXTRA := $(ROS_EXTRA_$(ROS))
 ifeq ($(ROS_EXTRA),)
 $(error ROS=$(ROS): wheels exist for jazzy and kilted; make setup ROS=jazzy)
 endif
-PYTEST_ARGS ?= -n auto --dist loadfile --no-loadscope-reorder
+# A worker that dies ends the run: its replacement may wait for ever.
+PYTEST_ARGS ?= -n auto --dist loadfile --no-loadscope-reorder --max-worker-restart 0
 PYTHONS ?= python3.10 python3.11 python3.12 python3.13
 PYTHON_TESTS ?= tests/test_signals.py tests/sessions tests/importing tests/sampling tests/comparing tests/fitting tests/nodes/test_runner.py
 SESSION ?=
