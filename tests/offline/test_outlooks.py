@@ -100,8 +100,9 @@ def test_of_a_long_session_the_newest_windows_are_enough(
     samples: list[Sample], session: Session, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A session that begins there gives the same bits, and has no note."""
-    at, since = 790, 120  # with one step, and the match on it, in the first half
-    monkeypatch.setattr(outlooks, "_reach", lambda _settings: at - since)
+    monkeypatch.setattr(outlooks, "_WINDOWS", 1)
+    at = 790
+    since = at - TERMS.settings.schedule.capacity  # the match on the step at sample 400 is in the first half
     found = prospects(session, TERMS, [at])[at]
     cut = prospects(stored(samples[since : at + 1], tmp_path / "cut"), TERMS, [at], whole=True)[at]
     assert (found.since, cut.since) == (since, None)
@@ -115,11 +116,11 @@ def test_of_a_long_session_the_newest_windows_are_enough(
 def test_it_begins_earlier_if_nothing_is_known_there(
     session: Session, known: dict[int, Prospect], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Within two seconds no match is accepted."""
-    monkeypatch.setattr(outlooks, "_reach", lambda _settings: 40)
-    found = prospects(session, TERMS, [FIRST])[FIRST]
+    """The window before this sample begins just behind a step, and the next match is in its second half."""
+    monkeypatch.setattr(outlooks, "_WINDOWS", 1)
+    found = prospects(session, TERMS, [LAST])[LAST]
     assert found.since is None
-    assert_same(found.outlook.forecast([90.0] * 50), known[FIRST].outlook.forecast([90.0] * 50))
+    assert_same(found.outlook.forecast([90.0] * 50), known[LAST].outlook.forecast([90.0] * 50))
 
 
 def test_what_disturbs_the_plant_is_held(session: Session, known: dict[int, Prospect]) -> None:

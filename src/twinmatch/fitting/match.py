@@ -194,6 +194,8 @@ def explaining(
 ) -> list[Parameters]:
     """The starts in whose structures a fit explains the window, the most justified first.
 
+    A single window is too short to hold a third of it back, as the choice of structure in verdicts does: for
+    one or two blocks the free run of a structure that lacks something may be the better one by chance.
     The charge of a structure is the sum of the squares that its best fit leaves, divided by the length over
     which they are correlated, and for each fitted value the logarithm of the number of independent ones.
     """

@@ -25,9 +25,8 @@ LONGEST: Final = 86_400.0
 """Longest horizon, s; for samples more than 5 s or less than 0.5 s apart in proportion to the sample time. A
 longer one is a typing error: bands are learned up to a 288th of that."""
 _WINDOWS: Final = 5
-_MEMORIES: Final = 2
-"""The twin begins so many longest windows, or memories of the forecasts' scores if these are longer, before
-the instant asked: what is older than two memories has lost six sevenths of its weight."""
+"""The twin begins so many longest windows before the instant asked: two memories of the forecasts' scores, so
+that what is older has lost six sevenths of its weight."""
 _FARTHER: Final = 4
 """Factor by which it begins earlier if that is too late; so beginning again costs at most a third more."""
 RECORDED: Final = "recorded"
@@ -77,22 +76,14 @@ def prospects(
     if not places:
         return {}
     first, ends = places[0], places[-1] + 1
-    reach = first if whole else _reach(terms.settings)
+    reach = first if whole else _WINDOWS * terms.settings.schedule.capacity
     while True:
         begin = max(first - reach, 0)
-        middle = (begin + first) // 2
-        found = _run(
-            session, terms, range(begin, ends), wanted, middle=middle, candidate=candidate, watch=watch
-        )
+        middle, places = (begin + first) // 2, range(begin, ends)
+        found = _run(session, terms, places, wanted, middle=middle, candidate=candidate, watch=watch)
         if found is not None:
             return found
         reach *= _FARTHER
-
-
-def _reach(settings: TwinSettings) -> int:
-    """Samples before an instant that decide what is forecast at it."""
-    memory = round(settings.forecasts.memory / settings.period)
-    return max(_WINDOWS * settings.schedule.capacity, _MEMORIES * memory)
 
 
 def _run(
