@@ -91,11 +91,11 @@ def modes(parameters: Parameters) -> NDArray[np.complex128]:
 
 def _advice(model: Model) -> str:
     """What to write instead of a power that has no value where its base is negative; empty without one."""
-    from sympy import Pow  # noqa: PLC0415 (takes half a second)
+    from sympy import Pow, sympify  # noqa: PLC0415 (takes half a second)
 
     rates = written_equations(model.plant(), model.structure.parts).rates.values()
     known = {*model.states, *model.plant.drives}
-    powers = sorted({one for rate in rates for one in getattr(rate, "atoms", set)(Pow)}, key=str)
+    powers = sorted({one for rate in rates for one in sympify(rate).atoms(Pow)}, key=str)
     for base, by in (one.args for one in powers if not one.exp.is_integer):
         if known & {str(symbol) for symbol in base.free_symbols}:
             return (
