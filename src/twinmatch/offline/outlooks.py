@@ -79,8 +79,8 @@ def prospects(
     reach = first if whole else _WINDOWS * terms.settings.schedule.capacity
     while True:
         begin = max(first - reach, 0)
-        middle, places = (begin + first) // 2, range(begin, ends)
-        found = _run(session, terms, places, wanted, middle=middle, candidate=candidate, watch=watch)
+        middle, taken = (begin + first) // 2, range(begin, ends)
+        found = _run(session, terms, taken, wanted, middle=middle, candidate=candidate, watch=watch)
         if found is not None:
             return found
         reach *= _FARTHER
