@@ -49,6 +49,13 @@ class Fan(Plant, name="fan"):
         return Equations(rates=rates, output=self.omega, start={self.omega: self.speed, self.acts: 0})
 
 
+class Reversing(Fan, name="reversing"):
+    """The same under a voltage of either sign."""
+
+    volts = Drive(unit="V", limits=(-5.0, 5.0), noise=0.01)
+    acts = State(unit="V", span=(-5.0, 5.0))
+
+
 class Twice(Plant, name="twice"):
     """A lag whose parameters are seen only in combinations, each structure in another way."""
 
@@ -134,6 +141,11 @@ def test_a_power_of_a_state_that_begins_at_zero_is_not_a_finding() -> None:
     """Its slope is 0/0 there for SymPy, which writes power·acts**power/acts."""
     checked = check_plant(Fan, 0.05)
     assert (checked.unusable, checked.findings) == ("", ())
+
+
+def test_a_power_whose_base_may_be_negative_comes_with_what_to_write() -> None:
+    said = check_plant(Reversing, 0.05).unusable
+    assert "where acts/one is negative; write maximum(acts/one, 1e-6)**(power), or to keep the sign" in said
 
 
 def test_what_several_structures_share_is_said_once() -> None:

@@ -13,7 +13,7 @@ from tests.support.plants import Lag, Motor
 from tests.support.steps import drive_lost
 from twinmatch.dynamics import Sensor, begin, simulate_closed_loop
 from twinmatch.forecasting import Forecast, ForecastError
-from twinmatch.offline import judging
+from twinmatch.offline import judging, outlooks
 from twinmatch.offline.judging import Judgement, Terms, judge_samples
 from twinmatch.offline.outlooks import Prospect, prospects, samples_at
 from twinmatch.plants import Incubator, Peltier
@@ -94,6 +94,33 @@ def test_so_it_is_for_every_candidate(samples: list[Sample], session: Session, t
         assert whole.outlook.candidate == name
         assert whole.leads == (name == whole.leader)
         assert_same(alone.outlook.forecast([90.0] * 50), whole.outlook.forecast([90.0] * 50))
+
+
+def test_of_a_long_session_the_newest_windows_are_enough(
+    samples: list[Sample], session: Session, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A session that begins there gives the same bits, and has no note."""
+    monkeypatch.setattr(outlooks, "_WINDOWS", 1)
+    at = 790
+    since = at - TERMS.settings.schedule.capacity  # the match on the step at sample 400 is in the first half
+    found = prospects(session, TERMS, [at])[at]
+    cut = prospects(stored(samples[since : at + 1], tmp_path / "cut"), TERMS, [at], whole=True)[at]
+    assert (found.since, cut.since) == (since, None)
+    [note] = set(found.outlook.notes) - set(cut.outlook.notes)
+    assert f"from {since} on" in note
+    one, other = (each.outlook.forecast([90.0] * 50) for each in (found, cut))
+    np.testing.assert_array_equal(numbers(one), numbers(other))
+    assert found.leader_confidence == cut.leader_confidence
+
+
+def test_it_begins_earlier_if_nothing_is_known_there(
+    session: Session, known: dict[int, Prospect], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The window before this sample begins just behind a step, and the next match is in its second half."""
+    monkeypatch.setattr(outlooks, "_WINDOWS", 1)
+    found = prospects(session, TERMS, [LAST])[LAST]
+    assert found.since is None
+    assert_same(found.outlook.forecast([90.0] * 50), known[LAST].outlook.forecast([90.0] * 50))
 
 
 def test_what_disturbs_the_plant_is_held(session: Session, known: dict[int, Prospect]) -> None:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from twinmatch.dynamics import Experiment, Model, Parameters, PlantError, Response, begin, simulate_driven
 from twinmatch.dynamics.declarations import Parameter
+from twinmatch.dynamics.equations import written_equations
 from twinmatch.signals import FloatArray, Window
 
 
@@ -84,8 +85,25 @@ def modes(parameters: Parameters) -> NDArray[np.complex128]:
             break
     else:
         msg = f"{model.title}: the derivatives of its rates are not finite in the middle of its range"
-        raise PlantError(msg)
+        raise PlantError(msg + _advice(model))
     return np.asarray(np.linalg.eigvals(slopes), dtype=np.complex128)
+
+
+def _advice(model: Model) -> str:
+    """What to write instead of a power that has no value where its base is negative; empty without one."""
+    from sympy import Pow, sympify  # noqa: PLC0415 (takes half a second)
+
+    rates = written_equations(model.plant(), model.structure.parts).rates.values()
+    known = {*model.states, *model.plant.drives}
+    powers = sorted({one for rate in rates for one in sympify(rate).atoms(Pow)}, key=str)
+    for base, by in (one.args for one in powers if not one.exp.is_integer):
+        if known & {str(symbol) for symbol in base.free_symbols}:
+            return (
+                f": ({base})**({by}) has no value where {base} is negative; write "
+                f"maximum({base}, 1e-6)**({by}), or to keep the sign "
+                f"({base})*(({base})**2 + 1e-6)**(({by} - 1)/2)"
+            )
+    return ""
 
 
 def time_constants(parameters: Parameters) -> FloatArray:

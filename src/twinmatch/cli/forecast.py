@@ -27,9 +27,10 @@ from twinmatch.twin import TwinSettings, filled_stretches
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
-        "Runs the session through the twin once. At each chosen sample the leader (the candidate whose "
-        "forecasts have cost least so far) forecasts what comes next, from the samples up to that one and "
-        "the set-points ahead. Without --reference and --hold, the set-point of that sample is held."
+        "Runs the last windows before the first chosen sample through the twin. At each chosen sample the "
+        "leader (the candidate whose forecasts have cost least so far) forecasts what comes next, from the "
+        "samples up to that one and the set-points ahead. Without --reference and --hold, the set-point of "
+        "that sample is held."
     )
     add_options(parser, "session", metavar="SESSION")
     several: dict[str, Any] = {"nargs": "+", "action": "extend", "required": True, "metavar": "SAMPLE"}
@@ -38,6 +39,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--reference", metavar="FILE|recorded", help=ahead)
     parser.add_argument("--hold", type=float, metavar="VALUE", help="set-point to hold ahead")
     parser.add_argument("--candidate", metavar="NAME", help="candidate that forecasts (default: the leader)")
+    whole = "give the twin all samples of the session, not only the last windows before the first SAMPLE"
+    parser.add_argument("--from-the-beginning", action="store_true", help=whole)
     horizon = "forecast horizon, s (default: 300, at least 60 and at most 600 samples)"
     parser.add_argument("--horizon", type=float, metavar="S", help=horizon)
     add_options(parser, "--json", help="write the forecasts to this file")
@@ -102,8 +105,11 @@ def _forecasts(options: argparse.Namespace) -> tuple[TwinSettings, list[_Request
     given = {"settings": settings, "reference": options.reference, "hold": options.hold, "rows": rows}
     ahead = {k: ahead_of(session, sample, size, **given) for k, sample in samples.items()}
     with Progress() as progress:
-        known = prospects(session, terms, samples, candidate=options.candidate, watch=progress.advance)
-    requested, came = {}, filled_stretches(session.samples, settings, known[max(samples)].taught)
+        whole, watch = options.from_the_beginning, progress.advance
+        known = prospects(session, terms, samples, candidate=options.candidate, whole=whole, watch=watch)
+    last = known[max(samples)]
+    taken = [s for s in session.samples if last.since is None or s.index >= last.since]
+    requested, came = {}, filled_stretches(taken, settings, last.taught)
     for k in samples:
         made = fan(forecast_of(known[k], ahead[k], period), came)
         requested[k] = _Requested(made, known[k], ahead[k].words)

@@ -76,7 +76,7 @@ class LoopConditions(NamedTuple):
     """Sample time if the loop is not known, s; otherwise the controller's is used."""
 
 
-@lru_cache(maxsize=64)  # for the response and for the graph symbol
+@lru_cache(maxsize=1024)  # for the response and for the graph symbol
 def linearised_in_loop(parameters: Parameters, set_point: float, loop: LoopConditions) -> Linear:
     """Linearise the plant where its loop holds it, in the units of output and input.
 

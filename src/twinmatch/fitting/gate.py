@@ -23,6 +23,7 @@ from enum import Enum
 
 import numpy as np
 
+from twinmatch.dynamics import Law
 from twinmatch.fitting.data import FittingError
 from twinmatch.fitting.problem import Unknown
 from twinmatch.signals import FloatArray
@@ -68,9 +69,9 @@ class GateLimits:
     least_samples: int = 20
     """Least samples between the first excitation and the held-back part, and in that part."""
 
-    def most(self, *, driven: bool) -> float:
-        """The largest mean squared weighted residual that explains a window."""
-        return self.chi2 * (self.driven if driven else 1.0)
+    def most(self, law: Law | None) -> float:
+        """The largest mean squared weighted residual of a twin in this loop that explains a window."""
+        return self.chi2 * (self.driven if law is None else 1.0)
 
     def __post_init__(self) -> None:
         for name in ("chi2", "relative_error", "condition", "slack", "least_samples", "driven"):
@@ -101,6 +102,8 @@ class FitEvidence:
     """The same for the incumbent, or for the start values if there is none."""
     kept: str = ""
     """The parameter kept because the window does not determine it, with value and interval; or empty."""
+    most: float = GateLimits.chi2
+    """The largest `chi2` that explains the window."""
 
 
 def first_excited(moved: FloatArray, least: float) -> int | None:
@@ -114,14 +117,13 @@ def first_excited(moved: FloatArray, least: float) -> int | None:
     return int(far[0]) + 1 if far.size else None
 
 
-def judge(evidence: FitEvidence, limits: GateLimits, *, driven: bool = False) -> tuple[Status, str]:
+def judge(evidence: FitEvidence, limits: GateLimits) -> tuple[Status, str]:
     """The status of a fit, and a sentence with the reason."""
     # Negated comparisons, so that residuals that are not numbers count as not explained.
-    most = limits.most(driven=driven)
-    if not evidence.chi2 <= most:
+    if not evidence.chi2 <= evidence.most:
         return Status.NOT_EXPLAINED, (
             f"even the best fit leaves residuals of {evidence.chi2:.3g} times the noise variance, more than "
-            f"{most:g}: the plant did something that the model cannot"
+            f"{evidence.most:g}: the plant did something that the model cannot"
         )
     if not evidence.converged:
         return Status.DID_NOT_CONVERGE, "least squares did not converge within its number of evaluations"

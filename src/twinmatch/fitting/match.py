@@ -194,13 +194,15 @@ def explaining(
 ) -> list[Parameters]:
     """The starts in whose structures a fit explains the window, the most justified first.
 
+    A single window is too short to hold a third of it back, as the choice of structure in verdicts does: for
+    one or two blocks the free run of a structure that lacks something may be the better one by chance.
     The charge of a structure is the sum of the squares that its best fit leaves, divided by the length over
     which they are correlated, and for each fitted value the logarithm of the number of independent ones.
     """
     charged: list[tuple[float, Parameters]] = []
     for start in starts:
         best = usable_fit(window, start, noise, law)
-        if best is not None and best.chi2 <= GateLimits().most(driven=law is None):
+        if best is not None and best.chi2 <= GateLimits().most(law):
             independent = best.residuals.size / LASTING
             charged.append((independent * best.chi2 + best.values.size * math.log(independent), start))
     return [start for _, start in sorted(charged, key=itemgetter(0))]
@@ -266,7 +268,8 @@ def _with_fit(problem: Problem, split: int, rival: Parameters, limits: GateLimit
     starts = starts_for(problem, problem.base)
     test = solve(seen, starts)
     best = solve(problem, [test.values, *starts])
-    explained = best.converged and best.chi2 <= limits.most(driven=problem.law is None)
+    most = limits.most(problem.law)
+    explained = best.converged and best.chi2 <= most
 
     def stands(known: Uncertainty, values: FloatArray) -> bool:
         errors = np.sqrt(np.diag(known.covariance))
@@ -291,8 +294,9 @@ def _with_fit(problem: Problem, split: int, rival: Parameters, limits: GateLimit
         held_back_chi2=problem.mean_square(tested),
         incumbent_chi2=problem.mean_square(standing),
         kept=_kept_sentence(problem, found),
+        most=most,
     )
-    status, reason = judge(evidence, limits, driven=problem.law is None)
+    status, reason = judge(evidence, limits)
     return Match(
         parameters=problem.experiment.parameters_at(final.values),
         free=problem.names,

@@ -24,6 +24,11 @@ from twinmatch.twin.forecaster import Forecaster
 LONGEST: Final = 86_400.0
 """Longest horizon, s; for samples more than 5 s or less than 0.5 s apart in proportion to the sample time. A
 longer one is a typing error: bands are learned up to a 288th of that."""
+_WINDOWS: Final = 5
+"""The twin begins so many longest windows before the instant asked: two memories of the forecasts' scores, so
+that what is older has lost six sevenths of its weight."""
+_FARTHER: Final = 4
+"""Factor by which it begins earlier if that is too late; so beginning again costs at most a third more."""
 RECORDED: Final = "recorded"
 MAX_BYTES = 1 << 20
 """Largest file of set-points, bytes: a day of them, one per second."""
@@ -38,6 +43,8 @@ class Prospect(NamedTuple):
     """How often so far the leader's error was within 3 % of the best candidate's, 0 to 1."""
     taught: tuple[Verdict, ...]
     """The first verdict with a nominal candidate, if there was one, by which readings are settled."""
+    since: int | None = None
+    """The first sample that the twin took; None: that of the session."""
 
     @property
     def leads(self) -> bool:
@@ -51,33 +58,67 @@ def prospects(
     at: Collection[int],
     *,
     candidate: str | None = None,
+    whole: bool = False,
     watch: Watch | None = None,
 ) -> dict[int, Prospect]:
     """Run a session through the twin once, up to the last of these samples, and collect the outlook at each.
 
-    The outlook at a sample depends only on that sample and those before it. It is that of `candidate`, by
-    default of the leader at each sample.
+    The outlook at a sample depends only on that sample and those before it, and says from which one on. It is
+    that of `candidate`, by default of the leader at each sample. Unless the `whole` session is wanted, the
+    twin begins some windows before the first of these samples: earlier if no match has been accepted in the
+    first half of that stretch, or if the candidate is older.
 
     Raises:
         ForecastError: the session has no such sample, or the candidate does not exist at it.
     """
     wanted = samples_at(session, at)
-    samples, by_sample, taught = session.samples, {}, list[Verdict]()
+    places = [place for place, sample in enumerate(session.samples) if sample.index in wanted]
+    if not places:
+        return {}
+    first, ends = places[0], places[-1] + 1
+    reach = first if whole else _WINDOWS * terms.settings.schedule.capacity
+    while True:
+        begin = max(first - reach, 0)
+        middle, taken = (begin + first) // 2, range(begin, ends)
+        found = _run(session, terms, taken, wanted, middle=middle, candidate=candidate, watch=watch)
+        if found is not None:
+            return found
+        reach *= _FARTHER
+
+
+def _run(
+    session: Session,
+    terms: Terms,
+    places: range,
+    wanted: Collection[int],
+    *,
+    middle: int,
+    candidate: str | None,
+    watch: Watch | None,
+) -> dict[int, Prospect] | None:
+    """Run the samples at these places through the twin; None if it has to begin earlier, since there is no
+    candidate at the one in the `middle`, or not the one asked for at a wanted sample."""
+    samples, found, taught = session.samples, {}, list[Verdict]()
+    begin, ends = places.start, places.stop
+    since = samples[begin].index if begin else None
     twin = Twin(terms.settings, terms.given, matching=terms.matching)
-    ends = max((place for place, s in enumerate(samples) if s.index in wanted), default=-1) + 1
     with held_interrupts() as check_interrupt:
-        for done, sample in enumerate(samples[:ends]):
+        for place in places:
+            sample = samples[place]
             taught += [v for v in twin.push(sample).verdicts if v.chosen is not None][: 1 - len(taught)]
+            forecaster = twin.discriminator.forecaster
+            if begin and place == middle and not forecaster.names:
+                return None
             if sample.index in wanted:
-                if not twin.discriminator.forecaster.names:
-                    raise _no_candidate(session.name, twin, samples[done:])
-                by_sample[sample.index] = _prospect(
-                    twin.discriminator.forecaster, sample.index, candidate, tuple(taught)
-                )
-            if watch is not None and done % EVERY == 0:
-                watch(done, ends)
+                if begin and (not forecaster.names or candidate not in {None, *forecaster.names}):
+                    return None
+                if not forecaster.names:
+                    raise _no_candidate(session.name, twin, samples[place:])
+                found[sample.index] = _prospect(forecaster, sample.index, candidate, tuple(taught), since)
+            if watch is not None and (place - begin) % EVERY == 0:
+                watch(place - begin, ends - begin)
             check_interrupt()
-    return by_sample
+    return found
 
 
 def samples_at(session: Session, at: Collection[int]) -> dict[int, Sample]:
@@ -100,7 +141,11 @@ def samples_at(session: Session, at: Collection[int]) -> dict[int, Sample]:
 
 
 def _prospect(
-    forecaster: Forecaster, sample: int, candidate: str | None, taught: tuple[Verdict, ...]
+    forecaster: Forecaster,
+    sample: int,
+    candidate: str | None,
+    taught: tuple[Verdict, ...],
+    since: int | None,
 ) -> Prospect:
     leader = forecaster.leader
     assert leader is not None  # noqa: S101 — there are candidates
@@ -115,7 +160,10 @@ def _prospect(
             "own estimate"
         )
         outlook = replace(outlook, notes=(*outlook.notes, note))
-    return Prospect(outlook, leader, forecaster.confidence, taught)
+    if since is not None:
+        note = f"the twin took only the samples from {since} on; --from-the-beginning gives it all of them"
+        outlook = replace(outlook, notes=(*outlook.notes, note))
+    return Prospect(outlook, leader, forecaster.confidence, taught, since)
 
 
 def _no_candidate(session: str, twin: Twin, rest: Sequence[Sample]) -> ForecastError:

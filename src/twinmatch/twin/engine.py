@@ -9,7 +9,6 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from twinmatch.comparing import ADMITTED, REFUSED, Candidate, Verdict
-from twinmatch.dynamics.movement import effect_of
 from twinmatch.errors import TwinmatchError
 from twinmatch.fitting import Status
 from twinmatch.fitting.match import not_determined
@@ -395,10 +394,9 @@ class Twin:
 
 def _schedule(settings: TwinSettings) -> Schedule:
     """A schedule by the set-point if the loop is known; otherwise by the inputs."""
-    effect = effect_of(settings.plant, settings.period) if settings.law is None else None
 
     def left_open(window: Window) -> str:
         with one_thread():
             return not_determined(window, settings.start, settings.free, settings.noise, settings.law)
 
-    return Schedule(settings.schedule, settings.period, effect, settings.regime_width, left_open)
+    return Schedule(settings.schedule, settings.period, settings.effect, settings.regime_width, left_open)

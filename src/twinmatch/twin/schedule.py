@@ -112,6 +112,40 @@ class Trigger(NamedTuple):
     """Why it is not excited, in a sentence."""
 
 
+class Movements:
+    """Movements of what counts, each as soon as it is far enough or a lesser one has lasted."""
+
+    def __init__(self, settings: ScheduleSettings, effect: InputEffect | None) -> None:
+        """Begin without samples; `effect`: what the inputs do to the outputs, None: the set-points count."""
+        self._least, self._lasting = settings.min_step, settings.min_span
+        self._expected = None if effect is None else ExpectedMovement(effect)
+
+    def rest(self, sample: Sample) -> None:
+        """Count from this sample."""
+        self._anchor = sample.references
+        self._moving, self._away = 0.0, sample.index
+        if self._expected is not None:
+            self._expected.rest()
+            self._expected.take(np.array(sample.inputs))
+
+    def push(self, sample: Sample) -> int | None:
+        """Take a sample; return the index of the first one of the movement that counts now, if any."""
+        far = 0.0
+        if self._expected is not None:
+            far = float(np.max(np.abs(self._expected.take(np.array(sample.inputs)))))
+        elif sample.references != self._anchor:
+            far = max(abs(now - then) for now, then in zip(sample.references, self._anchor, strict=True))
+        far /= self._least
+        if far < _LEAVING:
+            self._away = sample.index + 1
+        self._moving += far * far
+        if far < 1.0 and self._moving < self._lasting:
+            return None
+        began = min(self._away, sample.index)
+        self.rest(sample)
+        return began
+
+
 class Schedule:
     """Keeps the newest samples and triggers when a window is due."""
 
@@ -135,7 +169,7 @@ class Schedule:
         """
         self.settings = settings or ScheduleSettings()
         self.period = period
-        self._movement = None if effect is None else ExpectedMovement(effect)
+        self._movements, self._driven = Movements(self.settings, effect), effect is not None
         self._decimals = -math.floor(math.log10(width / 10))
         self._open = determines
         self._samples: deque[Sample] = deque(maxlen=self.settings.capacity + 1)
@@ -150,7 +184,7 @@ class Schedule:
             self._samples.clear()
         if not self._samples:
             self._restart(sample)
-        moved = self._moved(sample)
+        moved = self._movements.push(sample)
         trigger = None if moved is None else self._on_movement(sample, moved)
         self._samples.append(sample)
         return trigger or self._on_count(sample)
@@ -164,37 +198,12 @@ class Schedule:
         self._judged_to = sample.index - 1  # last sample of the newest trigger's window
         # Movements out of rest; the start of the record counts as one.
         self._rested: deque[int] = deque([sample.index + self.settings.lead])
-        self._rest(sample)
-
-    def _rest(self, sample: Sample) -> None:
-        """Count movement from here."""
-        self._anchor = sample.references
-        self._moving, self._away = 0.0, sample.index
-        if self._movement is not None:
-            self._movement.rest()
-            self._movement.take(np.array(sample.inputs))
-
-    def _moved(self, sample: Sample) -> int | None:
-        """Index of the first sample of a movement that is far enough now; None if there is none."""
-        far = 0.0
-        if self._movement is not None:
-            far = float(np.max(np.abs(self._movement.take(np.array(sample.inputs)))))
-        elif sample.references != self._anchor:
-            far = max(abs(now - then) for now, then in zip(sample.references, self._anchor, strict=True))
-        far /= self.settings.min_step
-        if far < _LEAVING:
-            self._away = sample.index + 1
-        self._moving += far * far
-        if far < 1.0 and self._moving < self.settings.min_span:
-            return None
-        began = min(self._away, sample.index)
-        self._rest(sample)
-        return began
+        self._movements.rest(sample)
 
     def _on_movement(self, sample: Sample, began: int) -> Trigger | None:
         rested = began - self._newest >= self.settings.min_span
         steady = rested and self._from_rest
-        if self._movement is None:  # a controller holds what it follows: time is enough
+        if not self._driven:  # a controller holds what it follows: time is enough
             steady = began - self._since >= self.settings.min_span
         since = max(began, self._judged_to + 1)
         trigger = self._excited(sample.index, since - 1) if steady and self._waits else None
@@ -213,7 +222,7 @@ class Schedule:
 
     def _on_count(self, sample: Sample) -> Trigger | None:
         settings, due = self.settings, sample.index - self._judged_to >= self.settings.stride
-        missing = "the set-point did not move" if self._movement is None else "the input did not move"
+        missing = f"the {'input' if self._driven else 'set-point'} did not move"
         if self._waits:
             lasted = sample.index - self._since
             full = lasted >= settings.span
@@ -232,7 +241,7 @@ class Schedule:
 
     def _point(self, window: Window) -> float:
         """The operating point at a window's end."""
-        if self._movement is None:
+        if not self._driven:
             return float(window.reference[-1])
         newest = window.output[-self.settings.min_span :]
         return round(float(np.mean(newest)), self._decimals) + 0.0  # avoids an operating point of minus zero
@@ -240,7 +249,7 @@ class Schedule:
     def _begin(self, last: int) -> int:
         """First sample of an excited window that ends with `last`."""
         oldest, lead = last - self.settings.capacity + 1, self.settings.lead
-        if self._movement is None:
+        if not self._driven:
             return max(self._previous_step - lead, oldest)
         while self._rested and self._rested[0] - lead < oldest:
             self._rested.popleft()

@@ -19,6 +19,7 @@ from twinmatch.dynamics import (
     law_for,
     pid_of,
 )
+from twinmatch.dynamics.movement import InputEffect, effect_of
 from twinmatch.dynamics.pace import plant_scale
 from twinmatch.errors import TwinmatchError
 from twinmatch.fitting import Expectation, Noise, Prior
@@ -194,6 +195,11 @@ class TwinSettings:
         if self.start.model is not usual or self.free != usual.structure.free:
             return replace(self, prior=prior)
         return replace(self, prior=prior, start=start, free=start.model.structure.free)
+
+    @property
+    def effect(self) -> InputEffect | None:
+        """What the inputs do to the outputs where that begins windows; None: the set-points of a loop do."""
+        return effect_of(self.plant, self.period) if self.law is None else None
 
     @property
     def model_scale(self) -> float | None:

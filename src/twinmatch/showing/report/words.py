@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-import numpy as np
-
 from twinmatch.comparing import CandidateScore, TrustLevel, Verdict
-from twinmatch.dynamics.movement import ExpectedMovement, effect_of
 from twinmatch.offline.judging import Judgement
 from twinmatch.offline.summary import ShownTwin, nominal_score, shown_twin
 from twinmatch.showing.quantities import ShownSignals, number, percent, signal_names
@@ -15,6 +12,7 @@ from twinmatch.showing.series import compare, root_mean_square
 from twinmatch.showing.verdicts import admitted, last_verdict
 from twinmatch.signals import Sample
 from twinmatch.twin import TwinSettings
+from twinmatch.twin.schedule import Movements
 
 
 def duration(seconds: float) -> str:
@@ -231,16 +229,12 @@ def _matches(judgement: Judgement) -> str:
 
 
 def _steps(samples: Sequence[Sample], settings: TwinSettings) -> str:
-    least, driven = settings.schedule.min_step, settings.law is None
-    movement = ExpectedMovement(effect_of(settings.plant, settings.period))
-    count, anchor = 0, samples[0].references
-    for sample in samples:
-        moved = movement.take(np.array(sample.inputs)) if driven else np.subtract(sample.references, anchor)
-        if np.max(np.abs(moved)) >= least:
-            count, anchor = count + 1, sample.references
-            movement.rest()
-    means = "the output moved by the input " if driven else ""
-    return f"{count} of {means}{least:g} {settings.plant.output.unit} or more"
+    movements = Movements(settings.schedule, settings.effect)
+    movements.rest(samples[0])
+    count = sum(movements.push(sample) is not None for sample in samples)
+    means = "" if settings.effect is None else "the output moved by the input "
+    least = f"{settings.schedule.min_step:g} {settings.plant.output.unit}"
+    return f"{count} of {means}{least} or more, or of less that lasts"
 
 
 def _signals(judgement: Judgement) -> ShownSignals:
