@@ -223,18 +223,28 @@ def test_it_holds_while_the_noise_drifts() -> None:
     assert lost < min(0.13, lost_without - 0.1)
 
 
+def test_a_long_lead_begins_with_what_the_shorter_one_has_shown() -> None:
+    calibration = Calibration((1, 10), 1.0, 1.0, 1)
+    for _ in range(997):
+        calibration.add([0], np.array([[3.0]]))
+    # The mean of 997 quotients of 3, and of three as expected, in units of the mean of |z|.
+    scale = (997 * 3.0 / norm.expect(abs) + 3.0) / 1000
+    assert calibration.widths[0, 1] == pytest.approx(norm.ppf(0.5 + 0.5 * 12 / 13) * scale, rel=1e-9)
+
+
 @settings(deadline=None, max_examples=40)
 @given(st.lists(st.floats(0.0, 100.0), max_size=120), st.sampled_from([1, 2, 20]))
 def test_it_is_the_empirical_quantile_in_units_of_a_mean(values: list[float], lead: int) -> None:
     """With equal weights, by independent formulas. The scale is the mean of the past quotients and of three
     forecasts as expected, where of forecasts that reach over `lead` of their intervals each counts a
-    `lead`-th; the quantile leaves room for the next: rank ⌈0.9·(n + 1)⌉ (Vovk et al.)."""
+    `lead`-th; the quantile leaves room for the next that does not overlap: rank ⌈0.9·(n + `lead`)⌉ (Vovk et
+    al.)."""
     calibration = Calibration((lead,), 1.0, 1.0, 1)
     scaled, mean = norm.ppf(0.5 + 0.5 * np.arange(1, 13) / 13).tolist(), norm.expect(abs)
     for n, value in enumerate([*values, 0.0]):
         weights = np.array([3.0, *[1.0 / lead] * n])
         scale = np.average([mean, *values[:n]], weights=weights) / mean
-        rank = min(int(np.ceil(CONFIDENCE * (len(scaled) + 1) - 1e-9)), len(scaled))
+        rank = min(int(np.ceil(CONFIDENCE * (len(scaled) + lead) - 1e-9)), len(scaled))
         assert calibration.widths[0, 0] == pytest.approx(np.sort(scaled)[rank - 1] * scale, rel=1e-9)
         calibration.add([0], np.array([[value]]))
         scaled.append(value / scale)

@@ -36,34 +36,90 @@ class Room(Plant, name="room"):
 SETTINGS = TwinSettings.of(Room, period=PERIOD, law=None)
 
 
-def recorded_room(seed: int, stores: int) -> Window:
-    """Twelve days of a room; the second store is a heated floor or heavy walls, the third the other one."""
+def recorded_room(seed: int, stores: int, period: float = PERIOD, free: float = 0.0) -> Window:
+    """Twelve days of a room; the second store is a heated floor or heavy walls, the third the other one.
+
+    `free`: heat that no file knows of, of people and the sun, kW: as much as on a bright day at noon.
+    """
     random = np.random.default_rng(seed)
-    hours = np.arange(_SIZE) * PERIOD / 3600.0
-    outside = 5.0 + 4.0 * np.sin(2 * np.pi * hours / 24.0) + np.cumsum(random.normal(0.0, 0.15, _SIZE))
+    every = round(PERIOD / period)
+    size = _SIZE * every
+    hours = np.arange(size) * period / 3600.0
+    wander = np.cumsum(random.normal(0.0, 0.15 / every**0.5, size))
+    outside = 5.0 + 4.0 * np.sin(2 * np.pi * hours / 24.0) + wander
     levels = random.uniform(0.0, 5.0, _SIZE // 6) * (random.uniform(size=_SIZE // 6) < 0.7)
-    heating = np.repeat(levels, 6)
+    heating = np.repeat(levels, 6 * every)
     store, loss = random.uniform(2.0, 6.0), random.uniform(0.1, 0.25)  # kWh/K, kW/K
     floor, to_floor = random.uniform(0.5, 2.0), random.uniform(0.2, 0.5)
     walls, to_walls = random.uniform(8.0, 25.0), random.uniform(0.3, 1.0)
     has_floor = stores == 3 or (stores == 2 and seed % 2 == 0)
     has_walls = stores == 3 or (stores == 2 and seed % 2 == 1)
     to_floor, to_walls = has_floor * to_floor, has_walls * to_walls
-    rates = np.zeros((5, 5))  # air, floor, walls; heating, outside
-    rates[0] = [-(loss + to_floor + to_walls), to_floor, to_walls, not has_floor, loss]
-    rates[1] = [to_floor, -to_floor, 0.0, has_floor, 0.0]
-    rates[2] = [to_walls, 0.0, -to_walls, 0.0, 0.0]
+    rates = np.zeros((6, 6))  # air, floor, walls; heating, outside, what else heats
+    rates[0] = [-(loss + to_floor + to_walls), to_floor, to_walls, not has_floor, loss, 1.0]
+    rates[1] = [to_floor, -to_floor, 0.0, has_floor, 0.0, 0.0]
+    rates[2] = [to_walls, 0.0, -to_walls, 0.0, 0.0, 0.0]
     rates[:3] /= np.array([[store], [floor], [walls]])
-    moves = expm(rates * PERIOD / 3600.0)[:3]
-    states, air = np.full(3, 20.0), np.empty(_SIZE)
-    for k in range(_SIZE):
+    moves = expm(rates * period / 3600.0)[:3]
+    states, air = np.full(3, 20.0), np.empty(size)
+    noise = random.normal(0.0, 0.05, size)
+    bright = np.repeat(random.uniform(0.0, 1.0, 12), size // 12)  # of each day
+    at_home = np.repeat(random.uniform(size=2 * 12) < 0.6, size // 24)  # of each half
+    sun = bright * np.maximum(np.sin(2 * np.pi * (hours - 6.0) / 24.0), 0.0)
+    other = free * (sun + 0.3 * at_home)
+    for k in range(size):
         air[k] = states[0]
-        states = moves @ [*states, heating[k], outside[k]]
-    air += random.normal(0.0, 0.05, _SIZE)
-    return Window(air, air, heating, period=PERIOD, disturbances=outside[:, None])
+        states = moves @ [*states, heating[k], outside[k], other[k]]
+    air += noise
+    return Window(air, air, heating, period=period, disturbances=outside[:, None])
 
 
 def judged_room(seed: int, stores: int) -> str:
     """The reason of the match of such a room to the plant file with one store."""
     window = recorded_room(seed, stores)
     return carry_out(MatchRequest(window.last, 20.0, window, SETTINGS.start, None), SETTINGS).match.reason
+
+
+class StoredRoom(Plant, name="stored_room"):
+    """Air, and beside it a heated floor, walls or both; what else heats the room is constant."""
+
+    parts = ("floor", "walls")
+    time_constant = 10000.0  # of the air, s
+    air = Output(unit="°C", noise=0.05, span=(0.0, 45.0))
+    heating = Drive(unit="kW", limits=(0.0, 6.0), noise=0.1)
+    outside = Disturbance(unit="°C", default=5.0)
+    inner = State(unit="°C", span=(0.0, 45.0))
+    slab = State(unit="°C", span=(0.0, 60.0), start_bounds=(0.0, 60.0))
+    shell = State(unit="°C", span=(0.0, 45.0), start_bounds=(0.0, 45.0))
+    store = Parameter(unit="kWh/K", default=3.0, bounds=(0.1, 50.0), positive=True)
+    loss = Parameter(unit="kW/K", default=0.2, bounds=(0.01, 2.0), positive=True)
+    free = Parameter(unit="kW", default=0.0, bounds=(-2.0, 2.0))
+    floor = Parameter(unit="kWh/K", default=1.0, bounds=(0.05, 20.0), positive=True)
+    to_floor = Parameter(unit="kW/K", default=0.3, bounds=(0.02, 5.0), positive=True)
+    walls = Parameter(unit="kWh/K", default=15.0, bounds=(1.0, 200.0), positive=True)
+    to_walls = Parameter(unit="kW/K", default=0.6, bounds=(0.02, 10.0), positive=True)
+    structures = {  # noqa: RUF012
+        name: Structure(
+            free=("store", "loss", "free", *(k for part in parts for k in (part, f"to_{part}"))),
+            parts=frozenset(parts),
+            free_starts=tuple({"floor": "slab", "walls": "shell"}[part] for part in parts),
+        )
+        for name, parts in {
+            "air": (), "floor": ("floor",), "walls": ("walls",), "floor and walls": ("floor", "walls")
+        }.items()
+    }  # fmt: skip
+
+    def equations(self, parts: frozenset[str]) -> Equations:
+        """Energy balances; a heated floor gets what heats."""
+        lost = self.loss * (self.inner - self.outside) - self.free
+        to_floor = self.to_floor * (self.inner - self.slab)
+        to_walls = self.to_walls * (self.inner - self.shell)
+        rates = {}
+        if "floor" in parts:
+            lost, rates[self.slab] = lost + to_floor, (to_floor + self.heating) / self.floor / 3600.0
+        else:
+            lost = lost - self.heating
+        if "walls" in parts:
+            lost, rates[self.shell] = lost + to_walls, to_walls / self.walls / 3600.0
+        rates[self.inner] = -lost / self.store / 3600.0
+        return Equations(rates=rates, output=self.inner, start=dict.fromkeys(rates, self.air))

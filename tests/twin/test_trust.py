@@ -116,6 +116,9 @@ def test_twice_the_limit_is_not_a_chance() -> None:
     bands = BandHistory(2.0, NOISE)
     bands.push(BandCheck(4.0, 0.1, low=30.0, high=31.0, last=30.0), 0, 60)
     assert bands.lasts
+    peak = BandHistory(2.0, NOISE)
+    peak.push(BandCheck(4.0, 0.8, low=30.0, high=31.0, last=30.0), 0, 60)
+    assert not peak.lasts
 
 
 def test_a_twin_that_beats_nobody_is_not_trusted() -> None:

@@ -187,22 +187,23 @@ class ForecastScore:
         error, sure = self._behind("persistence", k)
         if not sure < -needed:
             return Shortfall(_PERSISTENCE.format(**BASELINES), f"{error:.2f}", sure > _SHOWN)
-        error, sure = self._behind("arx", k)
+        error, sure = self._behind("arx", k, _TENTH if held else 1.0)
         if error > _TENTH and sure > allowed:
-            return Shortfall(_ARX.format(**BASELINES), f"{error:.2f}", certain=True)
+            return Shortfall(_ARX.format(**BASELINES), f"{error:.2f}", sure > _SHOWN)
         share, number = (each[k] if each else math.nan for each in (self.coverage, self.independent))
-        if share < CONFIDENCE - allowed * math.sqrt(CONFIDENCE * (1.0 - CONFIDENCE) / number):
-            return Shortfall(_BANDS, f"{100 * share:.0f}", certain=True)
+        short = (CONFIDENCE - share) / math.sqrt(CONFIDENCE * (1.0 - CONFIDENCE) / number)
+        if short > allowed:
+            return Shortfall(_BANDS, f"{100 * share:.0f}", short > _SHOWN)
         return None
 
-    def _behind(self, baseline: str, k: int) -> tuple[float, float]:
+    def _behind(self, baseline: str, k: int, times: float = 1.0) -> tuple[float, float]:
         """How many times a baseline's error its own is at the k-th horizon, and by how many standard errors
-        it is worse; NaN where that is not known."""
+        it is worse than so many `times` that error; NaN where that is not known."""
         skill, high = (getattr(self, f"{baseline}_skill{end}") for end in ("", "_high"))
         if not skill or not high:
             return math.nan, math.nan
         worse, least = math.log(1.0 - skill[k]), math.log(1.0 - high[k])
-        return 1.0 - skill[k], _ONE_SIDED * worse / max(worse - least, _TINY)
+        return 1.0 - skill[k], _ONE_SIDED * (worse - math.log(times)) / max(worse - least, _TINY)
 
 
 @dataclass(frozen=True)

@@ -184,7 +184,8 @@ class Parameter(Declaration):
     """Meaning of a change: "losses" (how easily the plant loses heat or the like), "room" (to what it loses
     it); empty: no named meaning."""
     relative: bool = True
-    """Whether its error is judged relative to its value; False where its zero is arbitrary."""
+    """Whether its error is judged relative to its value; False where its zero is arbitrary, as it is where
+    the bounds reach below zero."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -195,6 +196,7 @@ class Parameter(Declaration):
         if not self.scale > 0:
             object.__setattr__(self, "scale", abs(self.default) or 1.0)
         low, high = self.bounds
+        object.__setattr__(self, "relative", self.relative and low >= 0.0)
         if not low < high or not self.possible(low) or not self.possible(high):
             raise PlantError(
                 f"plant: bounds {self.bounds} of a parameter ({self.text}); give possible values, lower first"

@@ -9,7 +9,8 @@ forecasts of a session are too few for a quantile, so quotients of a normal dist
 How noisy a sensor is, how far from its equations a plant drifts and how much a twin overestimates both change
 faster than a quantile can follow. So quotients are kept in units of their newest mean, and the width that
 follows from them is multiplied by it: conformal prediction with a local scale (Lei et al. 2018). Forecasts
-that overlap share most of their errors, so at long leads they move that mean less.
+that overlap share most of their errors, so at long leads they move that mean less, and it begins with the one
+at the next shorter lead, where more is known by then.
 
 The paper's information gain is the number of characters that a model saves when writing the data to which
 it was fitted. Here it is computed on data that no model has seen: a forecast gives a probability density for
@@ -47,7 +48,8 @@ _HALF_NORMAL: Final = np.array([
 ])  # fmt: skip
 """The prior quotients: quantiles of |z|, z standard normal, at levels 1/13, 2/13 … 12/13."""
 _TRUSTED: Final = 3.0
-"""Weight, in forecasts that do not overlap, of the twin's own deviations in the local scale."""
+"""Weight, in forecasts that do not overlap, of the next shorter lead in the local scale; at the first lead,
+of the twin's own deviations."""
 _MEAN: Final = float(np.sqrt(2.0 / np.pi))
 """Mean of |z|, z standard normal."""
 _NEGLIGIBLE: Final = 1e-3
@@ -154,16 +156,24 @@ class Calibration:
 
     @property
     def _scales(self) -> FloatArray:
-        """How large errors are now, in units of the twin's standard deviations, shape (signals, L)."""
-        return (_TRUSTED * _MEAN + self._sums) / (_MEAN * (_TRUSTED + self._counts))
+        """How large errors are now, in units of the twin's standard deviations, shape (signals, L).
+
+        Until a lead has shown it, the one before it has; until the first has, they are as expected.
+        """
+        shares, scales = _TRUSTED / (_TRUSTED + self._counts), np.empty_like(self._sums)
+        shown = self._sums / (_MEAN * (_TRUSTED + self._counts))
+        before = np.ones(len(scales))
+        for k, share in enumerate(shares):
+            before = scales[:, k] = share * before + shown[:, k]
+        return scales
 
     def _quantile(self, lead: int) -> FloatArray:
         quotients = self._quotients[lead, :, self._first[lead] : self._end[lead]].T
         ages = np.minimum(np.arange(len(quotients))[::-1], self._learned[lead])
         weights = np.array(self._weights)[ages]
         order = np.argsort(quotients, axis=0, kind="stable")
-        # The next forecast counts as one more, with an unknown quotient.
-        share = np.cumsum(weights[order], axis=0) / (weights.sum() + 1.0)
+        # The next forecast counts as one more, with an unknown quotient: as one that does not overlap.
+        share = np.cumsum(weights[order], axis=0) / (weights.sum() + 1.0 / self._new[lead])
         at = np.minimum((share < CONFIDENCE).sum(axis=0), weights.size - 1)
         return np.asarray(quotients[order[at, self._signals], self._signals])
 

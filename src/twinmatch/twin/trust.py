@@ -15,6 +15,8 @@ _NEIGHBOURS: Final = 10.0
 apart."""
 _NEAR: Final = 1.03
 """A leader whose error is no larger than this times the least of all candidates counts as right."""
+_MOST: Final = 0.5
+"""Share of the readings within the bands below which most are outside."""
 _DOUBT: Final = 0.5
 """Prior count of either outcome (Jeffreys)."""
 
@@ -39,6 +41,11 @@ class BandCheck(NamedTuple):
     def miss(self) -> float:
         """The greater of the two; NaN without any."""
         return self.miss_y if np.isnan(self.miss_u) else max(self.miss_y, self.miss_u)
+
+    @property
+    def inside(self) -> float:
+        """The smaller share of the two; NaN without any."""
+        return self.inside_y if np.isnan(self.inside_u) else min(self.inside_y, self.inside_u)
 
 
 def check_band(
@@ -90,13 +97,15 @@ class BandHistory:
         self.since: int | None = None
         """First sample of the current stretch outside the bands; None while inside."""
         self.lasts = False
-        """Whether the bands were missed in two windows that share no sample, or by twice the limit."""
+        """Whether the bands were missed in two windows that share no sample, or by twice the limit, with most
+        readings outside: a peak at a step of the input is not that."""
 
     def push(self, check: BandCheck, first: int, samples: int) -> None:
         """Add the result for so many samples from index `first` on."""
         if check.miss >= self._limit:
             self.since = first if self.since is None else self.since
-            self.lasts |= first >= self.since + samples or check.miss >= 2.0 * self._limit
+            gross = check.miss >= 2.0 * self._limit and check.inside < _MOST
+            self.lasts |= first >= self.since + samples or gross
             return
         self.since, self.lasts = None, False
         self._spans = merged([*self._spans, (check.low, check.high)], self._near)
