@@ -276,6 +276,21 @@ class ChangeDetector:
         return self._tracked.known >= _LEARN and not self._tracked.blind
 
     @property
+    def spent(self) -> float:
+        """Code length of all readings so far, nats."""
+        return self._tracked.spent
+
+    @property
+    def count(self) -> int:
+        """Blocks so far."""
+        return self._tracked.count
+
+    @property
+    def between_blocks(self) -> bool:
+        """Whether the next sample begins a block."""
+        return self._tracked.between_blocks
+
+    @property
     def block(self) -> float:
         """Length of a block, s."""
         return self._tracked.size * self._period
