@@ -68,9 +68,7 @@ class Room(Plant, name="room_on_trial"):
         )
 
 
-TRUTH = Room.model("air and walls").parameters(
-    capacity=8e5, mass=6e6, losses=12.0, surface=150.0, shell=20.0
-)
+TRUTH = Room.model("air and walls").parameters(capacity=8e5, mass=6e6, losses=12.0, surface=150.0, shell=20.0)
 POOR = Room.model("air").parameters(capacity=1.5e6, losses=28.0)
 """About what a match of the first structure finds."""
 GOOD = TRUTH.replace(capacity=8.3e5, losses=12.6, surface=145.0)

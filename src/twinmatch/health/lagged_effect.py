@@ -153,8 +153,8 @@ class SimulatedSpan:
         self, first: TrackedSample, inputs: FloatArray, rows: FloatArray, before: float, *, period: float,
         later: int,
     ) -> None:  # fmt: skip
-        """`inputs` and `rows` of disturbances from the `first` sample on, and the input after it; `before`: input at which the drive
-        stood; `period` in s; `later`: for how many samples the last one is held on."""
+        """`inputs` and `rows` of disturbances from the `first` sample on, and the input after them; `before`:
+        input at which the drive stood; `period` in s; `later`: for how many samples they are held on."""
         self.first = first
         self._given, self._then = (inputs, rows), (later, period)
         levels = first.parameters.model.rest[0], before

@@ -225,7 +225,7 @@ class SlowChanges:
             self.evidence = self._evidence(change, sample.index)
 
     def _begin_trial(self) -> None:
-        """Try the proposed twin if it differs in structure, or the followed one has not foretold the plant."""
+        """Try the proposed twin if its structure is another, or the followed one has not earned a name."""
         idle = self._trial is None and self._reported is None and self._detector.between_blocks
         if self._proposed is None or not idle:
             return
@@ -235,13 +235,14 @@ class SlowChanges:
             self._trial = Trial(settings, self._detector, steps=self._steps)
 
     def _try(self, trial: Trial, sample: Sample) -> None:
-        """Push a sample to the twin on trial as well; follow it if it has won, and nothing seems to be wrong."""
+        """Have the twin on trial take a sample, too; follow it if it wins and nothing seems to be wrong."""
         trial.push(sample)
         faulty = self._reported is not None or self._shift is not None or (self.suspected and self.earned)
         if trial.won and not faulty:
             self._settings, self._detector = trial.settings, trial.detector
             self._clear_suspicion()
-        if trial.won and not faulty or trial.lost:
+            self._trial = None
+        elif trial.lost:
             self._trial = None
 
     def _doubt_readings(self, change: DetectedChange, index: int) -> None:

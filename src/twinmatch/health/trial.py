@@ -27,7 +27,7 @@ class Trial:
         self.settings = settings
         self.detector = ChangeDetector(settings.followed, settings.period, steps=steps)
         self._against, self._until = against, against.count + _LONGEST
-        self._lead = 0.0
+        self._begun = self._lead = 0.0
 
     def push(self, sample: Sample) -> None:
         """Take a sample that the other has taken."""
