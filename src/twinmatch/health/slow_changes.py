@@ -226,7 +226,7 @@ class SlowChanges:
 
     def _begin_trial(self) -> None:
         """Try the proposed twin if its structure is another, or the followed one has not earned a name."""
-        idle = self._trial is None and self._reported is None and self._detector.between_blocks
+        idle = self._trial is None and self._reported is None and self._detector.tracked.between_blocks
         if self._proposed is None or not idle:
             return
         settings = replace(self._settings, reference=self._proposed)

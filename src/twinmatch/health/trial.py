@@ -26,13 +26,13 @@ class Trial:
         """Begin with the settings' twin, where a block begins; `steps` as in `hypotheses`."""
         self.settings = settings
         self.detector = ChangeDetector(settings.followed, settings.period, steps=steps)
-        self._against, self._until = against, against.count + _LONGEST
+        self._other, self._until = against.tracked, against.tracked.count + _LONGEST
         self._begun = self._lead = 0.0
 
     def push(self, sample: Sample) -> None:
         """Take a sample that the other has taken."""
         self.detector.push(sample)
-        lead = self._against.spent - self.detector.spent
+        lead = self._other.spent - self.detector.tracked.spent
         if not self.detector.compares:
             self._begun = lead
         self._lead = lead - self._begun
@@ -45,4 +45,4 @@ class Trial:
     @property
     def lost(self) -> bool:
         """Whether nothing is to be expected of it."""
-        return self._lead < -_FAR or self._against.count > self._until
+        return self._lead < -_FAR or self._other.count > self._until
