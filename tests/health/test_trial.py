@@ -34,7 +34,7 @@ def bounded(default: float, role: str = "") -> Parameter:
     return Parameter(default=default, bounds=(default / 50, default * 50), positive=True, role=role)
 
 
-class Room(Plant, name="room_on_trial"):
+class RoomOnTrial(Plant, name="room_on_trial"):
     """Air that a radiator warms, and walls; the first structure leaves these out."""
 
     parts = ("walls",)
@@ -68,8 +68,10 @@ class Room(Plant, name="room_on_trial"):
         )
 
 
-TRUTH = Room.model("air and walls").parameters(capacity=8e5, mass=6e6, losses=12.0, surface=150.0, shell=20.0)
-POOR = Room.model("air").parameters(capacity=1.5e6, losses=28.0)
+TRUTH = RoomOnTrial.model("air and walls").parameters(
+    capacity=8e5, mass=6e6, losses=12.0, surface=150.0, shell=20.0
+)
+POOR = RoomOnTrial.model("air").parameters(capacity=1.5e6, losses=28.0)
 """About what a match of the first structure finds."""
 GOOD = TRUTH.replace(capacity=8.3e5, losses=12.6, surface=145.0)
 """What one with walls finds."""
@@ -93,7 +95,12 @@ def week(*, opened: bool, stuck: range = range(0)) -> list[Sample]:
 
 def judged(samples: Iterable[Sample], *given: tuple[int, Parameters]) -> tuple[Monitor, list[Health]]:
     """What a monitor says that is given twins, each from a sample on."""
-    monitor, twins, twin, said = Monitor(HealthSettings.of(Room, PERIOD)), dict(given), None, list[Health]()
+    monitor, twins, twin, said = (
+        Monitor(HealthSettings.of(RoomOnTrial, PERIOD)),
+        dict(given),
+        None,
+        list[Health](),
+    )
     for sample in samples:
         twin = twins.get(sample.index, twin)
         said.append(monitor.push(sample, twin))

@@ -14,7 +14,7 @@ from twinmatch.dynamics.tracker import Belief
 from twinmatch.health.changes import ChangeDetector, DetectedChange, Hypothesis, Kind
 from twinmatch.health.faults import Evidence, Fault, FaultSentences, signed
 from twinmatch.health.settings import HealthSettings
-from twinmatch.health.trial import Trial
+from twinmatch.health.trial import TwinOnTrial
 from twinmatch.signals import Sample
 
 _NAMES: Final = {
@@ -91,7 +91,7 @@ class SlowChanges:
         self._settings, self._sentences, self._steps = settings, sentences, steps
         self._detector = ChangeDetector(settings.followed, settings.period, steps=steps)
         self._proposed: Parameters | None = None
-        self._trial: Trial | None = None
+        self._trial: TwinOnTrial | None = None
         self._change: DetectedChange | None = None
         self._reported: _Reported | None = None
         self._shift: _Shift | None = None
@@ -232,9 +232,9 @@ class SlowChanges:
         settings = replace(self._settings, reference=self._proposed)
         self._proposed = None
         if settings.followed.model is not self._settings.followed.model or not self.earned:
-            self._trial = Trial(settings, self._detector, steps=self._steps)
+            self._trial = TwinOnTrial(settings, self._detector, steps=self._steps)
 
-    def _try(self, trial: Trial, sample: Sample) -> None:
+    def _try(self, trial: TwinOnTrial, sample: Sample) -> None:
         """Have the twin on trial take a sample, too; follow it if it wins and nothing seems to be wrong."""
         trial.push(sample)
         faulty = self._reported is not None or self._shift is not None or (self.suspected and self.earned)

@@ -15,7 +15,7 @@ _LONGEST: Final = 3 * REACH
 """Blocks after which a trial without a winner ends."""
 
 
-class Trial:
+class TwinOnTrial:
     """Compares a twin with the followed one, on readings that neither was fitted to.
 
     A twin that wins has followed the plant for as long as a change has to be seen, so that a fault is found
