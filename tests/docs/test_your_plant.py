@@ -22,7 +22,7 @@ pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; r
 from twinmatch.showing.foxglove.layout import TOPICS
 
 PAGE = PROJECT / "docs" / "your_plant.md"
-HOT_END, ROOM = (PROJECT / "docs" / f"{name}.md" for name in ("hot_end", "room"))
+HOT_END, ROOM, CELL = (PROJECT / "docs" / f"{name}.md" for name in ("hot_end", "room", "cell"))
 
 
 def commands(page: Path) -> list[list[str]]:
@@ -82,6 +82,21 @@ def test_a_room_lacks_a_store_and_then_names_an_open_window(tmp_path: Path) -> N
     found = dict(re.findall(r"(capacity|mass|losses|surface|shell) ([\d.]+) (?:J/K|W/K)", last))
     wanted = {"capacity": 8e5, "mass": 6e6, "losses": 12.0, "surface": 150.0, "shell": 20.0}
     assert {name: float(value) for name, value in found.items()} == pytest.approx(wanted, rel=0.1)
+
+
+@pytest.mark.slow
+def test_a_contactor_that_opens_under_a_cell_is_a_lost_drive(tmp_path: Path) -> None:
+    """Named within a minute; and what the cell was before comes out as it went in."""
+    said = followed(CELL, tmp_path)
+    assert all(code == 0 for _, code, _ in said), said
+    last = said[-1][2]
+    named = re.search(r"^(\d+) +fault .*\n +drive-lost: the drive has no effect", last, re.MULTILINE)
+    assert named is not None
+    assert 5000 < int(named[1]) <= 5060
+    assert re.search(r"Faults: drive-lost from 49\d\d to 51\d\d s; drive-lost from 51\d\d", last)
+    found = dict(re.findall(r"\b(slope|r|r1|t1) ([\d.]+) (?:mV/\(A h\)|mΩ|s)", last))
+    wanted = {"slope": 22.0, "r": 2.0, "r1": 1.0, "t1": 20.0}
+    assert {name: float(value) for name, value in found.items()} == pytest.approx(wanted, rel=0.05)
 
 
 @pytest.mark.slow

@@ -23,7 +23,8 @@ from twinmatch.dynamics import (
     simulate_driven,
 )
 from twinmatch.fitting import match
-from twinmatch.signals import Window
+from twinmatch.health import Fault, HealthSettings, Monitor
+from twinmatch.signals import Sample, Window
 
 
 class Cell(Plant, name="cell_at_once"):
@@ -107,3 +108,17 @@ def test_a_controller_that_reads_what_it_commands_is_refused() -> None:
     law = PidGains(1.0, 0.1, 0.0, 1.0, low=-10.0, high=10.0, period=1.0)
     with pytest.raises(PlantError, match="an output depends on a drive at the same instant, so a controller"):
         simulate_closed_loop(TRUTH, np.full(9, 4.0), states=begin(TRUTH, 4.0), law=law)
+
+
+def test_health_names_a_contactor_that_opens_as_a_lost_drive() -> None:
+    """Within a minute, although most of the effect comes at once and is no movement from sample to sample."""
+    wanted, opens = np.resize(np.repeat([0.0, -30.0, 0.0, 20.0, 0.0, -10.0], 120), 960), 900
+    amps = np.where(np.arange(wanted.size) < opens, wanted, 0.0)
+    volts = simulate_driven(TRUTH, amps, states=begin(TRUTH, 4.0), period=1.0).output
+    volts = np.round(volts + np.random.default_rng(7).normal(0.0, 0.001, volts.size), 4)
+    monitor = Monitor(HealthSettings.of(Cell))
+    for k, (given, reading) in enumerate(zip(wanted.tolist(), volts.tolist(), strict=True)):
+        monitor.push(Sample(k, k * 10**9, reading, reading, given), TRUTH)
+    *before, last = monitor.alarms
+    assert last.fault is Fault.DRIVE_LOST
+    assert all(alarm.fault is Fault.DRIFT and alarm.flagged > opens for alarm in before), "not yet told apart"

@@ -348,7 +348,7 @@ def track(
     free = fixed.free
     m, size = free.places.size, at.size
     n = size - m - EXTRA
-    offset, passing, rate = size + OFFSET, size + PASSING, size + RATE
+    share, offset, passing, rate = size + SHARE, size + OFFSET, size + PASSING, size + RATE
     y, u, opened, rising = readings.output, readings.input, opening.drift, opening.rising
     vector, inputs = free.vector.copy(), np.empty(1)
     work = work_for(code, vector)
@@ -358,7 +358,7 @@ def track(
     _use(code, free, at, vector, work)
     for k in range(u.size):
         given = readings.disturbances[k]
-        inputs[0] = u[k]
+        inputs[0] = fixed.rest + (u[k] - fixed.rest) * (1.0 + at[share])
         call(code[OUTPUTS], at, inputs, given, work.p, work.b, work.seen)
         call(code[OUTPUT_SLOPES], at, inputs, given, work.p, work.b, work.shown)
         for i in range(n):
@@ -366,6 +366,7 @@ def track(
         for j in range(m):
             by = work.shown[n + free.which[j]]
             slope[n + j] = by * vector[free.places[j]] if free.logged[j] else by
+        slope[share] = work.shown[n + code[N_UNKNOWN]] * (u[k] - fixed.rest)
         innovation = y[k + 2] - work.seen[0] - at[offset] - at[passing]
         expected = _expected(covariance, slope, reach)
         variance, own = _weigh(y, k, innovation, expected, readings.noise[k], passing, covariance, reach)
@@ -375,7 +376,7 @@ def track(
         _correct_effects(slope, gain, innovation, variance, traces)
         for j in range(m):
             at[n + j] = min(max(at[n + j], free.least[j]), free.most[j])
-        at[size + SHARE] = min(max(at[size + SHARE], -1.0), 1.0)
+        at[share] = min(max(at[share], -1.0), 1.0)
         _use(code, free, at, vector, work)
         way = _move_belief(code, fixed, at, vector, work, u[k], given, moved, there)
         for i in range(size):

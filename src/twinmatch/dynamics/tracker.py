@@ -249,15 +249,18 @@ class Tracker:
         q, start = float(belief.values[self.at[name]]), self.parameters[name]
         return start * math.exp(q) if self.logged[self.free.index(name)] else start + q
 
-    def expected(self, belief: Belief, disturbances: FloatArray, u: FloatArray) -> tuple[float, float]:
-        """The reading that is expected next, and its variance without noise, in the output's unit."""
+    def expected(self, belief: Belief, disturbances: FloatArray, given: FloatArray) -> tuple[float, float]:
+        """The reading that is expected next, under inputs given, and its variance without noise, in the
+        output's unit."""
         model, n, free = self.parameters.model, len(self.parameters.model.states), self._fixed.free
-        vector, x = free.vector.copy(), belief.values[:n]
+        vector, x, driven = free.vector.copy(), belief.values[:n], given - model.rest
+        u = model.rest + driven * (1.0 + belief.values[self.share])
         vector[free.places] = [self.named(belief, name) for name in self.free]
         output = model.kernels.outputs_at(vector, x, u, disturbances)[0][0]
         shown = model.kernels.slopes_at(vector, x, u, disturbances)
         slope = np.zeros(self.size)
         slope[:n], slope[[self.offset, self.passing]] = shown[4][0], 1.0
+        slope[self.share] = float(shown[6][0] @ driven)
         slope[n : n + len(self.free)] = shown[5][0, free.which] * np.where(
             self.logged, vector[free.places], 1.0
         )

@@ -244,8 +244,9 @@ class ChangeDetector:
         """
         self._period = period
         self._second = plant_scale(parameters.model.plant, period) / period  # samples
-        self._tracked = TrackedBlocks(parameters, period)
-        self.tracker = self._tracked.tracker
+        self.tracked = TrackedBlocks(parameters, period)
+        """The last samples."""
+        self.tracker = self.tracked.tracker
         self.track_record = TrackRecord(self.tracker)
         noise = parameters.model.plant.output.noise
         self.hypotheses = hypotheses(self.tracker, noise, period, steps=steps)
@@ -263,7 +264,7 @@ class ChangeDetector:
     @property
     def level(self) -> float:
         """Assumed model error, in units of that of a real rig."""
-        return self._tracked.trust
+        return self.tracked.trust
 
     @property
     def suspected(self) -> bool:
@@ -273,17 +274,17 @@ class ChangeDetector:
     @property
     def compares(self) -> bool:
         """Whether the plant has been seen for long enough, and follows its equations well enough."""
-        return self._tracked.known >= _LEARN and not self._tracked.blind
+        return self.tracked.known >= _LEARN and not self.tracked.blind
 
     @property
     def block(self) -> float:
         """Length of a block, s."""
-        return self._tracked.size * self._period
+        return self.tracked.size * self._period
 
     @property
     def push_rate(self) -> float:
         """Rate at which something unnamed moves the output, in its unit per second."""
-        belief = self._tracked.belief
+        belief = self.tracked.belief
         if belief is None:
             return 0.0
         return float(belief.values[self.tracker.fading] + belief.values[self.tracker.push])
@@ -291,7 +292,7 @@ class ChangeDetector:
     @property
     def offset(self) -> float:
         """By how much the readings are believed to be shifted for good, in the output's unit."""
-        belief = self._tracked.belief
+        belief = self.tracked.belief
         return 0.0 if belief is None else float(belief.values[self.tracker.offset])
 
     def restart(self, *, offset: bool = False) -> None:
@@ -301,7 +302,7 @@ class ChangeDetector:
         """
         self.track_record.forget_newest()
         opening = (self._offset.index, self._offset.spread) if offset else None
-        self._tracked.restart(opening)
+        self.tracked.restart(opening)
         self._reset()
 
     def expect_back(self, shift: float) -> None:
@@ -314,13 +315,13 @@ class ChangeDetector:
 
     def push(self, sample: Sample) -> DetectedChange | None:
         """Take a sample; when a block is full, return the change, if any."""
-        stretch = self._tracked.full(sample)
+        stretch = self.tracked.full(sample)
         if stretch is None:
             return None
-        if self._tracked.count % _EVERY == 0:
+        if self.tracked.count % _EVERY == 0:
             self._start()
-        self._tracked.take(stretch, self._traces, settled=self.suspected)
-        if self._tracked.moved_level:
+        self.tracked.take(stretch, self._traces, settled=self.suspected)
+        if self.tracked.moved_level:
             self._clear()
         self._record()
         if not self.compares:
@@ -330,7 +331,7 @@ class ChangeDetector:
 
     def _record(self) -> None:
         """Compare what was forecast of the newest blocks with them, unless the plant was changed then."""
-        tracked = self._tracked
+        tracked = self.tracked
         if self.changed:
             self._changed_at = tracked.count
         if tracked.count - self._changed_at >= HORIZONS[-1]:
@@ -343,7 +344,7 @@ class ChangeDetector:
         _, h, age, level, _ = self._best[1]
         if h.ceases:
             return self._beyond(age, level)
-        blocks, size = list(self._tracked.blocks)[-age:], self._tracked.size
+        blocks, size = list(self.tracked.blocks)[-age:], self.tracked.size
         stretch = joined(blocks)
         course = self._course(h, blocks[0].before[level], level, stretch)
         beliefs = (course(stretch.part(0, size * count))[0] for count in range(1, age + 1))
@@ -351,7 +352,7 @@ class ChangeDetector:
 
     def _beyond(self, age: int, level: int) -> FloatArray:
         """How far the output went in every block beyond what the equations alone expect, until most of it."""
-        blocks = list(self._tracked.blocks)[-age:]
+        blocks = list(self.tracked.blocks)[-age:]
         belief, gone = blocks[0].before[level], [0.0]
         for block, after in itertools.pairwise(blocks):
             belief, _ = self.tracker.run(belief, block.stretch.unseen, level)
@@ -365,12 +366,12 @@ class ChangeDetector:
     def before(self) -> Sequence[Belief]:
         """What was believed before the change returned last, at every level."""
         assert self._best is not None  # noqa: S101 — only a returned change is asked about
-        return self._tracked.blocks[-self._best[1].age].before
+        return self.tracked.blocks[-self._best[1].age].before
 
     def adopt(self, before: Sequence[Belief] = ()) -> None:
         """Accept the change returned last as the new state of the plant; `before`: it is what it was then."""
         assert self._best is not None  # noqa: S101 — only a returned change is adopted
-        self._tracked.adopt(self._best[1].belief, before)
+        self.tracked.adopt(self._best[1].belief, before)
         self._reset()
 
     def _reset(self) -> None:
@@ -389,8 +390,8 @@ class ChangeDetector:
 
     def _start(self) -> None:
         """Start the traces of a jump that happens now."""
-        start = self._tracked.count // _EVERY % self._started.size
-        self._started[start] = self._tracked.count
+        start = self.tracked.count // _EVERY % self._started.size
+        self._started[start] = self.tracked.count
         for array in self._traces:
             array[..., start] = 0.0
         for k, jump in enumerate(self._jumps):
@@ -398,7 +399,7 @@ class ChangeDetector:
 
     def _search(self) -> DetectedChange | None:
         """The change, if a jump of any number saves more than it costs."""
-        count, longest = self._tracked.count, len(self._tracked.blocks)
+        count, longest = self.tracked.count, len(self.tracked.blocks)
         spreads = np.array([[max(h.spread, abs(h.shift))] for h in self._jumps]) ** 2
         hits, weights = self._traces.hits, self._traces.weights
         worth = 0.5 * hits**2 / (weights + 1.0 / spreads) - 0.5 * np.log1p(weights * spreads)
@@ -416,7 +417,7 @@ class ChangeDetector:
         best = stepped or int(age[np.argmax(worth.max(axis=0))])
         ages = {best - _EVERY, best, best + _EVERY}
         if self._best is not None:
-            ages.add(round((self._tracked.blocks[-1].first - self._best[0].first) / self._tracked.size) + 1)
+            ages.add(round((self.tracked.blocks[-1].first - self._best[0].first) / self.tracked.size) + 1)
         kept = sorted(a for a in ages if _MIN_AGE <= a <= longest)
         return self._compare(kept) if kept else None
 
@@ -426,7 +427,7 @@ class ChangeDetector:
 
         Such a step may be taken for an outlier, and leave no trace.
         """
-        blocks = list(self._tracked.blocks) if self._steps or self._back else []
+        blocks = list(self.tracked.blocks) if self._steps or self._back else []
         for age in range(_MIN_AGE, min(_STEP_AGE, len(blocks)) + 1):
             if np.abs(np.diff(blocks[-age].stretch.output[1:])).max() >= self._offset.least:
                 return age
@@ -434,7 +435,7 @@ class ChangeDetector:
 
     def _compare(self, ages: Sequence[int]) -> DetectedChange | None:
         """Compare every hypothesis of a change, `ages` blocks ago, with no change."""
-        nothing, before = self._tracked.unchanged()
+        nothing, before = self.tracked.unchanged()
         dispersion = self.track_record.dispersion
         found: dict[Kind, _Found] = {}
 
@@ -443,11 +444,11 @@ class ChangeDetector:
             return (nothing - float(before[-age - 1]) - cost) / dispersion
 
         likely = [*self.hypotheses, *([self._back] if self._back else [])]
-        blocks, oldest = list(self._tracked.blocks), len(self._tracked.blocks)
+        blocks, oldest = list(self.tracked.blocks), len(self.tracked.blocks)
         self._courses = {key: one for key, one in self._courses.items() if key[1] >= blocks[0].first}
         stretches = {age: joined(blocks[-age:]) for age in ages}
-        for age, h, level in itertools.product(ages, likely, self._tracked.levels):
-            if level > self._tracked.level and (h.ceases or h.kind not in _LESS_ACCURATE):
+        for age, h, level in itertools.product(ages, likely, self.tracked.levels):
+            if level > self.tracked.level and (h.ceases or h.kind not in _LESS_ACCURATE):
                 continue
             belief, cost = self._run(h, age, level, stretches[age])
             gain = saved(cost, age)
@@ -463,12 +464,12 @@ class ChangeDetector:
             self._best = None
             return None
         # The hour in which it began, when in it, and what has changed have to be said, too.
-        gain -= code_length_of(1 + self._tracked.known // _HOUR) + math.log(_HOUR / _EVERY * len(found))
+        gain -= code_length_of(1 + self.tracked.known // _HOUR) + math.log(_HOUR / _EVERY * len(found))
         if gain > 0.0 and not self._steps:  # behind a lag, the inputs come with the delay that suits them
             cost, late = self._lateness(age, stretches[age])
             gain -= _COARSE * max(0.0, saved(cost, age))
             if gain < 0.0 and age >= _ABSORBED_AFTER:
-                self._tracked.adopt(late)
+                self.tracked.adopt(late)
                 self._reset()
                 return None
         # A change has an onset; one that explains as much from long before was there from the start.
@@ -483,7 +484,7 @@ class ChangeDetector:
             gain=gain,
             lead=order[0].gain - max([0.0, *(f.gain for f in order[1:])]),
             first=onset.first,
-            before=float(onset.before[self._tracked.level].values[h.index]),
+            before=float(onset.before[self.tracked.level].values[h.index]),
             value=float(belief.values[h.index]),
             begun=dated > 0,
             rivals=tuple(f.hypothesis.kind for f in order[1:]),
@@ -496,12 +497,12 @@ class ChangeDetector:
     def _lateness(self, age: int, stretch: Readings) -> tuple[float, Belief]:
         """Code length of the last blocks' readings if nothing has changed, but inputs act later than the
         equations say, and the belief after it."""
-        blocks = list(self._tracked.blocks)
+        blocks = list(self.tracked.blocks)
         inputs = np.concatenate([b.stretch.input for b in blocks])
         rivals = list(later_inputs(inputs, stretch.input.size, self._second))
         runs = (
             self.tracker.run(blocks[-age].before[level], stretch._replace(input=late), level)
-            for late, level in itertools.product(rivals, self._tracked.levels)
+            for late, level in itertools.product(rivals, self.tracked.levels)
         )
         belief, cost = min(runs, key=lambda run: run[1])
         return cost + math.log(len(rivals)), belief
@@ -517,12 +518,12 @@ class ChangeDetector:
 
     def _shift(self, found: _Found) -> float:
         """By how much a number has changed."""
-        before = self._tracked.blocks[-found.age].before[self._tracked.level]
+        before = self.tracked.blocks[-found.age].before[self.tracked.level]
         return float((found.belief.values - before.values)[found.hypothesis.index])
 
     def _run(self, h: Hypothesis, age: int, level: int, stretch: Readings) -> tuple[Belief, float]:
         """The belief after the last blocks under a hypothesis at a level, and their readings' code length."""
-        onset = self._tracked.blocks[-age]
+        onset = self.tracked.blocks[-age]
         key = h, onset.first, level
         if key not in self._courses:
             self._courses[key] = self._course(h, onset.before[level], level, stretch)
@@ -530,7 +531,7 @@ class ChangeDetector:
 
     def _course(self, h: Hypothesis, before: Belief, level: int, stretch: Readings) -> _Course:
         """The same for the readings since an onset: at first these, later more of them."""
-        tracker, size = self.tracker, self._tracked.size
+        tracker, size = self.tracker, self.tracked.size
         if h.at_once:
             came = stretch.output[: 2 + _EVERY * size]
             return self._jumped(h, before, stretch, int(np.nanargmax(np.abs(np.diff(came[1:])))), level)
@@ -560,7 +561,7 @@ class ChangeDetector:
 
     def _ceased(self, h: Hypothesis, before: Belief, level: int) -> _Course:
         """The same if a number changes, and is as before since the moment that explains most."""
-        at, step = h.index, _EVERY * self._tracked.size
+        at, step = h.index, _EVERY * self.tracked.size
         spread = math.sqrt(before.covariance[at, at])
         belief, begun = before.opened(at, h.shift, h.spread), 0.0
         since: list[tuple[float, TrackedCourse]] = []  # and the code length of the readings until then

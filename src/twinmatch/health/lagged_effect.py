@@ -119,20 +119,23 @@ class TrackedSample(NamedTuple):
 @compiled
 def _outputs_under(  # noqa: PLR0917 (what a run needs)
     code: Code, vector: FloatArray, x: FloatArray, inputs: FloatArray, levels: FloatArray, d: FloatArray,
-    later: int, rest: FloatArray, usual: FloatArray, period: float, steps: int,
+    later: int, rest: FloatArray, usual: FloatArray, period: float, steps: int, instant: bool,
 ) -> FloatArray:  # fmt: skip
-    """The output at the beginning, after all n samples and after `later` more, under some inputs, shape (n,),
-    and, instead, at each of some levels; shape (1 + levels, 3). The last input is held on, as are the last
-    disturbances of those, shape (n, nd). The output is read as `dynamics.read` does."""
-    work, found, n = work_for(code, vector), np.empty((1 + levels.size, 3)), inputs.size
-    u, row = np.empty(1), np.empty(d.shape[1])
+    """The output at the beginning, after all n samples and after `later` more, under inputs, shape (n + 1,),
+    and, instead, at each of some levels; shape (1 + levels, 3). The last but one input is held on, as are the
+    last disturbances, shape (n, nd). The output is read as `dynamics.read` does; an `instant` one shows the
+    last input at the end and, at other levels, the first: estimated states suit that."""
+    work, found, n = work_for(code, vector), np.empty((1 + levels.size, 3)), inputs.size - 1
+    u, row, read = np.empty(1), np.empty(d.shape[1]), rest.copy()
     for k in range(1 + levels.size):
         at = x.copy()
         for i in range(n + later + 1):
             for place, wanted in enumerate((0, n, n + later)):
                 if i == wanted:
-                    call(code[SWITCHES], at, rest, usual, work.p, work.b, work.b)
-                    call(code[OUTPUTS], at, rest, usual, work.p, work.b, work.seen)
+                    if instant:
+                        read[0] = inputs[min(i, n) if k == 0 else 0]
+                    call(code[SWITCHES], at, read, usual, work.p, work.b, work.b)
+                    call(code[OUTPUTS], at, read, usual, work.p, work.b, work.seen)
                     found[k, place] = work.seen[0]
             if i < n + later:
                 now = min(i, n - 1)
@@ -150,8 +153,8 @@ class SimulatedSpan:
         self, first: TrackedSample, inputs: FloatArray, rows: FloatArray, before: float, *, period: float,
         later: int,
     ) -> None:  # fmt: skip
-        """`inputs` and `rows` of disturbances from the `first` sample on; `before`: input at which the drive
-        stood; `period` in s; `later`: for how many samples the last one is held on."""
+        """`inputs` and `rows` of disturbances from the `first` sample on, and the input after them; `before`:
+        input at which the drive stood; `period` in s; `later`: for how many samples they are held on."""
         self.first = first
         self._given, self._then = (inputs, rows), (later, period)
         levels = first.parameters.model.rest[0], before
@@ -164,7 +167,7 @@ class SimulatedSpan:
         """What the drive's changes since it stood at `before` will have contributed when it was held on."""
 
     def __len__(self) -> int:
-        return len(self._given[0])
+        return len(self._given[1])
 
     def colder(self, change: float) -> float:
         """How far the output would have moved in a colder room; `change` in the scale of that parameter."""
@@ -180,7 +183,7 @@ class SimulatedSpan:
         model, (inputs, rows), (later, period) = twin.model, self._given, self._then
         found = model.kernels.call(
             _outputs_under, twin.vector, self.first.states, inputs, np.array(levels), rows, later, model.rest,
-            model.disturbances, period, twin.steps(period),
+            model.disturbances, period, twin.steps(period), model.instant,
         )  # fmt: skip
         return cast("list[list[float]]", found.tolist())
 
@@ -220,8 +223,11 @@ _AT_ONCE: Final = 0.6
 
 
 def is_lagged(parameters: Parameters, period: float) -> bool:
-    """Whether the drive moves the output of a plant much more in ten samples than ten times in one."""
+    """Whether the drive moves the output of a plant much more in ten samples than ten times in one, or moves
+    it at once, without a movement from sample to sample."""
     model = parameters.model
+    if model.instant:
+        return True
     low, high = model.plant.drive.limits
     drive = high if abs(high) >= abs(low) else low
     level = sum(model.plant.output.set_points or model.plant.output.span) / 2
@@ -357,13 +363,13 @@ class LaggedEffect(DriveEffect):
             before = inputs[max(0, first - self._spans[-1]) : first + 1].tolist()
             stood = math.fsum(before) / len(before)
             stretch = SimulatedSpan(
-                past[first], inputs[first:-1], rows[first:-1], stood, period=self._period,
+                past[first], inputs[first:], rows[first:-1], stood, period=self._period,
                 later=self._spans[0],
             )  # fmt: skip
             error = output - stretch.works
 
             def later(delay: int, first: int = first, stood: float = stood) -> SimulatedSpan:
-                places = np.maximum(np.arange(first, len(past) - 1) - delay, 0)
+                places = np.maximum(np.arange(first, len(past)) - delay, 0)
                 return SimulatedSpan(
                     past[first], inputs[places], rows[first:-1], stood, period=self._period,
                     later=self._spans[0],

@@ -108,13 +108,13 @@ class Monitor:
         """The newest alarms, oldest first, as many as are kept; only the last can still be on."""
         return tuple(self._alarms)
 
-    def fault_between(self, first: int, last: int) -> Alarm | None:
+    def fault_between(self, first: int, last: int, *, slow: bool = False) -> Alarm | None:
         """The first alarm whose trace touches the samples `first` to `last`, both included.
 
-        Nothing should be learned from such a window. Slow changes are left out: matching handles those. So
-        are refused readings, which are in no window.
+        Nothing should be learned from such a window. Slow changes are left out unless asked for: matching
+        handles those. So are refused readings, which are in no window.
         """
-        faults = (alarm for alarm in self._alarms if alarm.spoils)
+        faults = (alarm for alarm in self._alarms if alarm.spoils or (slow and alarm.fault in SLOW))
         return next((alarm for alarm in faults if alarm.overlaps(first, last)), None)
 
     def push(self, sample: Sample, parameters: Parameters | None = None) -> Health:
@@ -129,11 +129,8 @@ class Monitor:
         self._index = sample.index
         if parameters is not self._given:
             self._given, self._until_trial = parameters, 0
-            if not self._known and parameters is not None:
-                self._known = True
-                self._begin_with(replace(self.settings, reference=parameters))
-            elif self._late is not None and parameters is not None:
-                self._late.take(parameters)
+            if parameters is not None:
+                self._take(parameters)
         before = self._before
         evidence = self._examine(sample) if sample.usable else None
         starting = (sample.index - self._begin) * self.settings.period < self.settings.start
@@ -146,6 +143,17 @@ class Monitor:
         self._before = sample if sample.usable else None
         news = self._judge(sample.index, evidence, starting)
         return self._health(sample.index, evidence, starting, news)
+
+    def _take(self, parameters: Parameters) -> None:
+        """Begin with the first parameters of a plant that its file does not describe; try later ones."""
+        if not self._known:
+            self._known = True
+            self._begin_with(replace(self.settings, reference=parameters))
+            return
+        if self._late is not None:
+            self._late.take(parameters)
+        if not self.settings.reference.model.plant.typical:
+            self._slow.propose(parameters)
 
     @property
     def reservation(self) -> str:
@@ -395,6 +403,7 @@ class Monitor:
         """Have every part know of an alarm that has begun."""
         self._open, self._slow_alarm = True, evidence.slow
         self._balance.forget_newest()
+        self._slow.propose(None)
         if evidence.fault is Fault.DISTURBANCE and not self._prompt:
             self._restart_traces()  # stretches that reach back into it lack an effect
         if evidence.fault in _OF_THE_DRIVE and isinstance(self._effect, Effect):

@@ -63,10 +63,10 @@ class HealthSettings:
 
     @property
     def followed(self) -> Parameters:
-        """Initial parameters for tracking the plant, in the structure that its file names: the typical
-        ones, or the values of `reference` where the file declares none."""
+        """Initial parameters for tracking the plant, in the structure that its file names, or that of
+        `reference`: the typical ones, or the values of `reference` where the file declares none."""
         plant = self.reference.model.plant
-        model = plant.model(plant.followed or None)
+        model = plant.model(plant.followed) if plant.followed else self.reference.model
         if plant.typical:
             return model.typical()
         return model.parameters(**{n: v for n, v in self.reference.items() if n in model.declared})

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
+from twinmatch.dynamics import Parameters
 from twinmatch.dynamics.tracker import Belief
 from twinmatch.health.changes import ChangeDetector, DetectedChange, Hypothesis, Kind
 from twinmatch.health.faults import Evidence, Fault, FaultSentences, signed
 from twinmatch.health.settings import HealthSettings
+from twinmatch.health.trial import TwinOnTrial
 from twinmatch.signals import Sample
 
 _NAMES: Final = {
@@ -88,6 +90,8 @@ class SlowChanges:
         """Begin without samples; `steps`: whether only a sensor that has shifted makes a step."""
         self._settings, self._sentences, self._steps = settings, sentences, steps
         self._detector = ChangeDetector(settings.followed, settings.period, steps=steps)
+        self._proposed: Parameters | None = None
+        self._trial: TwinOnTrial | None = None
         self._change: DetectedChange | None = None
         self._reported: _Reported | None = None
         self._shift: _Shift | None = None
@@ -150,13 +154,23 @@ class SlowChanges:
         What was off stays off: time without readings does not show that they are right again.
         """
         self._detector.restart(offset=offset)
+        if self._trial is not None:
+            self._trial.detector.restart(offset=offset)
         if self.reported is not Fault.SENSOR_DRIFT:
             self._reported = None
         self._leave_doubt(lasting=True)
         self._clear_suspicion()
 
+    def propose(self, parameters: Parameters | None) -> None:
+        """Follow this twin instead once it has foretold the plant far better; None: a fault may have touched
+        what is on trial."""
+        self._proposed = parameters
+        if parameters is None:
+            self._trial = None
+
     def forget(self) -> None:
         """Start over with an unknown plant."""
+        self._trial = None
         self._detector = ChangeDetector(self._settings.followed, self._settings.period, steps=self._steps)
         self._reported = self._shift = None
         self._clear_suspicion()
@@ -193,7 +207,10 @@ class SlowChanges:
         if shift and shift.named and abs(self.offset - shift.before) <= _REMAINDER * abs(shift.size):
             self._end_shift()
         self._detector.changed = self.reported in _SPOILED
+        self._begin_trial()
         change = self._detector.push(sample)
+        if self._trial is not None:
+            self._try(self._trial, sample)
         if change is None:
             if not self._detector.suspected:
                 self._over = self._over or self._no_longer_there
@@ -206,6 +223,27 @@ class SlowChanges:
         self._doubt_readings(change, sample.index)
         if not self._settled(change, sample.index):
             self.evidence = self._evidence(change, sample.index)
+
+    def _begin_trial(self) -> None:
+        """Try the proposed twin if its structure is another, or the followed one has not earned a name."""
+        idle = self._trial is None and self._reported is None and self._detector.tracked.between_blocks
+        if self._proposed is None or not idle:
+            return
+        settings = replace(self._settings, reference=self._proposed)
+        self._proposed = None
+        if settings.followed.model is not self._settings.followed.model or not self.earned:
+            self._trial = TwinOnTrial(settings, self._detector, steps=self._steps)
+
+    def _try(self, trial: TwinOnTrial, sample: Sample) -> None:
+        """Have the twin on trial take a sample, too; follow it if it wins and nothing seems to be wrong."""
+        trial.push(sample)
+        faulty = self._reported is not None or self._shift is not None or (self.suspected and self.earned)
+        if trial.won and not faulty:
+            self._settings, self._detector = trial.settings, trial.detector
+            self._clear_suspicion()
+            self._trial = None
+        elif trial.lost:
+            self._trial = None
 
     def _doubt_readings(self, change: DetectedChange, index: int) -> None:
         """Doubt the readings while nothing explains clearly more than that they have shifted."""

@@ -65,6 +65,8 @@ class TrackedBlocks:
         """Blocks so far."""
         self.known = 0
         """Of those, how many since the plant was first seen."""
+        self.spent = 0.0
+        """Code length of all readings so far, at the levels used for judging, nats."""
         self.level = len(LEVELS) - 2
         """Index of the level used for judging."""
         self.blind = False
@@ -85,6 +87,11 @@ class TrackedBlocks:
     def trust(self) -> float:
         """The assumed model error at the level used for judging."""
         return LEVELS[self.level]
+
+    @property
+    def between_blocks(self) -> bool:
+        """Whether the next sample begins a block."""
+        return not self._samples
 
     @property
     def levels(self) -> range:
@@ -151,6 +158,7 @@ class TrackedBlocks:
             after.append(following)
             costs.append(cost)
         self._recover(after, costs)
+        self.spent += costs[self.level]
         self.blocks.append(Block(first.index, stretch, self._beliefs, tuple(costs)))
         self._beliefs = tuple(after)
         self.count += 1

@@ -215,6 +215,8 @@ class Discriminator:
         if sample.usable:
             self._recent.append(sample)
         nominal = self.nominal
+        if nominal is not None and self.monitor.fault_between(*nominal.samples, slow=True) is not None:
+            nominal = None  # it describes a plant at fault
         self._health = self.monitor.push(sample, nominal.parameters if nominal else None)
         return self._health.news
 
