@@ -189,7 +189,9 @@ class SimulatedSpan:
 
 
 _SPANS: Final = (10.0, 16.0, 25.0, 40.0, 64.0, 100.0)
-"""Lengths of the stretches over which the drive's effect is estimated, s."""
+"""Lengths of the stretches over which the drive's effect is estimated, s …"""
+_APART: Final = 1.0
+"""… and how far apart their ends are at least, s: a plant sampled faster shows nothing more."""
 _MIN_NOISES: Final = 8.0
 """Least expected effect whose share is computed, in standard deviations of a reading's noise …"""
 _MIN_ERRORS: Final = 6.0
@@ -251,6 +253,7 @@ class LaggedEffect(DriveEffect):
         self._noise = parameters.model.plant.output.noise
         self._scale = slow_scale(parameters.model.plant, period)
         self._spans = [max(2, round(s * self._scale / period)) for s in _SPANS]
+        self._apart = max(1, round(_APART * self._scale / period))
         self._errors = (ErrorModel.of(self._noise),) * len(_SPANS)
         self._frozen, self._shift = False, 0.0
         self.restart()
@@ -308,7 +311,8 @@ class LaggedEffect(DriveEffect):
         except PlantError:  # the equations have no solution at the observer's states
             self.restart()
             return Movement(0.0, 0.0, 0.0)
-        self._estimate(sample.output)
+        if self._followed % self._apart == 0:
+            self._estimate(sample.output)
         return movement
 
     def _movement(self, sample: Sample) -> Movement:
