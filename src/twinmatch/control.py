@@ -167,6 +167,8 @@ class Loop:
         self.held = False
         """Whether a fault holds the drive at rest: then the input is rest, in the samples too, and the
         controller continues from there."""
+        self.limit = math.inf
+        """The most that passes: samples have no higher input, and the controller continues from there."""
         self._plant = plant
         self._gains = gains or pid_of(plant)
         self._pid = Controller(self._gains, state)
@@ -231,10 +233,12 @@ class Loop:
         if self.held:
             self.input, self._restart = self._plant.drive.rest, True
             return Sample(number, now, reference, self._output, self.input, self._disturbances)
-        if self._restart:
+        if self._restart or self.input > self.limit:
+            self.input = min(self.input, self.limit)
             self._continue(reference)
         self.input = float(self._pid.step(reference, self._output)[0])
-        return Sample(number, now, reference, self._output, self.input, self._disturbances)
+        passes = min(self.input, self.limit)
+        return Sample(number, now, reference, self._output, passes, self._disturbances)
 
     def _place(self, now: int) -> int | None:
         """Number of this tick on the grid; None if it does not count."""
