@@ -233,12 +233,13 @@ class Loop:
         if self.held:
             self.input, self._restart = self._plant.drive.rest, True
             return Sample(number, now, reference, self._output, self.input, self._disturbances)
-        if self._restart or self.input > self.limit:
-            self.input = min(self.input, self.limit)
+        if self._restart:
             self._continue(reference)
         self.input = float(self._pid.step(reference, self._output)[0])
-        passes = min(self.input, self.limit)
-        return Sample(number, now, reference, self._output, passes, self._disturbances)
+        excess = max(0.0, self.input - self.limit)
+        if excess and self._gains.integral:  # it must not wind up
+            self._pid.state = self._pid.state - np.array([excess, 0.0])
+        return Sample(number, now, reference, self._output, self.input - excess, self._disturbances)
 
     def _place(self, now: int) -> int | None:
         """Number of this tick on the grid; None if it does not count."""
