@@ -118,7 +118,7 @@ class DriveObserver:
         return message
 
     def believe(self) -> None:
-        """Learn the ceiling anew from the readings, for which somebody vouches."""
+        """Learn the ceiling again from the readings, for which somebody vouches."""
         self.ceiling = Ceiling(self.limits.margin, self._z.mean, seen=True)
         self._waiting = deque((slopes, off, 0.0) for slopes, off, _ in self._waiting)
 
