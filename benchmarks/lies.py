@@ -82,7 +82,7 @@ def healthy(hours: int) -> None:
         plant = bench.plant(10_000 + seed)
         plant = plant.replace(ambient=np.random.default_rng(seed).uniform(288.15, 303.15))
         ending = lie_to(bench, bench.guard(), plant, references.tolist(), seed=seed)
-        limited[name] += ending.limited
+        limited[name] += int(ending.limited)
         if ending.fault is not None:
             latched += 1
             print(f"hour {seed}: {ending.fault}", flush=True)
