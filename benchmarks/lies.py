@@ -2,10 +2,11 @@
 
     python -m benchmarks.lies rig 8
     python -m benchmarks.lies kit 8
+    python -m benchmarks.lies slow 20
     python -m benchmarks.lies healthy 1000
 
 The numbers are those of plants for each lie and set-point, with parameters that differ by up to 25 %, or of
-healthy hours.
+healthy hours. Slow lies are those that no reading contradicts for minutes.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from dataclasses import replace
 import numpy as np
 
 from tests.support.faulty_rig import profile
-from tests.support.liar import BEGINS, KIT, LIES, RIG, Bench, Ending, lie_to
+from tests.support.liar import BEGINS, KIT, LIES, RIG, SLOW_LIES, Bench, Ending, lie_to
 from twinmatch.safety import BudgetLimits, OutputGuard
 
 LEVELS = {"rig": (RIG, (30.0, 60.0, 90.0)), "kit": (KIT, (30.0, 50.0, 65.0))}
@@ -55,23 +56,47 @@ def measure(name: str, plants: int) -> None:
             print(f"{level:3.0f} {lie:26s} | {before:42s} | {after}", flush=True)
 
 
+def slow(plants: int) -> None:
+    """How hot the rig gets; how many plants pass max(set-point + 15, 60) °C, how many are limited."""
+    print(f"{plants} plants: beyond the goal, limited; highest temperature, °C; seconds to zero; by what")
+    for name, (told, lasts, begins) in SLOW_LIES.items():
+        for level in LEVELS["rig"][1]:
+            references = [level] * (begins + lasts)
+            endings = [
+                lie_to(RIG, RIG.guard(), RIG.plant(seed), references, told, seed=seed, begins=begins)
+                for seed in range(plants)
+            ]
+            beyond = sum(ending.highest > max(level + 15.0, 60.0) for ending in endings)
+            limited = sum(ending.limited > 0 for ending in endings)
+            counts = f"{beyond} beyond, {limited:2d} limited"
+            print(f"{level:3.0f} {name:28s} | {counts} | {shown(endings)}", flush=True)
+
+
 def healthy(hours: int) -> None:
     """Rig and kit in turn; set-points that each of them reaches."""
-    latched = 0
+    latched, limited = 0, {"rig": 0, "kit": 0}
     for seed in range(hours):
-        bench = (RIG, KIT)[seed % 2]
+        name = ("rig", "kit")[seed % 2]
+        bench, _ = LEVELS[name]
         references = np.clip(profile(seed, 3600), *((20.0, 100.0) if bench is RIG else (25.0, 60.0)))
-        ending = lie_to(bench, bench.guard(), bench.plant(10_000 + seed), references.tolist(), seed=seed)
+        plant = bench.plant(10_000 + seed)
+        plant = plant.replace(ambient=np.random.default_rng(seed).uniform(288.15, 303.15))
+        ending = lie_to(bench, bench.guard(), plant, references.tolist(), seed=seed)
+        limited[name] += int(ending.limited)
         if ending.fault is not None:
             latched += 1
             print(f"hour {seed}: {ending.fault}", flush=True)
-    print(f"{latched} of {hours} healthy hours latched a fault")
+        elif ending.limited:
+            print(f"hour {seed}, {name}: limited for {ending.limited} s", flush=True)
+    print(f"{latched} of {hours} healthy hours latched a fault; seconds limited: {limited}")
 
 
 def main() -> None:
     what, number = sys.argv[1], int(sys.argv[2])
     if what == "healthy":
         healthy(number)
+    elif what == "slow":
+        slow(number)
     else:
         measure(what, number)
 

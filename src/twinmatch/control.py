@@ -167,6 +167,8 @@ class Loop:
         self.held = False
         """Whether a fault holds the drive at rest: then the input is rest, in the samples too, and the
         controller continues from there."""
+        self.limit = math.inf
+        """The most that passes: samples have no higher input, and the controller continues from there."""
         self._plant = plant
         self._gains = gains or pid_of(plant)
         self._pid = Controller(self._gains, state)
@@ -234,7 +236,10 @@ class Loop:
         if self._restart:
             self._continue(reference)
         self.input = float(self._pid.step(reference, self._output)[0])
-        return Sample(number, now, reference, self._output, self.input, self._disturbances)
+        excess = max(0.0, self.input - self.limit)
+        if excess and self._gains.integral:  # it must not wind up
+            self._pid.state = self._pid.state - np.array([excess, 0.0])
+        return Sample(number, now, reference, self._output, self.input - excess, self._disturbances)
 
     def _place(self, now: int) -> int | None:
         """Number of this tick on the grid; None if it does not count."""

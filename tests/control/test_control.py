@@ -237,6 +237,18 @@ def test_while_the_drive_is_held_samples_have_no_input_and_then_the_controller_c
     assert tick(loop, 26, 60.0, 25.0).input > 0
 
 
+def test_samples_of_a_limited_drive_have_what_passes_and_the_integral_does_not_wind_up():
+    loop = Loop(Peltier)
+    for k in range(20):
+        tick(loop, k, 60.0, 25.0)
+    loop.limit = 40.0
+    assert [tick(loop, k, 60.0, 25.0).input for k in range(20, 60)] == [40.0] * 40
+    assert loop.input > 40.0  # what it asks for
+    assert tick(loop, 60, 60.0, 62.0).input < 40.0
+    loop.limit = math.inf
+    assert tick(loop, 61, 60.0, 25.0).input > 40.0
+
+
 def test_a_late_tick_is_not_a_missed_one():
     loop = Loop(Peltier)
     indices = [tick(loop, at, 30.0, 29.0).index for at in (0, 1.9, 2.0, 3.0)]

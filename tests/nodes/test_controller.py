@@ -133,6 +133,23 @@ def test_a_drive_that_a_fault_holds_at_rest_is_not_said_to_be_driven(start: Star
     bench.feed(lambda: bench.samples[-1].input[0] > 0, "a driven sample")
 
 
+def test_samples_of_a_limited_drive_have_what_passes(start: Start, bench: Bench) -> None:
+    applied = bench.listener.node.create_publisher(PwmApplied, "plant/pwm_applied", RELIABLE)
+    start("controller", *FAST, "-p", "profile.levels:=[60.0]", "-p", "profile.holds:=[9.0]")
+    bench.feed(lambda: bench.samples and bench.samples[-1].input[0] > 0, "a driven sample")
+
+    def limited() -> bool:
+        newest = bench.commands[-1]
+        applied.publish(PwmApplied(fault="limited: hotter", pwm=40.0, sequence=newest.index))
+        return bool(bench.samples[-1].input[0] == 40.0)
+
+    bench.feed(limited, "a limited sample")
+    assert bench.commands[-1].pwm > 40.0  # it still asks for what it wants
+    bench.feed(lambda: bench.listener.said("the drive is limited: hotter"), "the warning")
+    applied.publish(PwmApplied())
+    bench.feed(lambda: bench.samples[-1].input[0] > 40.0, "more than the limit")
+
+
 def test_an_old_stamp_is_an_old_temperature(start: Start, bench: Bench) -> None:
     bench.stamp = 1000
     start("controller", *FAST)

@@ -34,6 +34,7 @@ pytestmark = pytest.mark.ros
 PATIENT = ["-p", "timeout:=0.5", "-p", "command_timeout:=3.0", "-p", "temperature_timeout:=8.0"]
 """For tests that are not about time, on a busy machine."""
 QUIET = [*PATIENT, *UNWATCHED]
+UNLIMITED = ["-p", "observer.margin:=150.0"]
 SLOW = 0.1
 """Speed of a board whose deadline, a second of its own time, is not to pass before the test has looked."""
 
@@ -224,7 +225,7 @@ def test_a_runaway_is_zero(start: Start, rig: Rig, board: StandIn, reference: fl
 
 def test_a_sensor_that_does_not_see_the_heat_is_zero(start: Start, rig: Rig, board: StandIn) -> None:
     """Any set-point or none: the drive alone says where the plate must be."""
-    start("pwm_bridge", "-p", f"port:={board.port}", *PATIENT)
+    start("pwm_bridge", "-p", f"port:={board.port}", *PATIENT, *UNLIMITED)
     rig.drive(255.0, board)
     rig.wait_for_fault("disagrees", board)
     assert re.fullmatch(
@@ -235,9 +236,23 @@ def test_a_sensor_that_does_not_see_the_heat_is_zero(start: Start, rig: Rig, boa
     rig.stays_at_zero(board)
 
 
+def test_drive_that_no_reading_shows_is_limited_and_the_operator_lifts_that(
+    start: Start, rig: Rig, board: StandIn
+) -> None:
+    start("pwm_bridge", "-p", f"port:={board.port}", *PATIENT)
+    rig.drive(255.0, board)
+    rig.until(lambda: rig.fault.startswith("limited: by its drive the plate is at "), "the limit")
+    rig.until(lambda: 0 < board.drive().pwm < 250, "less drive")
+    rig.until(lambda: "limited: by its drive" in rig.warnings(), "the report")
+    answer = rig.call("clear_fault")
+    assert answer.success
+    assert answer.message.startswith("cleared limited: ")
+    rig.until(lambda: not rig.fault and board.drive().pwm == pytest.approx(255, abs=0.16), "all drive")
+
+
 def test_drive_that_the_readings_do_not_explain_is_zero(start: Start, rig: Rig, board: StandIn) -> None:
-    limits = [*PATIENT, "-p", "observer.band:=150.0", "-p", "budget.least:=400.0", "-p", "budget.each:=0.0"]
-    start("pwm_bridge", "-p", f"port:={board.port}", *limits)
+    limits = ["-p", "observer.band:=150.0", "-p", "budget.least:=400.0", "-p", "budget.each:=0.0"]
+    start("pwm_bridge", "-p", f"port:={board.port}", *PATIENT, *UNLIMITED, *limits)
     rig.drive(255.0, board)
     rig.wait_for_fault("budget", board)
     assert "PWM·s more drive than the readings explain" in rig.fault

@@ -12,9 +12,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.support.faulty_rig import profile
-from tests.support.liar import BEGINS, KIT, LIES, RIG, Bench, lie_to
+from tests.support.liar import BEGINS, KIT, LIES, RIG, SLOW_LIES, Bench, Ending, lie_to
 from tests.support.peltier_oracle import integrated
 from twinmatch.safety import Accusations, BudgetLimits, FaultKind, HeatBudget, OutputGuard
+from twinmatch.safety.ceiling import Ceiling
 from twinmatch.safety.limits import SafetyError
 from twinmatch.safety.observer import ObserverLimits
 from twinmatch.signals import Window
@@ -70,40 +71,114 @@ def test_without_either_a_lie_heats_the_plate_to_its_end() -> None:
     assert ending.highest > 65.0
 
 
+def told_slowly(name: str, set_point: float, guard: OutputGuard) -> Ending:
+    told, lasts, begins = SLOW_LIES[name]
+    return lie_to(RIG, guard, RIG.plant(0), [set_point] * (begins + lasts), told, begins=begins)
+
+
+@pytest.mark.parametrize(
+    ("name", "set_point"),
+    [
+        ("scaled by 0.5 within 10 min", 90.0),
+        ("drifts by -0.02 °C/s", 60.0),
+        ("frozen from the beginning", 30.0),
+    ],
+)
+def test_a_lie_that_nothing_contradicts_for_minutes_is_limited(name: str, set_point: float) -> None:
+    ending = told_slowly(name, set_point, RIG.guard())
+    assert ending.limited > 0
+    assert ending.highest <= highest_allowed(set_point)
+
+
+def test_without_the_limit_a_frozen_sensor_passes_the_goal() -> None:
+    limits = replace(RIG.bridge.LIMITS, observer=ObserverLimits(margin=150.0))
+    guard = OutputGuard(limits, RIG.bridge.observer(limits))
+    assert told_slowly("frozen from the beginning", 30.0, guard).highest > highest_allowed(30.0)
+
+
+def blind(guard: OutputGuard, begin: int, seconds: int) -> list[float]:
+    """What passes of full drive, second by second, while the sensor reads 25 °C."""
+    passed = []
+    for now in range(begin, begin + seconds):
+        guard.command(255.0, now)
+        guard.temperature(25.0, now)
+        guard.loop(30.0, 25.0, 0.0, now)
+        passed.append(guard.output(now))
+    return passed
+
+
+def test_a_limit_is_lifted_by_the_operator_s_word_and_not_by_that_for_a_fault() -> None:
+    guard = OutputGuard(replace(RIG.bridge.LIMITS, budget=UNLIMITED), RIG.bridge.observer(RIG.bridge.LIMITS))
+    assert 0.0 <= blind(guard, 0, 12)[-1] < 255.0
+    assert (guard.fault, guard.limited and guard.limited.kind) == (None, FaultKind.LIMITED)
+    guard.trip(FaultKind.STOPPED, "stopped", 12.0)
+    guard.clear()
+    assert blind(guard, 12, 1)[-1] < 255.0
+    guard.clear()
+    assert blind(guard, 13, 1) == [255.0]
+    assert guard.limited is None
+
+
+def test_a_limited_drive_that_no_reading_shows_is_a_fault_after_a_while() -> None:
+    guard = OutputGuard(replace(RIG.bridge.LIMITS, budget=UNLIMITED), RIG.bridge.observer(RIG.bridge.LIMITS))
+    assert blind(guard, 0, 40)[-1] == 0.0
+    assert guard.fault is not None
+    assert guard.fault.kind is FaultKind.DISAGREES
+
+
+@given(
+    st.lists(st.tuples(st.floats(-60.0, 150.0), st.floats(-10.0, 110.0), st.floats(0.0, 100.0)), max_size=80)
+)
+def test_heating_is_free_up_to_half_the_margin_and_ends_at_the_whole(
+    story: list[tuple[float, float, float]],
+) -> None:
+    """With a plant that is known: nothing learned moves the estimate."""
+    ceiling = Ceiling(10.0, np.zeros(1), seen=True)
+    for typical, reading, reference in story:
+        ceiling.take(np.zeros(1), typical, reading, reference)
+        beyond = typical - max(reading, reference)
+        assert ceiling.share == pytest.approx(min(max((10.0 - beyond) / 5.0, 0.0), 1.0))
+
+
 @pytest.mark.parametrize(("bench", "seed"), [(RIG, 11), (KIT, 12)], ids=["rig", "kit"])
 def test_a_healthy_hour_of_a_plant_that_nobody_tuned_on_latches_nothing(bench: Bench, seed: int) -> None:
     references = profile(seed, 3600) if bench is RIG else np.clip(profile(seed, 3600), 25.0, 70.0)
-    assert lie_to(bench, bench.guard(), bench.plant(seed), references, seed=seed).fault is None
+    ending = lie_to(bench, bench.guard(), bench.plant(seed), references, seed=seed)
+    assert ending.fault is None
+    assert ending.limited <= 36  # 1 % of the hour
 
 
-def judged(hour: Window, end: int | None = None) -> tuple[int | None, str, float]:
-    """When observer or budget speak in a recording, what, and the largest share of the budget spent."""
+def judged(hour: Window, end: int | None = None) -> tuple[int | None, str, float, int]:
+    """When observer or budget speak in a recording, what, and the largest share of the budget spent; until
+    then, the seconds in which more drive was commanded than the ceiling lets pass."""
     limits = RIG.bridge.LIMITS
     observer, budget = RIG.bridge.observer(limits), HeatBudget(limits.budget)
-    most = 0.0
+    most, limited = 0.0, 0
     for k in range(1, len(hour) if end is None else end):
         drive, reading, reference = hour.input[k - 1], hour.output[k], hour.reference[k]
         spent = budget.take(1.0, drive, reference, reading)
-        off = observer.take(1.0, drive, reading)
+        off = observer.take(1.0, drive, reading, reference=reference)
+        limited += hour.input[k] > 255.0 * observer.ceiling.share
         most = max(most, budget.spent / budget.allowed(reference))
         if spent or off:
-            return k, spent or off or "", most
-    return None, "", most
+            return k, spent or off or "", most, limited
+    return None, "", most, limited
 
 
 @pytest.mark.parametrize("number", [1, 2, 5, 9, 14, 20])
 def test_no_healthy_hour_of_the_real_rig_comes_near(
     number: int, recorded_hour: Callable[[int], Window]
 ) -> None:
-    at, _, most = judged(recorded_hour(number))
+    at, _, most, limited = judged(recorded_hour(number))
     assert at is None
+    assert limited <= (12 if number == 1 else 3)
     assert most < (0.7 if number == 1 else 0.35)  # the sensor of the first really is frozen at its start
 
 
 def test_the_lost_drive_of_a_real_hour_is_reported_with_both_rivals(
     recorded_hour: Callable[[int], Window],
 ) -> None:
-    at, words, _ = judged(recorded_hour(27))
+    at, words, *_ = judged(recorded_hour(27))
     assert at is not None
     assert 2235 < at < 2250
     assert "the drive is lost, or the camera does not see the plate" in words
@@ -230,6 +305,7 @@ def test_a_change_without_a_name_may_turn_out_to_be_the_drive_s(over: bool) -> N
         (lambda: BudgetLimits(each=-1.0), "budget limits: each is -1.0"),
         (lambda: ObserverLimits(band=math.nan), "observer limits: band is nan"),
         (lambda: ObserverLimits(patience=0.0), "observer limits: patience is 0.0"),
+        (lambda: ObserverLimits(margin=0.0), "observer limits: margin is 0.0"),
     ],
 )
 def test_limits_that_protect_nothing_are_refused(make: Callable[[], object], message: str) -> None:

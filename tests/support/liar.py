@@ -19,6 +19,8 @@ from twinmatch.safety import GuardFault, OutputGuard
 
 BEGINS = 600
 """Sample at which the sensor begins to lie."""
+LIMITED = 900
+"""Seconds with a limit after which a plate has settled: what a limited drive reads is not learned."""
 ROOM = 22.0
 """What a sensor reads that has slipped off, °C."""
 
@@ -85,6 +87,29 @@ LIES: dict[str, Lie] = {
 }
 
 
+class SlowLie(NamedTuple):
+    """A lie that no reading contradicts for minutes."""
+
+    lie: Lie
+    lasts: int
+    """s."""
+    begins: int = BEGINS
+
+
+SLOW_LIES: dict[str, SlowLie] = {
+    **{
+        f"drifts by -{rate:g} °C/s": SlowLie(drifting(-rate), lasts)
+        for rate, lasts in ((0.005, 5600), (0.01, 5600), (0.02, 3600), (0.05, 1800), (0.2, 900))
+    },
+    **{
+        f"scaled by {factor:g} within {minutes} min": SlowLie(scaled(factor, 60.0 * minutes), lasts)
+        for minutes, lasts in ((10, 1800), (30, 3000), (60, 4800))
+        for factor in (0.85, 0.7, 0.5)
+    },
+    "frozen from the beginning": SlowLie(lambda _, y: y[0], 900, begins=0),
+}
+
+
 @dataclass
 class Ending:
     """How a run ended."""
@@ -94,6 +119,8 @@ class Ending:
     after: int | None = None
     """Seconds from the lie to zero output; None: never."""
     fault: GuardFault | None = None
+    limited: int = 0
+    """Seconds in which less than the command passed."""
 
 
 def lie_to(  # noqa: PLR0917 (a case of the table)
@@ -104,6 +131,7 @@ def lie_to(  # noqa: PLR0917 (a case of the table)
     size, absolute = len(references), bench.typical.model.plant.output.absolute
     realised, controller = bench.sensor.realise(size, 1.0, seed), Controller(bench.loop)
     states, true, ending, seen = begin(plant, plant["ambient"] - absolute), list[float](), Ending(), 0.0
+    passed = math.inf
     for k, reference in enumerate(references):
         true.append(read(plant, states))
         told = true[-1] if lie is None or k < begins else lie(k - begins, true)
@@ -115,10 +143,14 @@ def lie_to(  # noqa: PLR0917 (a case of the table)
             now = k + half
             guard.command(command, now)
             guard.temperature(seen, now)
-            guard.loop(reference, seen, command, now)
-            states = advance(plant, states, guard.output(now), 0.5)
+            # As the controller's samples: they have what was applied.
+            guard.loop(reference, seen, command if guard.limited is None else min(command, passed), now)
+            passed = guard.output(now)
+            states = advance(plant, states, passed, 0.5)
+        ending.limited += guard.fault is None and passed < command
         if guard.fault is not None and ending.fault is None:
             ending.fault, ending.after = guard.fault, k - begins
-        if ending.fault is not None and k > begins + (ending.after or 0) + 30:
+        ended = ending.fault is not None and k > begins + (ending.after or 0) + 30
+        if ended or (lie is not None and ending.limited > LIMITED):
             break
     return ending

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any, NamedTuple
@@ -21,6 +22,7 @@ from twinmatch.nodes.topics import LATCHED, NEWEST, RELIABLE
 from twinmatch.parameters.declared import ParameterError, Setting, Values, group
 from twinmatch.parameters.twin import loop_parameters, pid_gains
 from twinmatch.plants import Peltier, find_plant, written_name
+from twinmatch.safety import is_limit
 from twinmatch_msgs.msg import LoopSample, PlantApplied, PlantCommand, PlantReading, PwmApplied, PwmCommand
 
 _SOURCE = "Where the set-point comes from: the profile below, or the topic plant/reference."
@@ -132,6 +134,8 @@ PELTIER = PlantTopics(
 )  # fmt: skip
 """The Peltier rig has its own, older topics, which are named for its temperature and its PWM."""
 
+ROUNDED = 0.5
+"""Difference of applied and commanded drive that is rounding, in the drive's unit."""
 RESEND = 0.2
 """Interval at which the command is repeated in step, wall s."""
 
@@ -234,11 +238,15 @@ class ControllerNode(TwinmatchNode):
         self._loop.measure(output, min(stamp, now) if stamp else now, disturbances)
 
     def _on_applied(self, message: Any) -> None:
-        """While a fault holds the drive at rest, a sample with another input would blame the drive."""
-        self._loop.held = bool(message.fault)
-        self.health.flag_if(
-            self._loop.held, "held", Level.WARN, f"the drive is held at rest: {message.fault}"
-        )
+        """While a fault holds or limits the drive, a sample with another input would blame the drive."""
+        applied, loop, limited = getattr(message, self._wiring.input), self._loop, is_limit(message.fault)
+        loop.held = bool(message.fault) and not limited
+        if not limited:
+            loop.limit = math.inf
+        elif message.sequence == self._index:  # boards round to whole counts
+            loop.limit = applied if loop.input - applied > ROUNDED else math.inf
+        self.health.flag_if(loop.held, "held", Level.WARN, f"the drive is held at rest: {message.fault}")
+        self.health.flag_if(limited, "limited", Level.WARN, f"the drive is {message.fault}")
 
     def _on_reference(self, message: Float64) -> None:
         low, high = self.values["profile.lowest"], self.values["profile.highest"]
@@ -259,7 +267,7 @@ class ControllerNode(TwinmatchNode):
         if self.exit_code is not None:
             return
         if sample is not None:
-            self._command(sample.input)
+            self._command(self._loop.input)
             self._samples.publish(sample_message(sample))
             self.health.set("sample", sample.index)
             self.health.say("ticking")
@@ -269,7 +277,7 @@ class ControllerNode(TwinmatchNode):
             # Before sample 0 this is how every run begins.
             level = Level.ERROR if self._loop.idle else Level.WARN
             self.health.flag("idle", level, f"the output is off: {self._loop.trouble}")
-        self._missed.watch(self._loop.missed, round(self._loop.time / self._gains.period))
+        self._missed.watch(self._loop.missed, self._index)
 
     def _on_repeat(self) -> None:
         if not self._readers.awaited and self.exit_code is None:
@@ -292,12 +300,17 @@ class ControllerNode(TwinmatchNode):
 
     def _command(self, value: float) -> None:
         if self._commands is not None:
-            index, now = round(self._loop.time / self._gains.period), self._now()
-            message = self._wiring.command_type(index=index, **{self._wiring.input: value})
+            now = self._now()
+            message = self._wiring.command_type(index=self._index, **{self._wiring.input: value})
             message.header.stamp = time_message(now)
             self._commands.publish(message)
             if self.step is not None:
                 self.step.sent(now)
+
+    @property
+    def _index(self) -> int:
+        """Index of the newest tick."""
+        return round(self._loop.time / self._gains.period)
 
     def _now(self) -> int:
         return int(self.get_clock().now().nanoseconds) if self.step is None else self.step.now

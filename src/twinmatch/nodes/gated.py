@@ -95,9 +95,9 @@ class OutputGate:
 
     @property
     def fault(self) -> GuardFault | None:
-        """The latched fault, if any."""
+        """The latched fault, or what limits the output, if any."""
         with self._news:
-            return self._guard.fault
+            return self._guard.fault or self._guard.limited
 
     @property
     def armed(self) -> bool:
@@ -408,9 +408,10 @@ class GatedNode(TwinmatchNode):
         if fault is None:
             self.health.withdraw("fault")
         elif fault is not reported:
-            self.health.flag("fault", Level.ERROR, fault_text(fault))
-            self.health.count("faults")
-            self.get_logger().error(f"output is zero: {fault_text(fault)}")
+            zero = fault.kind is not FaultKind.LIMITED
+            self.health.flag("fault", Level.ERROR if zero else Level.WARN, fault_text(fault))
+            self.health.count("faults" if zero else "limits")
+            self.get_logger().error(f"output is {'zero: ' if zero else ''}{fault_text(fault)}")
 
     def _read_clocks(self) -> ClockTimes:
         stamps, wall = self.get_clock().now().nanoseconds, time.monotonic_ns()

@@ -3,14 +3,14 @@
 State machines without clocks, wires or threads: the caller passes the time. `OutputGuard` decides what may
 reach the driver. It is fed by `SafetyClock`, a time that only runs forward, and judges what heats by what it
 does: `Runaway` checks that the plate follows the drive, `HeatBudget` that no more drive passes than the
-reading explains, `DriveObserver` that the sensor reads what the drive must have done. `Accusations` acts on
-what a trusted twin says.
+reading explains, `DriveObserver` that the sensor reads what the drive must have done; its `Ceiling` limits
+drive that takes the plant beyond set-point and reading. `Accusations` acts on what a trusted twin says.
 """
 
 from twinmatch.safety.accusations import ACCUSED, Accusations
 from twinmatch.safety.budget import BudgetLimits, HeatBudget
 from twinmatch.safety.clock import ClockLimits, SafetyClock
-from twinmatch.safety.guard import FaultKind, GuardFault, GuardLimits, OutputGuard
+from twinmatch.safety.guard import FaultKind, GuardFault, GuardLimits, OutputGuard, is_limit
 from twinmatch.safety.observer import DriveObserver
 from twinmatch.safety.runaway import Runaway, RunawayLimits
 
@@ -28,4 +28,5 @@ __all__ = [
     "Runaway",
     "RunawayLimits",
     "SafetyClock",
+    "is_limit",
 ]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from enum import Enum
+from typing import Final
 
 from twinmatch.safety.budget import BudgetLimits, HeatBudget
 from twinmatch.safety.limits import SafetyError, within_a_minute
@@ -12,6 +13,9 @@ from twinmatch.safety.observer import DriveObserver, ObserverLimits
 from twinmatch.safety.runaway import Runaway, RunawayLimits
 from twinmatch.settings import setting
 from twinmatch.signals import FloatArray
+
+BLIND: Final = 20.0
+"""Time for which a drive is limited whose sensor has shown nothing of it yet, s; cameras freeze for some."""
 
 
 class FaultKind(Enum):
@@ -28,6 +32,8 @@ class FaultKind(Enum):
     """More drive passed than the readings explain."""
     DISAGREES = "disagrees"
     """The sensor reads something else than the drive must have done."""
+    LIMITED = "limited"
+    """The drive takes the plant beyond set-point and reading: not zero, but no more than holds it there."""
     TWIN = "twin"
     """The twin, trusted until then, no longer believes sensor or drive."""
     DRIVER = "driver"
@@ -51,6 +57,11 @@ class GuardFault:
     kind: FaultKind
     message: str
     since: float
+
+
+def is_limit(text: str) -> bool:
+    """Whether a reported fault limits the output and does not hold it at zero."""
+    return text.partition(": ")[0] == FaultKind.LIMITED.value
 
 
 @dataclass(frozen=True)
@@ -105,6 +116,8 @@ class OutputGuard:
 
     fault: GuardFault | None
     """The latched fault, if any."""
+    limited: GuardFault | None
+    """Why less than the command passes; None: all of it does."""
 
     def __init__(self, limits: GuardLimits | None = None, observer: DriveObserver | None = None) -> None:
         """Start waiting, with the output at zero; an `observer` follows what passes."""
@@ -112,6 +125,7 @@ class OutputGuard:
         self._runaway = Runaway(self.limits.runaway, self.limits.thing, self.limits.unit)
         self._budget = HeatBudget(self.limits.budget, self.limits.thing, self.limits.drive_unit)
         self._observer = observer
+        self.fault = self.limited = None
         self._reference = self.limits.highest  # before anybody says what is wanted
         self._passed, self._passed_at = 0.0, math.nan
         self._held = False
@@ -185,8 +199,24 @@ class OutputGuard:
         `beside` are the disturbances, shape (d,), that go with commands that pass, such as a second heater.
         """
         self._judge_heat(now, beside if self._armed else None)
-        self._passed, self._passed_at = self._decide(now), now
+        self._passed, self._passed_at = self._limit(self._decide(now), now), now
         return self._passed
+
+    def _limit(self, value: float, now: float) -> float:
+        """What of a command may pass. Once it was limited it is called so until all drive may pass."""
+        if self._observer is None:
+            return value
+        ceiling, reading = self._observer.ceiling, self._temperature.value
+        most = ceiling.share * self.limits.commands[1]
+        if ceiling.share >= 1.0:
+            self.limited = None
+        elif value > most and self.limited is None:
+            self.limited = GuardFault(FaultKind.LIMITED, self._observer.hotter(reading), now)
+        elif self.limited is not None and not ceiling.seen and now - self.limited.since > BLIND:
+            band = self.limits.observer.margin / 2
+            self.trip(FaultKind.DISAGREES, self._observer.contradicts(reading, ceiling.estimate, band), now)
+            return 0.0
+        return min(value, most)
 
     def _judge_heat(self, now: float, beside: FloatArray | None) -> None:
         """Judge what has passed since the last decision, by what the sensor shows of it."""
@@ -203,7 +233,9 @@ class OutputGuard:
                 self.trip(FaultKind.BUDGET, spent, now)
             if self._observer is None:
                 continue
-            off = self._observer.take(span, drive, reading, beside, believed=self.fault is None)
+            off = self._observer.take(
+                span, drive, reading, beside, reference=self._reference, believed=self.fault is None
+            )
             if off is not None and self._armed:
                 self.trip(FaultKind.DISAGREES, off, now)
 
@@ -227,8 +259,13 @@ class OutputGuard:
         return self._command.value if self._armed else 0.0
 
     def clear(self) -> None:
-        """Clear the fault; the output stays at zero until a new command and temperature arrive."""
-        self.fault = None
+        """Clear the fault; the output stays at zero until a new command and temperature arrive.
+
+        Without a fault, a limit is lifted: from now on the readings are right.
+        """
+        if self.fault is None and self.limited is not None and self._observer is not None:
+            self._observer.believe()
+        self.fault = self.limited = None
         self._runaway.reset()
         self._command = _Input()
         self._temperature = _Input()

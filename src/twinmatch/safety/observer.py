@@ -7,7 +7,8 @@ side of its typical value run side by side; the readings only decide, late, whic
     y = y₀ + Σ zᵢ·Dᵢ,    Dᵢ = (yᵢ₊ − yᵢ₋)/2,    z ~ N(0, I) before the first reading,
 
 with y₀ of the typical model and yᵢ± of those with parameter i moved. A Kalman filter estimates z, a random
-walk, from readings that are `LEARNED_AFTER` old: what a lie has taught must not explain it.
+walk, from readings that are `LEARNED_AFTER` old: what a lie has taught must not explain it. A lie that
+is slow enough is learned all the same; the `Ceiling` learns from steps alone, and limits the drive.
 """
 
 from __future__ import annotations
@@ -20,12 +21,12 @@ from typing import Final
 import numpy as np
 
 from twinmatch.dynamics import Parameters, advance, begin, readings
+from twinmatch.safety.ceiling import SIGMAS, Ceiling
+from twinmatch.safety.likeness import PERIOD, Likeness
 from twinmatch.safety.limits import positive
 from twinmatch.settings import setting
 from twinmatch.signals import FloatArray
 
-PERIOD: Final = 1.0
-"""Interval between two comparisons, s."""
 LEARNED_AFTER: Final = 240.0
 """Age at which a reading is learned from, s: a drift of 0.05 °C/s has left the band by then. At the start,
 when little is known, it is half the time that has passed."""
@@ -34,7 +35,6 @@ MEMORY: Final = 3600.0
 DOUBT: Final = 0.3
 """Standard deviation of reading minus model, in bands: the errors of consecutive samples are alike, so it is
 far above the sensor's noise."""
-SIGMAS: Final = 3.0
 HOTTER: Final = 2.0
 """Bands by which a reading may be above the estimate: what else heats is not the work of the drive."""
 LOST: Final = 600.0
@@ -50,6 +50,9 @@ class ObserverLimits:
     spread: float = setting(
         0.25, "Usual relative difference of the plant's parameters from the typical ones.", "", 0.01, 1.0
     )
+    margin: float = setting(
+        10.0, "How far the drive may take the plant beyond set-point and reading.", "{y}", 1.0, 150.0
+    )
 
     def __post_init__(self) -> None:
         positive("observer", vars(self))
@@ -57,6 +60,11 @@ class ObserverLimits:
 
 class DriveObserver:
     """Follows a plant with one input and one output by its drive, and compares the sensor with that."""
+
+    ceiling: Ceiling
+    """What limits the drive."""
+    _waiting: deque[tuple[FloatArray, float, float]]
+    """What is not learned yet: slopes, reading less typical plant, and the ceiling's time to learn it."""
 
     def __init__(
         self,
@@ -86,14 +94,14 @@ class DriveObserver:
         self._begin(float(np.mean(typical.model.plant.output.span)), None)
         self._step(0.0, None)
         self._compare(0.0)
-        self._begun, self.estimate = False, math.nan
+        self._begun, self.estimate, self.ceiling = False, math.nan, Ceiling(self.limits.margin, self._z.mean)
 
     def take(
         self, elapsed: float, drive: float, reading: float, disturbances: FloatArray | None = None,
-        *, believed: bool = True,
+        *, reference: float = math.inf, believed: bool = True,
     ) -> str | None:  # fmt: skip
-        """Take the drive of the last `elapsed` seconds and the newest reading; returns an error message, or
-        None. Nothing is compared or learned while the reading is not `believed`."""
+        """Take the drive of the last `elapsed` seconds, the newest reading and the set-point; returns an
+        error message, or None. Nothing is compared or learned while the reading is not `believed`."""
         if not self._begun or elapsed > LOST:
             self._begin(reading, disturbances)
             self._begun = True
@@ -106,8 +114,22 @@ class DriveObserver:
             self._drive += drive * part
             if self._passed >= PERIOD - 1e-9:
                 self._step(self._drive / self._passed, disturbances)
-                message = self._compare(reading, believed=believed) or message
+                message = self._compare(reading, reference, believed=believed) or message
         return message
+
+    def believe(self) -> None:
+        """Learn the ceiling again from the readings, for which somebody vouches."""
+        self.ceiling = Ceiling(self.limits.margin, self._z.mean, seen=True)
+        self._waiting = deque((slopes, off, 0.0) for slopes, off, _ in self._waiting)
+
+    def hotter(self, reading: float) -> str:
+        """Why no more drive passes than the ceiling allows."""
+        unit, thing, sensor = self._unit, self._thing, self._sensor
+        return (
+            f"by its drive the {thing} is at {self.ceiling.estimate:.0f} {unit}, but the {sensor} reads "
+            f"{reading:.1f} {unit}: no more drive passes than holds it there; measure the {thing} with "
+            "something else, and clear this if the reading is right"
+        )
 
     def _begin(self, reading: float, disturbances: FloatArray | None) -> None:
         model = self._typical.model
@@ -125,8 +147,9 @@ class DriveObserver:
                 self._twins.append(self._typical)
                 self._states.append(moved)
         size = len(self._twins) // 2
-        self._z, self._covariance = np.zeros(size), np.eye(size)
-        self._waiting: deque[tuple[FloatArray, float]] = deque()
+        self._z = Likeness(np.zeros(size))
+        self.ceiling = Ceiling(self.limits.margin, self._z.mean)
+        self._waiting = deque()
         self._passed = self._drive = self._doubted = 0.0
         self._compared = 0
 
@@ -137,43 +160,40 @@ class DriveObserver:
         ]
         self._passed = self._drive = 0.0
 
-    def _compare(self, reading: float, *, believed: bool = True) -> str | None:
+    def _compare(self, reading: float, reference: float = math.inf, *, believed: bool = True) -> str | None:
         each = np.array([
             float(readings(twin, states)[0]) for twin, states in zip(self._twins, self._states, strict=True)
         ])  # fmt: skip
         slopes, typical = (each[2::2] - each[1::2]) / 2, float(each[0])
-        self.estimate = estimate = typical + float(slopes @ self._z)
-        band = max(self.limits.band, SIGMAS * math.sqrt(max(slopes @ self._covariance @ slopes, 0.0)))
+        moved, deviation = self._z.moves(slopes)
+        self.estimate = estimate = typical + moved
+        band = max(self.limits.band, SIGMAS * deviation)
+        time = self.ceiling.take(slopes, typical, reading, reference)
         if not believed:
             self._waiting.clear()
             self._doubted = 0.0
             return None
         off = reading - estimate
         beyond = off < -band or off > HOTTER * band or estimate - band > self._highest
-        self._waiting.append((slopes, math.nan if beyond else reading - typical))
+        self._waiting.append((slopes, math.nan if beyond else reading - typical, time))
         self._compared += 1
         while len(self._waiting) > min(LEARNED_AFTER / PERIOD, self._compared / 2):
             self._learn(*self._waiting.popleft())
         self._doubted = self._doubted + PERIOD if beyond else 0.0
         if self._doubted < self.limits.patience:
             return None
-        return self._sentence(reading, estimate, band)
+        return self.contradicts(reading, estimate, band)
 
-    def _learn(self, slopes: FloatArray, off: float) -> None:
-        """One step of the Kalman filter of z; a reading that contradicted the drive teaches nothing."""
-        covariance = self._covariance + np.eye(slopes.size) * PERIOD / MEMORY
-        if math.isnan(off):
-            self._covariance = covariance
-            return
-        shown, off = covariance @ slopes, off - float(slopes @ self._z)
+    def _learn(self, slopes: FloatArray, off: float, time: float) -> None:
+        """Learn from a reading; one that contradicted the drive teaches nothing."""
         doubt = DOUBT * self.limits.band
-        doubt *= max(1.0, abs(off) / doubt)  # far from what was expected, a reading counts less
-        gain = shown / (float(slopes @ shown) + doubt**2 / PERIOD)
-        self._z = self._z + gain * off
-        covariance -= np.outer(gain, shown)
-        self._covariance = (covariance + covariance.T) / 2
+        self._z.covariance = self._z.covariance + np.eye(slopes.size) * PERIOD / MEMORY
+        if not math.isnan(off):
+            self._z.learn(slopes, off, doubt)
+            self.ceiling.learn(slopes, off, doubt, time)
 
-    def _sentence(self, reading: float, estimate: float, band: float) -> str:
+    def contradicts(self, reading: float, estimate: float, band: float) -> str:
+        """What a reading outside the band about an estimate says."""
         unit, thing, sensor = self._unit, self._thing, self._sensor
         other = ", something else heats it" if reading > estimate else ""
         return (

@@ -150,6 +150,10 @@ def test_the_first_screen_says_what_to_do(judged: Judgement) -> None:
     assert "✕ drive lost" in words(first_screen(state))
     state.push_drive(DriveReport(0.0, 0.0, "board: gone"))
     assert "clear the fault" in what_to_do(state)
+    assert "Output held at zero: board" in panels.alarm(state)
+    state.push_drive(DriveReport(40.0, 0.0, "limited: hotter"))
+    assert "The drive is limited. Measure" in what_to_do(state)
+    assert "Output limited</b><br>hotter" in panels.alarm(state)
 
 
 def test_at_the_end_of_a_replay_nobody_is_blamed() -> None:

@@ -195,11 +195,13 @@ def test_a_fault_is_reported_when_it_comes_and_when_it_goes() -> None:
     state = DashboardState()
     state.push_sample(sample(41), 0.0)
     hot = "over_temperature: 111 °C is above 110 °C"
-    for fault in ("", hot, hot, ""):
+    for fault in ("", hot, hot, "", "limited: hotter than it reads", ""):
         state.push_drive(DriveReport(0.0, math.nan, fault))
     told = [(e.sample, e.title, e.why) for e in state.events]
     assert told == [
         (41, "output held at zero: over temperature", "111 °C is above 110 °C"),
+        (41, "fault cleared", "the output may be driven"),
+        (41, "output limited", "hotter than it reads"),
         (41, "fault cleared", "the output may be driven"),
     ]
     assert state.fault == ""

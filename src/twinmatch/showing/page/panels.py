@@ -10,9 +10,10 @@ from itertools import islice
 from twinmatch.comparing import TrustLevel, Verdict
 from twinmatch.description import Quantity
 from twinmatch.offline.summary import trust_range
+from twinmatch.safety import is_limit
 from twinmatch.showing.family import FIGURES, computed, criterion_rows, for_both, outputs_of
 from twinmatch.showing.page.health import NodeReports
-from twinmatch.showing.page.state import DashboardState, WhatIfAnswer
+from twinmatch.showing.page.state import DashboardState, WhatIfAnswer, drive_fault
 from twinmatch.showing.page.style import DARK, MARK_INKS, MARK_SIGNS, SIGNS
 from twinmatch.showing.quantities import number, parameter_format, with_unit
 from twinmatch.showing.style import LEVELS
@@ -53,6 +54,8 @@ def what_to_do(state: DashboardState) -> str:
     """The next thing for the operator to do."""
     said = state.described
     if state.fault:
+        if is_limit(state.fault):
+            return "The drive is limited. Measure what is heated; if the reading is right, clear the fault."
         return "The output is held at zero. Find the cause and fix it, then clear the fault."
     if state.nodes.ended is not None:
         return "Nothing: the replay has ended, and this page shows its final state."
@@ -185,14 +188,12 @@ def _sample_pill(state: DashboardState, now: float) -> str:
 
 
 def alarm(state: DashboardState) -> str:
-    """The fault that holds the output at zero; empty without one."""
+    """The fault that limits the output or holds it at zero; empty without one."""
     if not state.fault:
         return ""
-    kind, _, why = state.fault.partition(": ")
-    return (
-        f'<div class="alarm" role="alert"><b>{SIGNS[TrustLevel.FAULT]} Output held at zero: '
-        f"{escape(kind.replace('_', ' '))}</b><br>{escape(why)}</div>"
-    )
+    title, why = map(escape, drive_fault(state.fault))
+    sign, title = SIGNS[TrustLevel.FAULT], f"{title[0].upper()}{title[1:]}"
+    return f'<div class="alarm" role="alert"><b>{sign} {title}</b><br>{why}</div>'
 
 
 def family_table(verdict: Verdict | None, *, every: bool) -> str:

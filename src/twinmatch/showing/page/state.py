@@ -20,6 +20,7 @@ from twinmatch.description import UNDESCRIBED, Description
 from twinmatch.errors import TwinmatchError
 from twinmatch.forecasting import Forecast
 from twinmatch.offline.summary import Tally, conclude
+from twinmatch.safety import is_limit
 from twinmatch.showing.page.health import NodeReports
 from twinmatch.showing.summary import sentence
 from twinmatch.showing.verdicts import (
@@ -62,9 +63,15 @@ class DriveReport(NamedTuple):
     current: float
     """A; NaN: not measured."""
     fault: str
-    """Why the output is held at zero; empty: no fault."""
+    """Why the output is held at zero, or limited; empty: no fault."""
     stamp: int | None = None
     """When it was made, ns by the clock of the samples' stamps; None: not known."""
+
+
+def drive_fault(fault: str) -> tuple[str, str]:
+    """What a fault does to the output and its kind, and why."""
+    kind, _, why = fault.partition(": ")
+    return "output limited" if is_limit(fault) else f"output held at zero: {kind.replace('_', ' ')}", why
 
 
 class WhatIfAnswer(NamedTuple):
@@ -284,8 +291,7 @@ class DashboardState:
             if drive.fault == before:
                 return
             if drive.fault:
-                kind, _, why = drive.fault.partition(": ")
-                title = f"output held at zero: {kind.replace('_', ' ')}"
+                title, why = drive_fault(drive.fault)
                 self._note(EventKind.FAULT, Mark.BAD, title, why, drive.stamp)
             else:
                 why = "the output may be driven"
