@@ -76,6 +76,21 @@ def test_an_offset_in_a_real_open_loop_is_named_within_five_samples_and_nothing_
     assert (alarm.fault, alarm.signal) == (Fault.SENSOR_DRIFT, "second_temperature")
     assert at <= alarm.flagged <= at + 5
     assert abs(alarm.size + 5.0) < 0.5
+    through, off, inside = monitor.competition.through, [], []
+    assert list(through) == [1]
+    for sample in islice(samples, 900):
+        monitor.push(changed(sample, "outputs", 1, more=-5.0))
+        off.append(through[1].estimate.value - sample.outputs[1])
+        inside.append(abs(off[-1]) <= through[1].estimate.band)
+    assert monitor.alarms == [alarm]
+    # A twin that was fitted to all of this recording leaves 0.5 °C; nine of ten readings are promised.
+    assert np.sqrt(np.mean(np.square(off))) < 0.7
+    assert np.mean(inside) >= 0.85
+    assert through[1].lasts(0.5, 3600) < through[1].lasts(5.0, 3600)
+    for sample in islice(samples, 30):  # it is right again
+        monitor.push(sample)
+    assert not through
+    assert monitor.on is None
 
 
 def test_a_real_heater_of_which_half_arrives_is_named_and_nothing_before() -> None:

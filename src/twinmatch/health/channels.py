@@ -93,6 +93,7 @@ class ChannelMonitor:
         if sample.index != self._index + 1:
             self._begin = sample.index
             self.competition.restart()
+            self.competition.through.clear()  # nobody knows where the plant went
         self._index = sample.index
         read = np.array(sample.refused or sample.outputs)
         possible = np.isfinite(read) & (read >= self._spans[:, 0]) & (read <= self._spans[:, 1])
@@ -157,6 +158,7 @@ class ChannelMonitor:
         back = next((s for s in self._standing if self._undoes(best, s)), None)
         if back is not None:
             self._standing.remove(back)
+            self.competition.through.pop(back[1].cause[1], None)
             if self.on is not None and self.on.fault is back[0]:
                 self._close()
         wait = _LEARNED if best.cause[0] in _SLOW else _YOUNG
@@ -187,6 +189,7 @@ class ChannelMonitor:
         if fault is Fault.SENSOR_FROZEN:
             if self.shows(best) and self.on is None:
                 self._raise(fault, best, found)
+                self.competition.read_through(signal, frozen=True)
             return
         if fault is Fault.DRIFT or (fault is Fault.DRIVE_WEAK and best.shift > 0.0):
             return  # what does more than before has no name
@@ -196,6 +199,8 @@ class ChannelMonitor:
         if fault is not Fault.DISTURBANCE:
             self._standing.append((fault, best.row, best.shift))
         self._adopt(best)
+        if fault is Fault.SENSOR_DRIFT:
+            self.competition.read_through(signal)
 
     def _adopt(self, best: Suspect) -> None:
         """The plant is so from now on; what has changed may be undone."""
@@ -226,4 +231,6 @@ class ChannelMonitor:
         return max(1.0 + f.shift + self.competition.believed(f.row.number), 0.0) if share else 1.0
 
     def _close(self) -> None:
+        if self.alarms[-1].fault is Fault.SENSOR_FROZEN:
+            self.competition.through.pop(self.alarms[-1].found[0].cause[1], None)
         self.alarms[-1] = replace(self.alarms[-1], last=self._index)

@@ -17,6 +17,7 @@ from twinmatch.dynamics.bank import ChangeRows, ChangeTraces, Reading, spawn, st
 from twinmatch.health.faults import Fault
 from twinmatch.health.hypotheses import ChangeRow, Named, rows_of
 from twinmatch.health.mixture import HealthyMixture
+from twinmatch.health.reading_through import ReadThrough
 from twinmatch.health.sensors import LearnedSensor
 from twinmatch.signals import BoolArray, FloatArray, Sample
 
@@ -62,6 +63,8 @@ class Competition:
         outputs = self._model.plant.outputs.values()
         self.sensors = [LearnedSensor(output.noise, output.span, self.second) for output in outputs]
         self._usual, self._suspected = rows_of(self._model), False
+        self.through: dict[int, ReadThrough] = {}
+        """Estimates of the outputs whose sensors lie, by their places."""
         self.expect_back([])
         self.restart()
 
@@ -134,6 +137,10 @@ class Competition:
         given = Reading(values, seen, repeated, noise, digit, pause, healthy.acting(u), row)
         code, levels = self._model.kernels.code, healthy.levels
         step(code, healthy.fixed, healthy.members, traces, table, levels, given, self.count)
+        if self.through:
+            given = given._replace(seen=seen & ~np.isin(np.arange(seen.size), list(self.through)))
+            for output, one in self.through.items():
+                one.push(given, variance[output])
         gained = healthy.members.gained[healthy.best].tolist()
         total = healthy.weigh(
             sum(one.walked(y, on, g) for (one, y, on), g in zip(readings, gained, strict=True))
@@ -171,6 +178,12 @@ class Competition:
         sensor = self.sensors[output]
         return self.healthy.missed(self.count - 1 - sensor.repeats, output, value, sensor.variance)
 
+    def read_through(self, output: int, *, frozen: bool = False) -> None:
+        """Estimate an output without its sensor from now on; `frozen`: nothing counts since it repeats."""
+        if output not in self.through:
+            since = self.count - self.sensors[output].repeats if frozen else None
+            self.through[output] = ReadThrough(self._model, self.healthy, output, self._table, since)
+
     @property
     def rough(self) -> bool:
         """Whether even the most careful of the levels does not doubt the equations enough."""
@@ -191,13 +204,13 @@ class Competition:
         return float(self._traces.trace[one.hypothesis, self.healthy.numbers[one.row.number]])
 
     def adopt(self, one: Suspect) -> None:
-        """Take a change for how the plant is, in every healthy member by its own trace."""
+        """Take a change for how the plant is, in every healthy member: by its own trace, if it has one that
+        began then."""
         traces, members, row = self._traces, self.healthy.members, one.hypothesis // _SLOTS % len(self._rows)
         for b in range(self.healthy.healthy):
             begin = (b * len(self._rows) + row) * _SLOTS
             own = range(begin, begin + _SLOTS) if b < self.healthy.levels else ()
-            mine = [t for t in own if traces.born[t] >= 0]
-            t = min(mine, key=lambda t: abs(traces.born[t] - one.born), default=one.hypothesis)
+            t = next((t for t in own if traces.born[t] == one.born), one.hypothesis)
             members.at[b] += traces.trace[t] * traces.mean[t]
             members.covariance[b] += np.outer(traces.trace[t], traces.trace[t]) * traces.variance[t]
         self._clear()

@@ -175,6 +175,21 @@ class HealthyMixture:
         far = (value - expected) ** 2 > _FAR**2 * (spread + variance)
         return bool((far & begun & members.alive[self.healthy :]).any())
 
+    def without(self, output: int, since: int | None) -> BankMembers:
+        """A copy of the most probable filter that ascribes nothing to the sensor of this output; of one that
+        has taken no reading since a sample, if there is one."""
+        begun = [
+            at if alive else -1
+            for at, alive in zip(self._begun, self.members.alive[self.healthy :], strict=True)
+        ]
+        before = [at for at in begun if since is not None and 0 <= at < since]
+        b = self.healthy + begun.index(max(before)) if before else self.best
+        one = BankMembers(*(array[b : b + 1].copy() for array in self.members))
+        one.takes[:], one.error[:] = True, self.members.error[self.best]
+        for own in (self.numbers[f"offset {output}"], self.numbers[f"passing {output}"]):
+            one.at[0, own] = one.covariance[0, own, :] = one.covariance[0, :, own] = 0.0
+        return one
+
     def score_forecasts(
         self, count: int, values: FloatArray, seen: BoolArray, variance: FloatArray, reach: int
     ) -> None:

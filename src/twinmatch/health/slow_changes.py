@@ -162,7 +162,7 @@ class SlowChanges:
         self._clear_suspicion()
 
     def propose(self, parameters: Parameters | None) -> None:
-        """Follow this twin instead once it has foretold the plant far better; None: a fault may have touched
+        """Follow this twin instead once it has predicted the plant far better; None: a fault may have touched
         what is on trial."""
         self._proposed = parameters
         if parameters is None:

@@ -1,4 +1,4 @@
-"""A twin on trial: tracked beside the followed one until it has foretold the plant far better."""
+"""A twin on trial: tracked beside the followed one until it has predicted the plant far better."""
 
 from __future__ import annotations
 

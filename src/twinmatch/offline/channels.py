@@ -3,17 +3,59 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 from twinmatch.dynamics import Plant
 from twinmatch.health.channels import ChannelAlarm, ChannelMonitor
+from twinmatch.health.reading_through import ReadThrough
 from twinmatch.offline.judging import EVERY, Watch
 from twinmatch.record import finite
 from twinmatch.sessions import Session
 
 _WRITTEN: Final = ("signal", "size", "first", "flagged", "last", "reason", "rivals")
 """Fields of an alarm in a document."""
+_WIDE: Final = 10.0
+"""Width of a band up to which an estimate is good, ± so many standard deviations of the sensor's noise."""
+_HOUR: Final = 3600.0
+
+
+@dataclass(eq=False)
+class EstimatedCourse:
+    """What a sensor should have read while it was not believed; values in its unit."""
+
+    signal: str
+    text: str
+    unit: str
+    first: int
+    """First sample."""
+    wide: float
+    """Half width of a band up to which the estimate is good …"""
+    good: float
+    """… and for how long it was to be that, s; at most an hour is looked ahead."""
+    values: list[float] = field(default_factory=list)
+    bands: list[float] = field(default_factory=list)
+    """Half of the width that holds 90 % of what it would have read."""
+    readings: list[float] = field(default_factory=list)
+
+    @property
+    def last(self) -> int:
+        """Last sample."""
+        return self.first + len(self.values) - 1
+
+    def document(self) -> dict[str, Any]:
+        """All of it, for JSON."""
+        own = ("signal", "unit", "first", "wide", "good", "values", "bands")
+        return {name: finite(getattr(self, name)) for name in own}
+
+    def line(self, period: float) -> str:
+        """When it was read through, what it should read in the end, and for how long that was good."""
+        long = "at least an hour" if self.good >= _HOUR else f"{self.good / 60.0:.2g} min"
+        return (
+            f"the twin reads through {self.text} from {self.first * period:g} to {self.last * period:g} s: "
+            f"at the end it should read {self.values[-1]:.1f} ± {self.bands[-1]:.1f} {self.unit}, not "
+            f"{self.readings[-1]:.1f}; good to ± {self.wide:.1f} {self.unit} for {long}"
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,6 +72,8 @@ class ChannelHealth:
     alarms: tuple[ChannelAlarm, ...]
     course: dict[str, list[tuple[int, float]]]
     """Of every cause, in words: at which samples it competed, and its evidence, nats."""
+    through: tuple[EstimatedCourse, ...]
+    """What sensors should have read that were off or stood, in the order in which they were named."""
 
     def document(self) -> dict[str, Any]:
         """The alarms as dictionaries, for JSON."""
@@ -42,6 +86,7 @@ class ChannelHealth:
                 {"fault": one.fault.value} | {name: finite(getattr(one, name)) for name in _WRITTEN}
                 for one in self.alarms
             ],
+            "through": [one.document() for one in self.through],
         }
 
     def lines(self) -> Iterator[str]:
@@ -57,6 +102,8 @@ class ChannelHealth:
                 f"{self.session}: health: {one.fault.value} from {one.first * self.period:g} s {last}, "
                 f"reported at {one.flagged * self.period:g} s: {one.reason}"
             )
+        for course in self.through:
+            yield f"{self.session}: health: {course.line(self.period)}"
 
 
 def channel_health(
@@ -72,7 +119,7 @@ def channel_health(
         return None
     monitor = ChannelMonitor(plant.model(name).typical(), session.period)
     course: dict[str, list[tuple[int, float]]] = {}
-    unjudged = 0
+    unjudged, through = 0, dict[ReadThrough, EstimatedCourse]()
     for done, sample in enumerate(session.samples):
         monitor.push(sample)
         unjudged += monitor.competition.blind
@@ -81,8 +128,25 @@ def channel_health(
                 course.setdefault(monitor.sentences.called(one.cause), []).append(
                     (sample.index, one.evidence)
                 )
+        for output, estimated in monitor.competition.through.items():
+            if estimated.samples:
+                course_of = through.get(estimated) or _begun(plant, output, estimated, sample.index, session)
+                through[estimated] = course_of
+                course_of.values.append(estimated.estimate.value)
+                course_of.bands.append(estimated.estimate.band)
+                course_of.readings.append(sample.outputs[output])
         if watch is not None and done % EVERY == 0:
             watch(done, len(session.samples))
     return ChannelHealth(
-        session.name, plant, session.period, len(session.samples), unjudged, tuple(monitor.alarms), course
-    )
+        session.name, plant, session.period, len(session.samples), unjudged, tuple(monitor.alarms), course,
+        tuple(through.values()),
+    )  # fmt: skip
+
+
+def _begun(
+    plant: type[Plant], output: int, estimated: ReadThrough, first: int, session: Session
+) -> EstimatedCourse:
+    name, declared = list(plant.outputs.items())[output]
+    wide = _WIDE * declared.noise
+    good = session.period * estimated.lasts(wide, round(_HOUR / session.period))
+    return EstimatedCourse(name, declared.text or name, declared.unit, first, wide, good)
