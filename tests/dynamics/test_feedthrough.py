@@ -111,7 +111,7 @@ def test_a_controller_that_reads_what_it_commands_is_refused() -> None:
 
 
 def test_health_names_a_contactor_that_opens_as_a_lost_drive() -> None:
-    """Within a minute, although most of the effect comes at once and nothing of it moves from sample to sample."""
+    """Within a minute, although most of the effect comes at once, and moves nothing from sample to sample."""
     wanted, opens = np.resize(np.repeat([0.0, -30.0, 0.0, 20.0, 0.0, -10.0], 120), 960), 900
     amps = np.where(np.arange(wanted.size) < opens, wanted, 0.0)
     volts = simulate_driven(TRUTH, amps, states=begin(TRUTH, 4.0), period=1.0).output

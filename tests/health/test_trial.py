@@ -1,4 +1,4 @@
-"""A plant file without typical parameters: health follows the twin that has predicted the plant far better."""
+"""A plant file without typical parameters: health follows the twin that has predicted it far better."""
 
 from __future__ import annotations
 

@@ -104,7 +104,7 @@ def test_the_command_shows_every_output(tmp_path: Path) -> None:
     (course,) = health["through"]
     assert (course["signal"], course["unit"]) == ("second_temperature", "°C")
     assert len(course["values"]) == len(course["bands"]) == 1600 - course["first"]
-    assert f"kit: health: the twin reads through temperature T2 from {course['first']} to 1599 s" in done.stdout
+    assert f"the twin reads through temperature T2 from {course['first']} to 1599 s" in done.stdout
     assert (tmp_path / "card_health.png").is_file()
     refused = run_twinmatch("backtest", path, "--config", "config/twin.yaml")
     assert "has several loops, and its twin is fitted to the session itself" in refused.stderr
