@@ -222,7 +222,7 @@ class Schedule:
 
     def _on_count(self, sample: Sample) -> Trigger | None:
         settings, due = self.settings, sample.index - self._judged_to >= self.settings.stride
-        missing = f"the {'input' if self._driven else 'set-point'} did not move"
+        missing = "the input did not move" if self._driven else "the set-point did not move"
         if self._waits:
             lasted = sample.index - self._since
             full = lasted >= settings.span
