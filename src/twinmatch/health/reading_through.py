@@ -15,7 +15,7 @@ _BAND: Final = 1.645
 """Half of the band that holds nine of ten readings, in standard deviations."""
 
 
-class Estimate(NamedTuple):
+class MissingReading(NamedTuple):
     """What a sensor should read."""
 
     value: float
@@ -41,7 +41,7 @@ class ReadThrough:
         self._noise = 0.0
         self.samples = 0
         """Samples since it began."""
-        self.estimate = Estimate(math.nan, math.nan)
+        self.estimate = MissingReading(math.nan, math.nan)
         """What the sensor should read now."""
 
     def push(self, given: Reading, variance: float) -> None:
@@ -64,7 +64,9 @@ class ReadThrough:
             step(self._code, self._fixed, members, self._none, self._table, 1, given, 0)
         return longest
 
-    def _seen_in(self, members: BankMembers, age: int) -> Estimate:
+    def _seen_in(self, members: BankMembers, age: int) -> MissingReading:
         doubts = self._healthy.doubts
         variance = members.variance[0, self._output] * doubts[min(age, doubts.size - 1)]
-        return Estimate(float(members.expected[0, self._output]), _BAND * math.sqrt(variance + self._noise))
+        return MissingReading(
+            float(members.expected[0, self._output]), _BAND * math.sqrt(variance + self._noise)
+        )
