@@ -66,8 +66,9 @@ class Calibration:
     """Quotients |error| / standard deviation of one twin, by lead, and the widths that follow."""
 
     def __init__(
-        self, leads: tuple[int, ...], kept: float, recent: float, signals: int = 2, stride: int = 1
-    ) -> None:
+        self, leads: tuple[int, ...], kept: float, recent: float, signals: int = 2, stride: int = 1,
+        *, outputs: int = 1,
+    ) -> None:  # fmt: skip
         """Begin with the prior only.
 
         Args:
@@ -76,7 +77,9 @@ class Calibration:
             recent: the same in the local scale, which follows the newest forecasts.
             signals: number of forecast signals: outputs and inputs, or only the outputs if inputs are given.
             stride: samples between two forecasts.
+            outputs: number of outputs among the signals, which come first.
         """
+        self._outputs = np.arange(signals) < outputs
         self.leads, self._kept, self._recent, self._signals = leads, kept, recent, np.arange(signals)
         self._new = np.minimum(stride / np.array(leads), 1.0)
         """Share of a forecast that the one before did not cover, shape (L,)."""
@@ -158,13 +161,16 @@ class Calibration:
     def _scales(self) -> FloatArray:
         """How large errors are now, in units of the twin's standard deviations, shape (signals, L).
 
-        Until a lead has shown it, the one before it has; until the first has, they are as expected.
+        Until a lead has shown it of an output, the one before it has; until the first has, they are as
+        expected. What a controller commands errs at short leads as a reading does, at long ones as a level:
+        there, one lead says nothing of the next.
         """
         shares, scales = _TRUSTED / (_TRUSTED + self._counts), np.empty_like(self._sums)
         shown = self._sums / (_MEAN * (_TRUSTED + self._counts))
         before = np.ones(len(scales))
         for k, share in enumerate(shares):
-            before = scales[:, k] = share * before + shown[:, k]
+            scales[:, k] = share * before + shown[:, k]
+            before[self._outputs] = scales[self._outputs, k]
         return scales
 
     def _quantile(self, lead: int) -> FloatArray:
@@ -172,8 +178,10 @@ class Calibration:
         ages = np.minimum(np.arange(len(quotients))[::-1], self._learned[lead])
         weights = np.array(self._weights)[ages]
         order = np.argsort(quotients, axis=0, kind="stable")
-        # The next forecast counts as one more, with an unknown quotient: as one that does not overlap.
-        share = np.cumsum(weights[order], axis=0) / (weights.sum() + 1.0 / self._new[lead])
+        # The next forecast counts as one more, with an unknown quotient: at long leads as more than one,
+        # since it shares less with those before than they do with each other.
+        more = np.where(self._outputs, self._new[lead] ** -0.5, 1.0)
+        share = np.cumsum(weights[order], axis=0) / (weights.sum() + more)
         at = np.minimum((share < CONFIDENCE).sum(axis=0), weights.size - 1)
         return np.asarray(quotients[order[at, self._signals], self._signals])
 

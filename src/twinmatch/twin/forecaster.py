@@ -363,8 +363,11 @@ class Forecaster:
             calibration = before.calibration.copy()
         else:
             newest = float(np.exp(-self._stride / self._longest))
-            signals = forecast_noise(candidate.parameters.model.plant, self._law).size
-            calibration = Calibration(self._leads, self._kept, newest, signals, self._stride)
+            plant = candidate.parameters.model.plant
+            signals = forecast_noise(plant, self._law).size
+            calibration = Calibration(
+                self._leads, self._kept, newest, signals, self._stride, outputs=len(plant.outputs)
+            )
         for stretch in self._run_in:
             recent = list(self._recent)[-stretch:]
             states = candidate.states_at(recent[0].index) if recent else None
