@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -237,14 +239,14 @@ def test_a_long_lead_begins_with_what_the_shorter_one_has_shown() -> None:
 def test_it_is_the_empirical_quantile_in_units_of_a_mean(values: list[float], lead: int) -> None:
     """With equal weights, by independent formulas. The scale is the mean of the past quotients and of three
     forecasts as expected, where of forecasts that reach over `lead` of their intervals each counts a
-    `lead`-th; the quantile leaves room for the next that does not overlap: rank ⌈0.9·(n + `lead`)⌉ (Vovk et
-    al.)."""
+    `lead`-th; the quantile leaves room for the next, which overlaps: rank ⌈0.9·(n + √`lead`)⌉ (with 1 for the
+    root: Vovk et al.)."""
     calibration = Calibration((lead,), 1.0, 1.0, 1)
     scaled, mean = norm.ppf(0.5 + 0.5 * np.arange(1, 13) / 13).tolist(), norm.expect(abs)
     for n, value in enumerate([*values, 0.0]):
         weights = np.array([3.0, *[1.0 / lead] * n])
         scale = np.average([mean, *values[:n]], weights=weights) / mean
-        rank = min(int(np.ceil(CONFIDENCE * (len(scaled) + lead) - 1e-9)), len(scaled))
+        rank = min(int(np.ceil(CONFIDENCE * (len(scaled) + math.sqrt(lead)) - 1e-9)), len(scaled))
         assert calibration.widths[0, 0] == pytest.approx(np.sort(scaled)[rank - 1] * scale, rel=1e-9)
         calibration.add([0], np.array([[value]]))
         scaled.append(value / scale)
