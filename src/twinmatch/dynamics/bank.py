@@ -113,6 +113,12 @@ class ChangeTraces(NamedTuple):
     """Logarithm of the weight of its level when it began."""
 
 
+def unborn(count: int, size: int) -> ChangeTraces:
+    """Room for so many onsets, of filters of so many numbers."""
+    born, trace = np.full(count, -1, dtype=np.int64), np.zeros((count, size))
+    return ChangeTraces(born, trace, *(np.zeros(count) for _ in range(6)))
+
+
 class ChangeRows(NamedTuple):
     """R ways in which something may change."""
 

@@ -102,6 +102,17 @@ class ChannelMonitor:
         self.competition.push(sample, self._values, seen)
         self.found = [f for f in map(self._lost_or_weak, self.competition.found()) if self._counts(f)]
         self._judge(self.found)
+        for output in [*self.competition.through]:
+            if not self._lies(output):
+                del self.competition.through[output]
+
+    def _lies(self, output: int) -> bool:
+        """Whether the sensor of an output is known to be off, or frozen now."""
+        frozen = self.on is not None and (self.on.fault, self.on.found[0].cause[1]) == (
+            Fault.SENSOR_FROZEN,
+            output,
+        )
+        return frozen or any(row.cause == (Fault.SENSOR_DRIFT, output) for _, row, _ in self._standing)
 
     def _lost_or_weak(self, f: Suspect) -> Suspect:
         """A drive of which nearly nothing is left is lost, whatever it was taken for."""
@@ -158,7 +169,6 @@ class ChannelMonitor:
         back = next((s for s in self._standing if self._undoes(best, s)), None)
         if back is not None:
             self._standing.remove(back)
-            self.competition.through.pop(back[1].cause[1], None)
             if self.on is not None and self.on.fault is back[0]:
                 self._close()
         wait = _LEARNED if best.cause[0] in _SLOW else _YOUNG
@@ -231,6 +241,4 @@ class ChannelMonitor:
         return max(1.0 + f.shift + self.competition.believed(f.row.number), 0.0) if share else 1.0
 
     def _close(self) -> None:
-        if self.alarms[-1].fault is Fault.SENSOR_FROZEN:
-            self.competition.through.pop(self.alarms[-1].found[0].cause[1], None)
         self.alarms[-1] = replace(self.alarms[-1], last=self._index)

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from twinmatch.dynamics import Parameters
-from twinmatch.dynamics.bank import ChangeRows, ChangeTraces, Reading, spawn, step, tally
+from twinmatch.dynamics.bank import ChangeRows, Reading, spawn, step, tally, unborn
 from twinmatch.health.faults import Fault
 from twinmatch.health.hypotheses import ChangeRow, Named, rows_of
 from twinmatch.health.mixture import HealthyMixture
@@ -90,11 +90,8 @@ class Competition:
     def expect_back(self, back: list[ChangeRow]) -> None:
         """Make the table of changes, with what may be undone, and room for their traces."""
         self._rows = rows = [*self._usual, *back]
-        healthy, size = self.healthy, len(self.healthy.numbers)
-        count = healthy.levels * len(rows) * _SLOTS
-        self._traces = ChangeTraces(
-            np.full(count, -1, dtype=np.int64), np.zeros((count, size)), *(np.zeros(count) for _ in range(6))
-        )
+        healthy = self.healthy
+        self._traces = unborn(healthy.levels * len(rows) * _SLOTS, len(healthy.numbers))
         self._causes = list(dict.fromkeys(row.cause for row in rows))
         each = {cause: sum(math.exp(-r.price) for r in rows if r.cause == cause) for cause in self._causes}
         once = len(self._causes) * _HOUR / EVERY
@@ -175,14 +172,17 @@ class Competition:
 
     def frozen(self, output: int, value: float) -> bool:
         """Whether a reading is far from a forecast that was made before it began to repeat itself."""
-        sensor = self.sensors[output]
-        return self.healthy.missed(self.count - 1 - sensor.repeats, output, value, sensor.variance)
+        return self.healthy.missed(self._stood(output), output, value, self.sensors[output].variance)
 
     def read_through(self, output: int, *, frozen: bool = False) -> None:
         """Estimate an output without its sensor from now on; `frozen`: nothing counts since it repeats."""
         if output not in self.through:
-            since = self.count - self.sensors[output].repeats if frozen else None
+            since = self._stood(output) if frozen else 0
             self.through[output] = ReadThrough(self._model, self.healthy, output, self._table, since)
+
+    def _stood(self, output: int) -> int:
+        """Samples since the last gap at the reading that an output repeats."""
+        return self.count - 1 - self.sensors[output].repeats
 
     @property
     def rough(self) -> bool:

@@ -66,6 +66,11 @@ class Alarm:
     """Whether nothing should be learned from its samples. Matching adapts to slow changes, and a few refused
     readings count nowhere."""
 
+    @property
+    def alters(self) -> bool:
+        """Whether the plant or its sensor is another while it lasts."""
+        return self.spoils or self.fault in SLOW
+
     def overlaps(self, first: int, last: int) -> bool:
         """Whether it touches the samples `first` to `last`."""
         return self.first <= last and (self.last is None or self.last >= first)

@@ -170,20 +170,20 @@ class HealthyMixture:
 
     def missed(self, since: int, output: int, value: float, variance: float) -> bool:
         """Whether this reading, of this variance, is far from a forecast that was made before a sample."""
-        begun, members = np.array(self._begun) < since, self.members
+        members = self.members
         expected, spread = (one[self.healthy :, output] for one in (members.expected, members.variance))
         far = (value - expected) ** 2 > _FAR**2 * (spread + variance)
-        return bool((far & begun & members.alive[self.healthy :]).any())
+        return bool((far & self._begun_before(since)).any())
 
-    def without(self, output: int, since: int | None) -> BankMembers:
+    def _begun_before(self, since: int) -> BoolArray:
+        """Which forecasts were made before a sample."""
+        return np.asarray((np.array(self._begun) < since) & self.members.alive[self.healthy :])
+
+    def without(self, output: int, since: int) -> BankMembers:
         """A copy of the most probable filter that ascribes nothing to the sensor of this output; of one that
         has taken no reading since a sample, if there is one."""
-        begun = [
-            at if alive else -1
-            for at, alive in zip(self._begun, self.members.alive[self.healthy :], strict=True)
-        ]
-        before = [at for at in begun if since is not None and 0 <= at < since]
-        b = self.healthy + begun.index(max(before)) if before else self.best
+        before = np.flatnonzero(self._begun_before(since))
+        b = self.healthy + max(before, key=self._begun.__getitem__) if before.size else self.best
         one = BankMembers(*(array[b : b + 1].copy() for array in self.members))
         one.takes[:], one.error[:] = True, self.members.error[self.best]
         for own in (self.numbers[f"offset {output}"], self.numbers[f"passing {output}"]):

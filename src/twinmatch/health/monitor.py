@@ -114,7 +114,7 @@ class Monitor:
         Nothing should be learned from such a window. Slow changes are left out unless asked for: matching
         handles those. So are refused readings, which are in no window.
         """
-        faults = (alarm for alarm in self._alarms if alarm.spoils or (slow and alarm.fault in SLOW))
+        faults = (alarm for alarm in self._alarms if alarm.spoils or (slow and alarm.alters))
         return next((alarm for alarm in faults if alarm.overlaps(first, last)), None)
 
     def push(self, sample: Sample, parameters: Parameters | None = None) -> Health:
@@ -365,7 +365,7 @@ class Monitor:
     def _raise(self, index: int, evidence: Evidence) -> Alarm | None:
         earliest = self._begin
         # A trace reaches back over a few refused readings.
-        ended = [a.last for a in self._alarms if a.last is not None and (a.spoils or a.fault in SLOW)]
+        ended = [a.last for a in self._alarms if a.last is not None and a.alters]
         if self._open:
             on = self._alarms[-1].fault
             if evidence.slow and evidence.fault is on and self._slow.reported is None:

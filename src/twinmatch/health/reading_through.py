@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from twinmatch.dynamics import Model
-from twinmatch.dynamics.bank import BankMembers, ChangeRows, ChangeTraces, Reading, step
+from twinmatch.dynamics.bank import BankMembers, ChangeRows, Reading, step, unborn
 from twinmatch.health.mixture import HealthyMixture
 
 _BAND: Final = 1.645
@@ -27,16 +27,13 @@ class ReadThrough:
     """Estimates one output from the inputs and from the other outputs; push every sample."""
 
     def __init__(
-        self, model: Model, healthy: HealthyMixture, output: int, table: ChangeRows, since: int | None
+        self, model: Model, healthy: HealthyMixture, output: int, table: ChangeRows, since: int
     ) -> None:
         """Begin with what is believed now, or with what was believed before its reading stood, `since` so
-        many samples after the last gap."""
+        many samples after the last gap; 0: it does not stand."""
         self._code, self._fixed, self._output, self._table = model.kernels.code, healthy.fixed, output, table
         self._alone, self._healthy = healthy.without(output, since), healthy
-        size = len(healthy.numbers)
-        self._none = ChangeTraces(
-            np.zeros(0, dtype=np.int64), np.zeros((0, size)), *(np.zeros(0) for _ in range(6))
-        )
+        self._none = unborn(0, len(healthy.numbers))
         self._given: Reading | None = None
         self._noise = 0.0
         self.samples = 0

@@ -316,7 +316,7 @@ class Discriminator:
         nominal = self.nominal
         if nominal is None:
             return Residuals(float("nan"), float("nan"))
-        alarms = [alarm for alarm in self.monitor.alarms if alarm.spoils or alarm.fault in SLOW]
+        alarms = [alarm for alarm in self.monitor.alarms if alarm.alters]
         over = alarms[-1].last if alarms else None  # residuals during a past fault are not the twin's
         first = max(
             window.first, window.last - self.settings.schedule.stride + 1, 0 if over is None else over + 1
