@@ -28,6 +28,7 @@ import numpy as np
 from tests.support.abroad import KINDS, MISHAPS, AbroadPlant, Mishap
 from twinmatch.comparing import TrustLevel
 from twinmatch.health import Alarm, HealthSettings, Monitor, Refusals
+from twinmatch.health.channels import ChannelMonitor
 from twinmatch.signals import Sample
 from twinmatch.twin import ScheduleSettings, Twin, TwinSettings
 
@@ -81,8 +82,9 @@ class Watcher:
         kind, self.told = plant.kind, Watched("", plant.lacks or ())
         self._trusted = False
         if alone:
-            self._monitor = Monitor(HealthSettings.of(kind.plant, kind.period))
-            refusals = Refusals(self._monitor.settings, ScheduleSettings.of(kind.plant, kind.period).gap)
+            settings = HealthSettings.of(kind.plant, kind.period)
+            self._monitor: Monitor | ChannelMonitor = Monitor(settings)
+            refusals = Refusals(settings, ScheduleSettings.of(kind.plant, kind.period).gap)
             self._twin = None
             self._settle = refusals.settle
         else:

@@ -30,6 +30,7 @@ __all__ = [
     "SIGNALS",
     "BoolArray",
     "FloatArray",
+    "OperatingPoint",
     "Sample",
     "SignalError",
     "Signals",
@@ -40,6 +41,9 @@ __all__ = [
     "joined",
     "one_of_each",
     "only",
+    "point_of",
+    "point_text",
+    "point_values",
     "rms",
     "stretches",
     "unbroken",
@@ -83,6 +87,9 @@ SIGNALS: Final = ("references", "outputs", "inputs", "disturbances")
 
 Signals = tuple[float, ...]
 """Values of one kind of signal at one tick, in the plant's order."""
+
+OperatingPoint = float | Signals
+"""Set-points, or outputs, at which a plant was; of a single loop a number."""
 
 
 @dataclass(frozen=True, slots=True, init=False)
@@ -383,6 +390,21 @@ def only(name: str, signal: FloatArray) -> FloatArray:
     if signal.shape[-1] != 1:
         raise _several(name, signal.shape[-1])
     return signal[..., 0]
+
+
+def point_of(values: Sequence[float] | FloatArray) -> OperatingPoint:
+    """The operating point with these values, one of each set-point or output."""
+    return float(values[0]) if len(values) == 1 else tuple(map(float, values))
+
+
+def point_values(point: OperatingPoint) -> Signals:
+    """The values of an operating point."""
+    return (point,) if isinstance(point, float | int) else point
+
+
+def point_text(point: OperatingPoint) -> str:
+    """An operating point with as many digits as it needs: 50, or 54.7, 47.9."""
+    return ", ".join(f"{value:g}" for value in point_values(point))
 
 
 def one_of_each(name: str, values: Sequence[_Value]) -> _Value:

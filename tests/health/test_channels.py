@@ -69,7 +69,7 @@ def test_a_lost_heater_is_named_with_its_channel() -> None:
 def test_an_offset_in_a_real_open_loop_is_named_within_five_samples_and_nothing_before() -> None:
     samples, at = recorded("tclab_2x2", "prbs_open_loop"), 2500
     monitor = watched(samples, at)
-    assert monitor.alarms == []
+    assert monitor.alarms == ()
     for sample in islice(samples, 6):
         monitor.push(changed(sample, "outputs", 1, more=-5.0))
     (alarm,) = monitor.alarms
@@ -82,7 +82,7 @@ def test_an_offset_in_a_real_open_loop_is_named_within_five_samples_and_nothing_
         monitor.push(changed(sample, "outputs", 1, more=-5.0))
         off.append(through[1].estimate.value - sample.outputs[1])
         inside.append(abs(off[-1]) <= through[1].estimate.band)
-    assert monitor.alarms == [alarm]
+    assert monitor.alarms == (alarm,)
     # A twin that was fitted to all of this recording leaves 0.5 °C; nine of ten readings are promised.
     assert np.sqrt(np.mean(np.square(off))) < 0.7
     assert np.mean(inside) >= 0.85
@@ -97,7 +97,7 @@ def test_a_real_heater_of_which_half_arrives_is_named_and_nothing_before() -> No
     """From then on the table has twice the power that reached the heater of a real closed loop."""
     samples, at = recorded("tclab_2x2", "closed_loop_lqg"), 2500
     monitor = watched(samples, at)
-    assert monitor.alarms == []
+    assert monitor.alarms == ()
     for sample in islice(samples, 90):
         monitor.push(changed(sample, "inputs", 1, factor=2.0))
     (alarm,) = monitor.alarms
@@ -115,7 +115,7 @@ def test_a_real_heater_of_which_half_arrives_is_named_and_nothing_before() -> No
 )
 def test_healthy_kits_of_others_get_no_alarm(folder: str, name: str, period: float) -> None:
     """Another kit each, of which two inputs have steps of a hundred per cent."""
-    assert watched(recorded(folder, name, period), 1000, period).alarms == []
+    assert watched(recorded(folder, name, period), 1000, period).alarms == ()
 
 
 def test_a_healthy_kit_seldom_reaches_the_evidence_of_an_alarm() -> None:
@@ -140,4 +140,4 @@ def test_a_gap_and_a_lost_reading_say_nothing_of_the_plant() -> None:
             continue
         lost = changed(sample, "outputs", 0, more=math.nan if sample.index % 40 == 0 else 0.0)
         monitor.push(lost)
-    assert monitor.alarms == []
+    assert monitor.alarms == ()

@@ -62,7 +62,7 @@ def known(**more: Any) -> Knowledge:
         **{"standing": "it leads", "horizons": (10.0, 60.0), "bands": INSIDE, "outside": False},
         **{"miss_since": None, "held": (30.0, 50.0), "residuals": Residuals(0.5, 7.0), "health": None},
         **{"reservation": "", "doubt": "", "structure": "", "decimals": 2, "remembered": False},
-        "trusted": (),
+        **{"trusted": (), "alone": {}},
     }
     return Knowledge(**said | more)
 

@@ -52,7 +52,9 @@ def test_the_newest_samples_are_held_against_the_end_of_the_forecast() -> None:
     told = forecast(0.0, 1.0)
     told = Forecast(0, "c", "s", 0.9, told.time, told.reference, (band,), (band,))
     newest = np.arange(90.0, 100.0)[None]
-    assert check_band(told, newest, newest) == BandCheck(0.0, 1.0, 0.0, 1.0, 90.0, 99.0, 99.0)
+    assert check_band(told, newest, newest) == BandCheck(
+        0.0, 1.0, 0.0, 1.0, 90.0, 99.0, 99.0, ((0.0, 1.0), (0.0, 1.0))
+    )
 
 
 def test_readings_outside_their_band_are_not_level() -> None:

@@ -31,7 +31,7 @@ from twinmatch.showing.family import GAIN, GAP_NOW, GAP_SUM
 from twinmatch.showing.lines import Lines, redraws
 from twinmatch.showing.quantities import number, parameter_format, percent
 from twinmatch.showing.summary import closing_lines, document
-from twinmatch.signals import Sample
+from twinmatch.signals import Sample, point_text
 from twinmatch.twin import Outcome, Twin
 
 if TYPE_CHECKING:
@@ -165,7 +165,7 @@ def _table(archive: Archive) -> Table:
     matched = [parameter_format(plant, name) for name in plant.structures[first["structure"]].free]
     columns: list[tuple[str, Callable[[dict[str, Any]], str]]] = [
         ("session", lambda row: row["session"]),
-        ("at", lambda row: f"{row['operating_point']:g}"),
+        ("at", lambda row: point_text(row["operating_point"])),
         ("candidate", lambda row: f"{row['name']}{' *' if row['nominal'] else ''}"),
         *((q.label, lambda row, q=q: q.text(row["parameters"].get(q.name, math.nan))) for q in matched),
         ("order", lambda row: row["chosen_order"]),

@@ -45,7 +45,7 @@ from twinmatch.comparing.polynomials import (
 from twinmatch.comparing.state_space import StateSpace, inputs_of
 from twinmatch.compiled import compiled
 from twinmatch.dynamics import Parameters, PidGains, linearised, pid_of
-from twinmatch.signals import FloatArray
+from twinmatch.signals import FloatArray, OperatingPoint
 
 
 def stability_margin(plant: Any, controller: Any) -> float:
@@ -134,15 +134,15 @@ def _products(rows1: FloatArray, rows2: FloatArray) -> FloatArray:
 class Scales(NamedTuple):
     """Scales of output and input in margin and ν-gap; only the ratio of the two matters."""
 
-    output: float
-    """In the output's unit."""
-    input: float
-    """In the input's unit."""
+    output: OperatingPoint
+    """In the output's unit; of several outputs one each."""
+    input: OperatingPoint
+    """In the input's unit, likewise."""
 
     @property
     def ratio(self) -> float:
-        """Factor that scales a response from input to output."""
-        return self.input / self.output
+        """Factor that scales the response of a single loop from input to output."""
+        return float(np.divide(self.input, self.output))
 
     @classmethod
     def of(cls, gains: PidGains) -> Scales:
@@ -177,7 +177,7 @@ def loop_controller(gains: PidGains, *, scales: Scales | None = None) -> GraphSy
         total = np.polyadd(np.convolve(numerator, d), np.convolve(n, denominator))
         numerator = np.asarray(total, dtype=np.float64)
         denominator = np.convolve(denominator, d)
-    scaled = numerator * (scales.output / scales.input)
+    scaled = numerator * float(np.divide(scales.output, scales.input))
     return GraphSymbol.of_polynomials(denominator, [scaled], gains.period)
 
 

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -17,7 +18,7 @@ import numpy as np
 from twinmatch.comparing.graph_symbol import GraphSymbol
 from twinmatch.dynamics import SKIPPED, Law, Parameters, Sensor, simulate_window
 from twinmatch.fitting import ORDERS, BoxJenkins, estimate_ladder
-from twinmatch.signals import FloatArray, Window
+from twinmatch.signals import FloatArray, OperatingPoint, Window, point_values
 
 LEAD = 20
 """Samples before the first step of a window whose mean is its steady input, as a schedule keeps them."""
@@ -139,8 +140,8 @@ class Candidate:
     """One parameter set of the family."""
 
     name: str
-    operating_point: float
-    """Set-point at the end of the window it was matched on."""
+    operating_point: OperatingPoint
+    """Set-points at the end of the window it was matched on."""
     parameters: Parameters
     window: Window | None
     """The window it was matched on; None if it was given, not matched."""
@@ -182,9 +183,10 @@ class Candidate:
 class Family:
     """At most `most` candidates, one per set-point regime; a newer match of a regime replaces the older."""
 
-    def __init__(self, most: int = 8, regime_width: float = 10.0) -> None:
+    def __init__(self, most: int = 8, regime_width: OperatingPoint = 10.0) -> None:
         """Begin empty; of more than `most` the one matched longest ago is removed. Operating points closer
-        than half of `regime_width`, in the output's unit, belong to one regime."""
+        than half of `regime_width`, in the output's unit and in that of each of several, belong to one
+        regime."""
         self.most = most
         self.regime_width = regime_width
         self._candidates: list[Candidate] = []
@@ -195,14 +197,16 @@ class Family:
     @property
     def candidates(self) -> tuple[Candidate, ...]:
         """The candidates in the order of their operating points."""
-        return tuple(sorted(self._candidates, key=lambda c: (c.operating_point, c.name)))
+        return tuple(sorted(self._candidates, key=lambda c: (point_values(c.operating_point), c.name)))
 
-    def standing_at(self, operating_point: float) -> Candidate | None:
-        """The candidate whose regime contains this set-point, if any."""
-        near = [
-            c for c in self._candidates if abs(c.operating_point - operating_point) < self.regime_width / 2
-        ]
-        return min(near, key=lambda c: (abs(c.operating_point - operating_point), c.name), default=None)
+    def standing_at(self, operating_point: OperatingPoint) -> Candidate | None:
+        """The candidate whose regime contains this operating point, if any."""
+        near = []
+        for candidate in self._candidates:
+            apart = np.abs(np.subtract(candidate.operating_point, operating_point))
+            if (apart < np.divide(self.regime_width, 2)).all():
+                near.append((float(np.max(apart / self.regime_width)), candidate.name, candidate))
+        return min(near, key=itemgetter(0, 1))[2] if near else None
 
     def admit(self, candidate: Candidate) -> Candidate | None:
         """Add a candidate; return the one it replaces, if any."""

@@ -31,8 +31,10 @@ from numpy.typing import NDArray
 
 from twinmatch.comparing.graph_symbol import GraphSymbol
 from twinmatch.comparing.margin import Scales
+from twinmatch.comparing.matrix_gap import matrix_nu_gap
 from twinmatch.comparing.nu_gap import nu_gap
 from twinmatch.comparing.polynomials import DiscriminationError
+from twinmatch.comparing.state_space import StateSpace
 from twinmatch.dynamics import (
     Law,
     Linear,
@@ -44,7 +46,7 @@ from twinmatch.dynamics import (
     simulate_closed_loop,
 )
 from twinmatch.errors import TwinmatchError
-from twinmatch.signals import FloatArray, finite
+from twinmatch.signals import FloatArray, OperatingPoint, finite, point_of, point_values
 
 HOLD = 240
 """Samples for which a set-point is held."""
@@ -77,7 +79,7 @@ class LoopConditions(NamedTuple):
 
 
 @lru_cache(maxsize=1024)  # for the response and for the graph symbol
-def linearised_in_loop(parameters: Parameters, set_point: float, loop: LoopConditions) -> Linear:
+def linearised_in_loop(parameters: Parameters, set_point: OperatingPoint, loop: LoopConditions) -> Linear:
     """Linearise the plant where its loop holds it, in the units of output and input.
 
     Raises:
@@ -85,34 +87,39 @@ def linearised_in_loop(parameters: Parameters, set_point: float, loop: LoopCondi
         PlantError: the plant is too fast for the period; without a loop, no input holds it there.
     """
     if loop.law is None:
-        return linearised(parameters, float(set_point), loop.period)
-    reference = np.full(loop.samples, float(set_point))
+        return linearised(parameters, set_point, loop.period)
+    row = np.array(set_point, dtype=np.float64, ndmin=1)
     run = simulate_closed_loop(
-        parameters, reference, states=begin(parameters, float(set_point)), law=loop.law
+        parameters, np.tile(row, (loop.samples, 1)), states=begin(parameters, row), law=loop.law
     )
-    states, input_ = run.states[-2], float(run.input[-1])
-    held = finite(np.append(states, input_))
-    linear = linearised_at(parameters, states, input_, loop.law.period) if held else None
+    states, inputs = run.states[-2], run.inputs[-1]
+    held = finite(np.append(states, inputs))
+    linear = linearised_at(parameters, states, inputs, loop.law.period) if held else None
     if linear is None or not all(map(finite, linear[:3])):
         model = parameters.model
-        msg = f"ν-gap: the loop of {model.title} does not hold it at {set_point:g} {model.plant.output.unit}"
-        raise DiscriminationError(msg)
+        at = " and ".join(f"{y:g} {of.unit}" for y, of in zip(row, model.plant.outputs.values(), strict=True))
+        raise DiscriminationError(f"ν-gap: the loop of {model.title} does not hold it at {at}")
     return linear
 
 
 @lru_cache(maxsize=1024)  # a candidate stays in the family for many verdicts
-def symbol_in_loop(parameters: Parameters, set_point: float, loop: LoopConditions) -> GraphSymbol:
-    """Graph symbol of the plant from input to output where it is held, scaled.
+def symbol_in_loop(
+    parameters: Parameters, set_point: OperatingPoint, loop: LoopConditions
+) -> GraphSymbol | StateSpace:
+    """Graph symbol of the plant from input to output where it is held, scaled; of several, in state space.
 
     Raises as `linearised_in_loop`.
     """
-    a, b, c, period = linearised_in_loop(parameters, set_point, loop)[:4]
+    linear = linearised_in_loop(parameters, set_point, loop)
+    a, b, c, period = linear[:4]
+    if len(c) > 1 or b.shape[1] > 1:
+        return StateSpace.of(linear).scaled(loop.scales.output, loop.scales.input)
     return GraphSymbol.of_state_space(a, b, c * loop.scales.ratio, np.zeros((1, 1)), period)
 
 
 @lru_cache(maxsize=1024)
 def response_slopes(
-    parameters: Parameters, free: tuple[str, ...], set_point: float, loop: LoopConditions
+    parameters: Parameters, free: tuple[str, ...], set_point: OperatingPoint, loop: LoopConditions
 ) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
     """Frequency response of that plant at `ANGLES`, scaled, and its derivatives with respect to `free`.
 
@@ -146,17 +153,17 @@ def _responses(plants: Sequence[Linear], scales: Scales) -> NDArray[np.complex12
 
 def spans_of(plant: type[Plant]) -> Scales:
     """Half the span of the set-points and half the drive's range."""
-    low, high = plant.output.set_points or plant.output.span
-    least, most = plant.drive.limits
-    return Scales((high - low) / 2, (most - least) / 2)
+    outputs = [y.set_points or y.span for y in plant.outputs.values()]
+    inputs = [u.limits for u in plant.drives.values()]
+    return Scales(*(point_of([(high - low) / 2 for low, high in each]) for each in (outputs, inputs)))
 
 
 @dataclass(frozen=True, eq=False)
 class PlantGaps:
     """ν-gaps between the plants of some twins."""
 
-    points: tuple[float, ...]
-    """Operating points at which all of them were linearised, ascending, in the output's unit."""
+    points: tuple[OperatingPoint, ...]
+    """Operating points at which all of them were linearised, ascending, in the outputs' units."""
     at: FloatArray
     """ν-gaps at each point, shape (points, n, n); all 1 if there is no point."""
     left_out: tuple[str, ...]
@@ -172,14 +179,16 @@ class PlantGaps:
         return PlantGaps(self.points, self.at[:, :count, :count], self.left_out)
 
 
-def plant_gaps(twins: Sequence[Parameters], points: Sequence[float], loop: LoopConditions) -> PlantGaps:
+def plant_gaps(
+    twins: Sequence[Parameters], points: Sequence[OperatingPoint], loop: LoopConditions
+) -> PlantGaps:
     """ν-gaps between the plants of all pairs of twins, of any structures of one plant.
 
     A point at which one of them cannot be linearised is left out for all. If no shared point remains, the
     ν-gaps are 1, since nothing shows that the twins are alike.
     """
     shared, rows, left_out = [], [], []
-    for point in sorted(set(points)):
+    for point in sorted(set(points), key=point_values):
         try:
             rows.append([symbol_in_loop(twin, point, loop) for twin in twins])
         except TwinmatchError as error:
@@ -191,10 +200,18 @@ def plant_gaps(twins: Sequence[Parameters], points: Sequence[float], loop: LoopC
     for matrix, symbols in zip(at, rows, strict=True):
         for i in range(n):
             for j in range(i):
-                matrix[i, j] = matrix[j, i] = nu_gap(symbols[j], symbols[i])
+                matrix[i, j] = matrix[j, i] = _gap(symbols[j], symbols[i])
     return PlantGaps(tuple(shared), at if rows else (1.0 - np.eye(n))[None], tuple(left_out))
 
 
-def plant_gap(one: Parameters, other: Parameters, points: Sequence[float], loop: LoopConditions) -> float:
+def _gap(one: GraphSymbol | StateSpace, other: GraphSymbol | StateSpace) -> float:
+    if isinstance(one, StateSpace) and isinstance(other, StateSpace):
+        return matrix_nu_gap(one, other)
+    return nu_gap(one, other)
+
+
+def plant_gap(
+    one: Parameters, other: Parameters, points: Sequence[OperatingPoint], loop: LoopConditions
+) -> float:
     """The largest ν-gap between the plants of two twins over some operating points."""
     return float(plant_gaps((one, other), points, loop).matrix[0, 1])

@@ -35,7 +35,7 @@ from twinmatch.comparing.plant_gap import LoopConditions, PlantGaps, plant_gaps,
 from twinmatch.comparing.polynomials import DiscriminationError
 from twinmatch.compiled import compiled
 from twinmatch.dynamics import Parameters
-from twinmatch.signals import FloatArray
+from twinmatch.signals import FloatArray, OperatingPoint
 
 Complex = NDArray[np.complex128]
 
@@ -351,7 +351,11 @@ def _shares(draws: FloatArray) -> FloatArray:
 
 
 def _nearer(
-    twins: Sequence[Candidate], plant: Parameters, points: Sequence[float], loop: LoopConditions, seed: int
+    twins: Sequence[Candidate],
+    plant: Parameters,
+    points: Sequence[OperatingPoint],
+    loop: LoopConditions,
+    seed: int,
 ) -> FloatArray:
     """Share of the draws in which each of two candidates is nearer to the plant, shape (2,)."""
     all_twins = [*twins, Candidate("", 0.0, plant, None)]
@@ -361,7 +365,7 @@ def _nearer(
 
 
 def _directions(
-    twin: Candidate, points: Sequence[float], loop: LoopConditions, rng: np.random.Generator
+    twin: Candidate, points: Sequence[OperatingPoint], loop: LoopConditions, rng: np.random.Generator
 ) -> tuple[Complex, Complex]:
     """Directions of a twin's plant, the frequencies of one operating point after the other, unperturbed and
     in every draw; shapes (frequencies, 2) and (draws, frequencies, 2).

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
@@ -14,12 +15,16 @@ import numpy as np
 from twinmatch.comparing.criteria import Criteria, OrderScore
 from twinmatch.comparing.graph_symbol import GraphSymbol
 from twinmatch.comparing.margin import loop_controller, loop_plant, stability_margin
+from twinmatch.comparing.matrix_gap import matrix_margin, matrix_nu_gap
 from twinmatch.comparing.models import Candidate
 from twinmatch.comparing.nu_gap import nu_gap
-from twinmatch.comparing.plant_gap import LoopConditions, PlantGaps
-from twinmatch.comparing.uncertainty import CONFIDENCE, SEED, family_uncertainty
-from twinmatch.dynamics import Law, Parameters, PidGains
+from twinmatch.comparing.plant_gap import LoopConditions, PlantGaps, spans_of
+from twinmatch.comparing.scaling import best_scaling
+from twinmatch.comparing.state_space import StateSpace
+from twinmatch.comparing.uncertainty import CONFIDENCE, SEED, FamilyUncertainty, family_uncertainty
+from twinmatch.dynamics import Law, LinearLaw, Parameters, PidGains, linearised
 from twinmatch.errors import TwinmatchError
+from twinmatch.signals import OperatingPoint, one_of_each, point_values
 
 ADMITTED: Final = "admitted"
 """The match is now a candidate of the family."""
@@ -51,9 +56,14 @@ class Shortfall(NamedTuple):
     certain: bool
     """Whether it is known that they are not to be trusted; otherwise it is not known that they are."""
 
+    def of(self, signal: str) -> Shortfall:
+        """The same, said of one signal."""
+        return self._replace(words=_OWN.sub(rf"\g<0> of {signal}", self.words, count=1))
+
 
 FEW: Final = Shortfall("too few of its forecasts have been compared", "", certain=False)
 """Nothing is known yet."""
+_OWN: Final = re.compile("its (forecasts|bands)")
 _PERSISTENCE: Final = "its forecasts are not surely better than {persistence}, with {{}} times the error"
 _ARX: Final = "its forecasts are worse than {arx}, with {{}} times the error"
 _BANDS: Final = "its bands hold {} % of the readings"
@@ -101,7 +111,7 @@ class CandidateScore:
     """One candidate of the family at the moment of a verdict."""
 
     name: str
-    operating_point: float
+    operating_point: OperatingPoint
     """In the output's unit."""
     parameters: Parameters
     first: int
@@ -207,6 +217,24 @@ class ForecastScore:
 
 
 @dataclass(frozen=True)
+class SignalScore:
+    """How well the leader has forecast one signal; figures at horizons as in `ForecastScore`."""
+
+    signal: str
+    """Name in the plant file."""
+    miss: float
+    """RMS over the newest samples of reading minus forecast, in half widths of the band."""
+    inside: float
+    """Share of these samples in the band; 0.9 is expected."""
+    coverage: tuple[float, ...]
+    """At each horizon, the share of the readings that the bands have held."""
+    persistence_skill: tuple[float, ...]
+    arx_skill: tuple[float, ...]
+    trusted: tuple[float, ...]
+    """The horizons, s, at which the forecasts of this signal pass the test."""
+
+
+@dataclass(frozen=True)
 class Verdict:
     """One judgement of the family."""
 
@@ -232,11 +260,13 @@ class Verdict:
     nu_gap: tuple[tuple[float, ...], ...]
     """Largest ν-gap between the candidates' plants over `nu_gap_points`, in the order of `candidates`."""
     driven_rms_y: float
-    """RMS over the newest samples of measured minus driven twin's output; NaN without a nominal."""
+    """RMS over the newest samples of measured minus driven twin's output; NaN without a nominal. Of several
+    outputs, or inputs, that of the worst in units of its noise."""
     closed_rms_u: float
     """RMS over the same samples of measured minus closed-loop twin's input; NaN without a nominal."""
     nu_gap_points: tuple[float, ...] = ()
-    """Operating points at which the candidates' plants are compared, in the output's unit."""
+    """Operating points at which the candidates' plants are compared, in the output's unit; of several outputs
+    one after the other."""
     identified_gap: tuple[tuple[float, ...], ...] = ()
     """ν-gaps between the models identified on the candidates' twins, as in the paper; in the same order."""
     match: str = ""
@@ -250,6 +280,8 @@ class Verdict:
     guaranteed to hold."""
     fault: str = ""
     """Name of the fault a health monitor found in the plant; empty for none."""
+    fault_signal: str = ""
+    """Name in the plant file of the drive, output or parameter that it concerns; empty if it names none."""
     fault_since: int | None = None
     """Index of the sample since which that fault shows; None without a fault."""
     structure: str = ""
@@ -280,7 +312,10 @@ class Verdict:
     forecasts: tuple[ForecastScore, ...] = ()
     """Scores of every candidate that forecasts, including the leader."""
     trusted: tuple[float, ...] = ()
-    """The horizons, s, at which the leader's forecasts pass the test of `ForecastScore.doubts`."""
+    """The horizons, s, at which the leader's forecasts pass the test of `ForecastScore.doubts`, also of each
+    of several outputs."""
+    signals: tuple[SignalScore, ...] = ()
+    """How far to trust the forecasts of each output and, where the loop is known, of each input."""
 
     @property
     def chosen(self) -> CandidateScore | None:
@@ -364,9 +399,20 @@ def judge_uncertainty(
     if nominal not in names:
         return Certainty(tuple(candidates), "")
     chosen = names.index(nominal)
-    uncertainty = family_uncertainty(twins, gaps, loop, plant=plant, seed=seed)
     every = with_margins(candidates, chosen, loop.law)
-    scored = tuple(
+    scored = every[: len(twins)]
+    if twins[0].parameters.model.plant.single:
+        scored = _with_intervals(scored, family_uncertainty(twins, gaps, loop, plant=plant, seed=seed))
+    sentences = [_choice(scored, chosen)]
+    sentences += [_reach(scored, chosen)] if loop.law is not None else []
+    sentences += [f"not compared everywhere: {reason}" for reason in gaps.left_out[:1]]
+    return Certainty((*scored, *every[len(twins) :]), "; ".join(sentences))
+
+
+def _with_intervals(
+    candidates: Sequence[CandidateScore], uncertainty: FamilyUncertainty
+) -> tuple[CandidateScore, ...]:
+    return tuple(
         replace(
             c,
             nu_gap_low=tuple(uncertainty.nu_gap_low[k].tolist()),
@@ -375,12 +421,8 @@ def judge_uncertainty(
             nu_gap_sum_high=float(uncertainty.sum_high[k]),
             nominal_probability=float(uncertainty.nominal_probability[k]),
         )
-        for k, c in enumerate(every[: len(twins)])
+        for k, c in enumerate(candidates)
     )
-    sentences = [_choice(scored, chosen)]
-    sentences += [_reach(scored, chosen)] if loop.law is not None else []
-    sentences += [f"not compared everywhere: {reason}" for reason in gaps.left_out[:1]]
-    return Certainty((*scored, *every[len(twins) :]), "; ".join(sentences))
 
 
 def with_margins(
@@ -390,30 +432,65 @@ def with_margins(
 
     A candidate that cannot be held at its operating point has none; without a known controller, none has.
     """
-    if not isinstance(law, PidGains):
-        return tuple(candidates)
-    try:
-        controller = loop_controller(law)
-    except TwinmatchError:  # the controller has no proportional part to scale by
-        return tuple(candidates)
-    plants = [_plant(c, law) for c in candidates]
-    centre = plants[chosen]
-    return tuple(
-        replace(
-            c,
-            margin=None if p is None else _margin(p, controller),
-            plant_gap_to_nominal=None if p is None or centre is None else nu_gap(p, centre),
+    if isinstance(law, LinearLaw):
+        figures = _held_by(law, tuple((c.parameters, c.operating_point) for c in candidates), chosen)
+    elif isinstance(law, PidGains):
+        try:
+            controller = loop_controller(law)
+        except TwinmatchError:  # the controller has no proportional part to scale by
+            return tuple(candidates)
+        plants = [_plant(c, law) for c in candidates]
+        centre = plants[chosen]
+        figures = tuple(
+            (_margin(p, controller), nu_gap(p, centre) if centre else None) if p else (None, None)
+            for p in plants
         )
-        for c, p in zip(candidates, plants, strict=True)
+    else:
+        return tuple(candidates)
+    return tuple(
+        replace(c, margin=margin, plant_gap_to_nominal=gap)
+        for c, (margin, gap) in zip(candidates, figures, strict=True)
     )
 
 
 _margin = lru_cache(maxsize=64)(stability_margin)
+_Figures = tuple[float | None, float | None]
+
+
+@lru_cache(maxsize=16)  # a family stays for many verdicts
+def _held_by(
+    law: LinearLaw, twins: tuple[tuple[Parameters, OperatingPoint], ...], chosen: int
+) -> tuple[_Figures, ...]:
+    """Margin of each twin's plant with a linear law, and its ν-gap from the chosen one, in the units in which
+    that margin exceeds the gaps by most; None for one that cannot be held, and for all if it is the chosen.
+    """
+    systems: list[StateSpace | None] = []
+    for parameters, point in twins:
+        try:
+            systems.append(StateSpace.of(linearised(parameters, point, law.period)))
+        except TwinmatchError:
+            systems.append(None)
+    centre, controller = systems[chosen], StateSpace.of(law)
+    if centre is None:
+        return ((None, None),) * len(twins)
+    spans = spans_of(twins[0][0].model.plant)
+    y, u, *_ = best_scaling(
+        centre, [each for each in systems if each], controller, outputs=spans.output, inputs=spans.input
+    )
+    origin, scaled = centre.scaled(y, u), controller.scaled(u, y)
+    return tuple(
+        (matrix_margin(each.scaled(y, u), scaled), matrix_nu_gap(origin, each.scaled(y, u)))
+        if each
+        else (None, None)
+        for each in systems
+    )
 
 
 def _plant(candidate: CandidateScore, gains: PidGains) -> GraphSymbol | None:
     try:
-        return loop_plant(candidate.parameters, candidate.operating_point, gains)
+        return loop_plant(
+            candidate.parameters, one_of_each("set-point", point_values(candidate.operating_point)), gains
+        )
     except TwinmatchError:
         return None
 
@@ -422,6 +499,8 @@ def _choice(candidates: Sequence[CandidateScore], chosen: int) -> str:
     name, share = candidates[chosen].name, candidates[chosen].nominal_probability
     if len(candidates) == 1:
         return f"{name} is the only candidate"
+    if math.isnan(share):
+        return f"{name} is nearest to the whole family"
     if share >= DECIDED_FROM:
         return f"{name} is nominal with probability {_probability(share)}"
     others = [c for c in candidates if c.name != name]

@@ -13,12 +13,11 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from twinmatch.comparing import Scaling, StateSpace, best_scaling, matrix_nu_gap
+from twinmatch.comparing import Scaling, StateSpace, best_scaling, matrix_nu_gap, spans_of
 from twinmatch.comparing.matrix_gap import beside, frequencies_of, gaps_of
 from twinmatch.comparing.state_space import half_plane
 from twinmatch.controllers.stability import MemberStability, Point
 from twinmatch.dynamics import LinearLaw, Plant
-from twinmatch.signals import FloatArray
 
 MAX_SEARCHED: Final = 24
 """Plants with which units are searched; the gaps are then those to all."""
@@ -52,7 +51,7 @@ def guarantee_of(plant: type[Plant], stability: Sequence[MemberStability], law: 
     """
     named = [(one.member.name, point, linear) for one in stability for point, linear in one.plants.items()]
     spaces = [StateSpace.of(linear) for *_, linear in named]
-    outputs, inputs = _spans(plant)
+    outputs, inputs = spans_of(plant)
     middle = _middle([space.scaled(outputs, inputs) for space in spaces])
     name, point, _ = named[middle]
     origin, controller = spaces[middle], StateSpace.of(law)
@@ -68,14 +67,6 @@ def guarantee_of(plant: type[Plant], stability: Sequence[MemberStability], law: 
     gap = found.gap if every == 1 else largest(spaces)
     scaling = found._replace(gap=gap)
     return Guarantee(name, point, scaling, largest(drawn), len(spaces) + len(drawn))
-
-
-def _spans(plant: type[Plant]) -> tuple[FloatArray, FloatArray]:
-    """Half the ranges of set-points and drives."""
-    outputs = [output.set_points or output.span for output in plant.outputs.values()]
-    ranges = (outputs, [drive.limits for drive in plant.drives.values()])
-    first, second = (np.array([(high - low) / 2 for low, high in each]) for each in ranges)
-    return first, second
 
 
 def _middle(spaces: Sequence[StateSpace]) -> int:

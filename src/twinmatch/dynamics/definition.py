@@ -70,6 +70,11 @@ class PlantType(type):
         """The only output."""
         return cls._only("output", cls.outputs)
 
+    @property
+    def single(cls) -> bool:
+        """Whether it has one input and one output."""
+        return len(cls.drives) == len(cls.outputs) == 1
+
     def _only(cls, what: str, declared: Mapping[str, _Declared]) -> _Declared:
         if len(declared) != 1:
             raise PlantError(

@@ -248,9 +248,9 @@ class Outlook:
         return self.law is not None
 
     @property
-    def standing(self) -> float:
-        """The newest set-point of a single loop, or the newest input if it is not known."""
-        return self.sample.reference if self.closed else self.sample.input
+    def standing(self) -> Signals:
+        """The newest set-points, or the newest inputs if the loop is not known."""
+        return self.sample.references if self.closed else self.sample.inputs
 
     @property
     def signal(self) -> Output | Drive:

@@ -114,14 +114,17 @@ class Calibration:
             self._asked[of] = self._kept * self._asked[of] + 1.0
             self.add(of, came[:, kept])
 
-    def coverage(self, before: int, last: int) -> tuple[float, float]:
-        """Share of the readings that the bands have held at leads after `before` up to `last`, of the signals
-        the least, and the effective number of forecasts in it that do not overlap; NaN without any."""
+    def coverage(self, before: int, last: int, signal: int | None = None) -> tuple[float, float]:
+        """Share of the readings that the bands have held at leads after `before` up to `last`, of one
+        `signal` or of all the least, and the effective number of forecasts in it that do not overlap; NaN
+        without any."""
         due = [k for k, lead in enumerate(self.leads) if before < lead <= last and self._asked[k] > 0.0]
         if not due:
             return np.nan, np.nan
-        share = (self._inside[:, due] / self._asked[due]).mean(axis=1).min()
-        return float(share), float(self._asked[due[-1]] * self._new[due[-1]])
+        shares = (self._inside[:, due] / self._asked[due]).mean(axis=1)
+        return float(shares.min() if signal is None else shares[signal]), float(
+            self._asked[due[-1]] * self._new[due[-1]]
+        )
 
     def add(self, leads: Sequence[int], quotients: FloatArray) -> None:
         """Learn the signals' quotients of one forecast at n leads, given by index; shape (signals, n)."""
@@ -199,12 +202,7 @@ _ONE_SIDED: Final = 1.6448536269514722
 """Quantile of the normal distribution at 95 %."""
 _LENGTH, _WEIGHT, _COUNTED, _MEANS = range(4)
 """Columns of an account at a horizon: characters of all signals together, and the effective number of
-forecasts in that sum; the number in the means; and from here on those of `_SIZES` and `_SQUARES`."""
-_SIZES: Final = slice(_MEANS, -len(BASELINES))
-"""Columns of the mean |error| of each signal, and of those of the baselines on the same samples."""
-_SQUARES: Final = slice(-len(BASELINES), None)
-"""Columns, one for each baseline, of the mean square of the difference of both errors, relative to their
-means; before there is one it counts as large as the errors, 1."""
+forecasts in that sum; the number in the means; and from here on those of `Ledger`."""
 
 
 class Ledger:
@@ -221,7 +219,14 @@ class Ledger:
         """
         self.horizons, self.noise, self.kept = new.size, noise, kept
         self._uncovered = new
-        sizes, squares = np.tile(noise, 1 + len(BASELINES)), np.ones(len(BASELINES))
+        sizes = np.tile(noise, 1 + len(BASELINES))
+        squares = np.ones(len(BASELINES) * (1 + noise.size))
+        self._sizes = slice(_MEANS, _MEANS + sizes.size)
+        """Columns of the mean |error| of each signal, and of those of the baselines on the same samples."""
+        self._squares = slice(_MEANS + sizes.size, None)
+        """Columns, one for each baseline and then for each baseline and signal, of the mean square of the
+        difference of both errors, relative to their means; before there is one it counts as large as the
+        errors, 1. The first are those of the mean over the signals."""
         self._new = np.concatenate([[0.0, 0.0, _PRIOR_WEIGHT], sizes, squares])
         """A new account at a horizon: see `_LENGTH` and those after it."""
         self._rows: dict[str | int, int] = {}
@@ -269,26 +274,32 @@ class Ledger:
         account[:, [_WEIGHT, _COUNTED]] += 1.0
         counted = account[:, _COUNTED, None]
         sizes = np.hstack([means, np.tile(baseline, (len(means), 1))])
-        account[:, _SIZES] = (before * account[:, _SIZES] + sizes) / counted
-        relative = (sizes / account[:, _SIZES]).reshape(len(means), 1 + len(BASELINES), -1)
-        apart = (relative[:, :1] - relative[:, 1:]).mean(axis=2)
-        account[:, _SQUARES] = (before * account[:, _SQUARES] + np.square(apart)) / counted
+        account[:, self._sizes] = (before * account[:, self._sizes] + sizes) / counted
+        relative = (sizes / account[:, self._sizes]).reshape(len(means), 1 + len(BASELINES), -1)
+        apart = relative[:, :1] - relative[:, 1:]
+        apart = np.hstack([apart.mean(axis=2), apart.reshape(len(means), -1)])
+        account[:, self._squares] = (before * account[:, self._squares] + np.square(apart)) / counted
         self._accounts[rows, h] = account
 
-    def skills(self, name: str) -> tuple[FloatArray, FloatArray]:
+    def skills(self, name: str, signal: int | None = None) -> tuple[FloatArray, FloatArray]:
         """Skill of a candidate at each horizon beside each of `BASELINES`, and the upper end of its one-sided
         95 % interval, shape (baselines, H) each.
 
-        Of several signals it is the geometric mean of the ratios that counts. NaN where too few forecasts
+        Of all signals it is the geometric mean of the ratios that counts. NaN where too few forecasts
         were compared.
         """
         if name not in self._rows:
             unknown = np.full((len(BASELINES), self.horizons), np.nan)
             return unknown, unknown
         account = self._accounts[self._rows[name]]
-        sizes = account[:, _SIZES].T.reshape(1 + len(BASELINES), -1, self.horizons)
-        ratios = np.log(sizes[0] / sizes[1:]).mean(axis=1)
-        errors = np.sqrt(account[:, _SQUARES].T / (account[:, _COUNTED] * self._uncovered))
+        sizes = account[:, self._sizes].T.reshape(1 + len(BASELINES), -1, self.horizons)
+        squares, count = account[:, self._squares].T, len(BASELINES)
+        ratios = np.log(sizes[0] / sizes[1:])
+        if signal is None:
+            ratios, squares = ratios.mean(axis=1), squares[:count]
+        else:
+            ratios, squares = ratios[:, signal], squares[count + signal :: self.noise.size]
+        errors = np.sqrt(squares / (account[:, _COUNTED] * self._uncovered))
         known = account[:, _WEIGHT] >= _COMPARED
         skill, high = (1.0 - np.exp(each) for each in (ratios, ratios - _ONE_SIDED * errors))
         return np.where(known, skill, np.nan), np.where(known, high, np.nan)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from twinmatch.forecasting.forecast import Forecast, ForecastError
 from twinmatch.forecasting.outlook import Outlook
 from twinmatch.forecasting.set_points import SetPoints
+from twinmatch.signals import one_of_each
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,14 +167,18 @@ def what_if(outlook: Outlook, question: Question) -> WhatIfResult:
         ForecastError: set-points or inputs out of range or in the past, a horizon that is not positive or too
             long, a level that is not finite, or a tolerance that is not positive.
     """
-    output, period = outlook.parameters.model.plant.output, outlook.period
+    plant, period = outlook.parameters.model.plant, outlook.period
+    if not plant.single:
+        raise ForecastError(
+            f"what if: plant {plant.name} has several loops; try-controller answers what a set-point does to "
+            "each, and twin/forecast shows what comes if nothing is changed"
+        )
+    output, standing = plant.output, one_of_each("level", outlook.standing)
     size = _samples(question.horizon, outlook)
     if question.times or question.levels:
-        ahead = SetPoints(
-            outlook.standing, question.times, question.levels, question.ramps, signal=outlook.signal
-        )
+        ahead = SetPoints(standing, question.times, question.levels, question.ramps, signal=outlook.signal)
     else:
-        ahead = SetPoints.constant(outlook.standing)
+        ahead = SetPoints.constant(standing)
     tolerance = NEAR * output.noise if question.tolerance is None else question.tolerance
     forecast = outlook.forecast(ahead.ahead(period, size))
     last = (ahead.levels or (ahead.before,))[-1] if outlook.closed else float(forecast.output.mean[-1])

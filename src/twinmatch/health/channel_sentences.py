@@ -13,6 +13,7 @@ from twinmatch.health.hypotheses import Named
 _SAID: Final = {
     Fault.SENSOR_DRIFT: "the readings of {name} are off by about {size}: compare with another instrument",
     Fault.SENSOR_FROZEN: "{name} repeats one reading, and should have moved: look at its sensor",
+    Fault.SENSOR_IMPLAUSIBLE: "{name} is read as what it cannot be: look at its sensor",
     Fault.DRIVE_LOST: "{name} has no effect: look at it, its wires and its supply",
     Fault.DRIVE_WEAK: "{name} has {size} of its effect: look at it, its wires and its supply",
     Fault.LOSSES_CHANGED: "losses ({name}) are {size} what they were: look at {surroundings}",
@@ -23,6 +24,7 @@ _SAID: Final = {
 _CALLED: Final = {
     Fault.SENSOR_DRIFT: "the reading of {name}",
     Fault.SENSOR_FROZEN: "a frozen {name}",
+    Fault.SENSOR_IMPLAUSIBLE: "an impossible {name}",
     Fault.DRIVE_LOST: "the drive {name}",
     Fault.DRIVE_WEAK: "the drive {name}",
     Fault.LOSSES_CHANGED: "losses ({name})",

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections import deque
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -10,8 +12,9 @@ import numpy as np
 from twinmatch.dynamics import Parameters
 from twinmatch.health.channel_sentences import ChannelSentences
 from twinmatch.health.evidence import Competition, Suspect
-from twinmatch.health.faults import Fault
+from twinmatch.health.faults import SLOW, Alarm, EstimatedReading, Fault, Health, HealthState, touching
 from twinmatch.health.hypotheses import ChangeRow
+from twinmatch.health.reading_through import ReadThrough
 from twinmatch.signals import Sample
 
 CHANGE: Final = 3.0
@@ -38,28 +41,27 @@ _LEFT: Final = 0.4
 """Share of a change that may remain when it counts as over."""
 _FADED: Final = 0.3
 """Share of a push from which on it has passed."""
+_CONFIRM: Final = 3
+"""Samples in a row with a reading that the sensor cannot give."""
+_BY_ITSELF: Final = (Fault.SENSOR_FROZEN, Fault.SENSOR_IMPLAUSIBLE)
+"""Faults that a sensor's own readings show."""
+HOUR: Final = 3600.0
+"""How far an estimate is looked ahead, s."""
+_WIDE: Final = 10.0
+"""Width of a band up to which an estimate is good, ± so many standard deviations of the sensor's noise."""
+_KEPT: Final = 1000
+"""Number of alarms kept."""
 _ALL: Final = -0.8
 """Excess of a drive's effect from which on it is lost."""
 
 
-@dataclass(frozen=True)
-class ChannelAlarm:
-    """One fault of one signal, from its beginning to its end."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ChannelAlarm(Alarm):
+    """One fault of one signal, from its beginning to its end; the signal of a `DRIFT` is the likeliest."""
 
-    fault: Fault
-    signal: str
-    """Name of the drive, output or parameter in the plant file; for `DRIFT`, of the likeliest."""
     size: float
     """Of a drive's effect what is left, as a share; losses as a factor; of readings and room the change, in
     their unit; NaN for the others."""
-    first: int
-    """Sample at which it began."""
-    flagged: int
-    """Sample at which it was reported."""
-    last: int | None
-    """Last sample; None while it lasts."""
-    reason: str
-    """One plain sentence with numbers."""
     rivals: tuple[str, ...]
     """What the samples did not tell apart from it, in words; empty for a named fault."""
     found: tuple[Suspect, ...]
@@ -72,24 +74,63 @@ class ChannelMonitor:
     def __init__(self, parameters: Parameters, period: float) -> None:
         """Begin with typical parameters and the sample time, s."""
         self.competition = Competition(parameters, period)
-        self.alarms: list[ChannelAlarm] = []
+        self._alarms: deque[ChannelAlarm] = deque(maxlen=_KEPT)
+        self.reservation = self.doubt = ""  # as of a `Monitor`: here names say what is known
+        self.estimates: tuple[EstimatedReading, ...] = ()
+        """What sensors should read now that are not believed."""
         self.found: list[Suspect] = []
         """What competes now, the best first."""
         self.sentences = ChannelSentences(parameters.model)
+        self._impossible = np.zeros(len(parameters.model.plant.outputs), dtype=np.int64)
+        """Readings in a row of each output that its sensor cannot give."""
         self._standing: list[tuple[Fault, ChangeRow, float]] = []
-        self._spans = np.array([output.span for output in parameters.model.plant.outputs.values()])
+        self._outputs = list(parameters.model.plant.outputs.items())
+        self._spans = np.array([output.span for _, output in self._outputs])
         self._values = self._spans.mean(axis=1)
         self._begin = self._index = -2
         self._leads: tuple[object, int] = (None, 0)
         self._unnamed = 0
 
     @property
+    def alarms(self) -> tuple[ChannelAlarm, ...]:
+        """The newest alarms, oldest first, as many as are kept; only the last can still be on."""
+        return tuple(self._alarms)
+
+    @property
     def on(self) -> ChannelAlarm | None:
         """The alarm that is on."""
-        return self.alarms[-1] if self.alarms and self.alarms[-1].last is None else None
+        return self._alarms[-1] if self._alarms and self._alarms[-1].last is None else None
 
-    def push(self, sample: Sample) -> None:
-        """Take one sample; judge the plant as it is now."""
+    def fault_between(self, first: int, last: int, *, slow: bool = False) -> Alarm | None:
+        """The first alarm that touches these samples; see `touching`."""
+        return touching(self._alarms, first, last, slow=slow)
+
+    def push(self, sample: Sample, _: Parameters | None = None) -> Health:
+        """Take one sample; judge the plant as it is now, without asking any twin."""
+        before = self._alarms[-1] if self._alarms else None
+        self._push(sample)
+        through = self.competition.through.items()
+        self.estimates = tuple(self._estimate(i, one, sample) for i, one in through if one.samples)
+        newest, on = self._alarms[-1] if self._alarms else None, self.on
+        news, nan = newest if newest is not before else None, math.nan
+        if on is None:
+            return Health(sample.index, HealthState.HEALTHY, None, None, "", nan, nan, news)
+        return Health(
+            sample.index, HealthState.FAULT, on.fault, on.first, on.reason, nan, nan, news, on.signal
+        )
+
+    def _estimate(self, output: int, one: ReadThrough, sample: Sample) -> EstimatedReading:
+        name, declared = self._outputs[output]
+        wide = _WIDE * declared.noise
+        if one.good is None:
+            period = self.competition.healthy.period
+            one.good = period * one.lasts(wide, round(HOUR / period))
+        value, band = one.estimate
+        reading = (sample.refused or sample.outputs)[output]
+        since = sample.index - one.samples + 1
+        return EstimatedReading(sample.index, name, value, band, reading, since, wide, one.good)
+
+    def _push(self, sample: Sample) -> None:
         if sample.index != self._index + 1:
             self._begin = sample.index
             self.competition.restart()
@@ -100,6 +141,12 @@ class ChannelMonitor:
         seen = possible & sample.seen & (not sample.refused)
         self._values = np.where(possible, read, self._values)
         self.competition.push(sample, self._values, seen)
+        self._impossible = np.where(possible, 0, self._impossible + 1)
+        for output in np.flatnonzero(self._impossible == _CONFIRM).tolist():
+            row = ChangeRow((Fault.SENSOR_IMPLAUSIBLE, output), "")
+            best = Suspect(row.cause, math.inf, row, 0.0, 0.0, self.competition.count - _CONFIRM, -1)
+            self._raise(Fault.SENSOR_IMPLAUSIBLE, best, [best])
+            self.competition.read_through(output)
         self.found = [f for f in map(self._lost_or_weak, self.competition.found()) if self._counts(f)]
         self._judge(self.found)
         for output in [*self.competition.through]:
@@ -107,12 +154,10 @@ class ChannelMonitor:
                 del self.competition.through[output]
 
     def _lies(self, output: int) -> bool:
-        """Whether the sensor of an output is known to be off, or frozen now."""
-        frozen = self.on is not None and (self.on.fault, self.on.found[0].cause[1]) == (
-            Fault.SENSOR_FROZEN,
-            output,
-        )
-        return frozen or any(row.cause == (Fault.SENSOR_DRIFT, output) for _, row, _ in self._standing)
+        """Whether the sensor of an output is known to be off, or frozen or without sense now."""
+        on = self.on
+        now = on is not None and on.fault in _BY_ITSELF and on.found[0].cause[1] == output
+        return now or any(row.cause == (Fault.SENSOR_DRIFT, output) for _, row, _ in self._standing)
 
     def _lost_or_weak(self, f: Suspect) -> Suspect:
         """A drive of which nearly nothing is left is lost, whatever it was taken for."""
@@ -157,6 +202,8 @@ class ChannelMonitor:
     def _over(self, on: ChannelAlarm, found: list[Suspect]) -> bool:
         if on.fault is Fault.SENSOR_FROZEN:
             return self.competition.sensors[on.found[0].cause[1]].repeats == 0
+        if on.fault is Fault.SENSOR_IMPLAUSIBLE:
+            return not self._impossible[on.found[0].cause[1]]
         if on.fault is Fault.DISTURBANCE:
             return self._index - on.flagged > _PASSED * self.competition.second
         return on.fault is Fault.DRIFT and (not found or found[0].evidence < 0.0)
@@ -228,10 +275,10 @@ class ChannelMonitor:
         near = [f for f in found if f.evidence > max(0.0, best.evidence - LEAD)]
         rivals = tuple(dict.fromkeys(self.sentences.called(f.cause) for f in near))
         signal, size, reason = self.sentences.said(fault, best, self._left(best), rivals)
-        self.alarms.append(
+        self._alarms.append(
             ChannelAlarm(
-                fault, signal, size, first, self._index, None, reason,
-                rivals if fault is Fault.DRIFT else (), tuple(found),
+                fault, first, self._index, None, reason, fault not in SLOW, signal,
+                size=size, rivals=rivals if fault is Fault.DRIFT else (), found=tuple(found),
             )
         )  # fmt: skip
 
@@ -241,4 +288,4 @@ class ChannelMonitor:
         return max(1.0 + f.shift + self.competition.believed(f.row.number), 0.0) if share else 1.0
 
     def _close(self) -> None:
-        self.alarms[-1] = replace(self.alarms[-1], last=self._index)
+        self._alarms[-1] = replace(self._alarms[-1], last=self._index)

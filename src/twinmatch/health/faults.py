@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import Enum
 from typing import Final, NamedTuple
@@ -65,6 +66,8 @@ class Alarm:
     spoils: bool = True
     """Whether nothing should be learned from its samples. Matching adapts to slow changes, and a few refused
     readings count nowhere."""
+    signal: str = ""
+    """Name in the plant file of the drive, output or parameter that it concerns; empty if it names none."""
 
     @property
     def alters(self) -> bool:
@@ -74,6 +77,16 @@ class Alarm:
     def overlaps(self, first: int, last: int) -> bool:
         """Whether it touches the samples `first` to `last`."""
         return self.first <= last and (self.last is None or self.last >= first)
+
+
+def touching(alarms: Iterable[Alarm], first: int, last: int, *, slow: bool) -> Alarm | None:
+    """The first alarm whose trace touches the samples `first` to `last`, both included.
+
+    Nothing should be learned from such a window. Slow changes are left out unless asked for: matching
+    handles those. So are refused readings, which are in no window.
+    """
+    faults = (alarm for alarm in alarms if alarm.spoils or (slow and alarm.alters))
+    return next((alarm for alarm in faults if alarm.overlaps(first, last)), None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,6 +107,30 @@ class Health:
     """Slow unexplained movement, in the output's unit per second."""
     news: Alarm | None = None
     """The alarm that began at this sample, or ended at it (then it has a `last`)."""
+    signal: str = ""
+    """What the fault concerns, as in `Alarm`."""
+
+
+@dataclass(frozen=True)
+class EstimatedReading:
+    """What a sensor should read at a sample at which it is not believed."""
+
+    sample: int
+    """Index of the sample."""
+    signal: str
+    """Name of the output in the plant file."""
+    value: float
+    """What it should read, in its unit."""
+    band: float
+    """Half of the width that holds 90 % of what it would read."""
+    reading: float
+    """What it read."""
+    since: int
+    """First sample at which it is read through."""
+    wide: float
+    """Half width up to which the estimate counts as good …"""
+    good: float
+    """… and for how long from the first sample on it was to be that, s; at most an hour is looked ahead."""
 
 
 _SUDDEN: Final = frozenset(Fault) - SLOW - {Fault.DISTURBANCE}
@@ -124,18 +161,34 @@ class Evidence(NamedTuple):
     """Whether it was found by tracking the plant (`SlowChanges`)."""
 
 
+_ROLES: Final = {Fault.LOSSES_CHANGED: "losses", Fault.ROOM_CHANGED: "room"}
+_OF_DRIVES: Final = (Fault.DRIVE_LOST, Fault.DRIVE_WEAK)
+_OF_SENSORS: Final = frozenset({
+    Fault.SENSOR_FROZEN, Fault.SENSOR_LATE, Fault.SENSOR_IMPLAUSIBLE, Fault.SENSOR_DRIFT,
+})  # fmt: skip
+
+
 class FaultSentences:
     """Describes the traces of faults on one plant."""
 
     def __init__(self, plant: type[Plant], period: float) -> None:
         """`period` is the sample time, s."""
-        self._period, self._span = period, plant.output.span
+        self._plant, self._period, self._span = plant, period, plant.output.span
         self.output = f"the {plant.output.text or plant.output.name}"
         self.unit = f" {plant.output.unit}".rstrip()
         self.input = plant.drive.unit or plant.drive.name
         self.sensor = f"the {plant.output.sensor}"
         self.surroundings = plant.surroundings
         self._other = "thermometer" if plant.output.unit == "°C" else "instrument"
+
+    def signal(self, fault: Fault) -> str:
+        """Name of what a fault of a plant with one loop concerns; empty where it may be anything."""
+        role = _ROLES.get(fault)
+        if role is not None:
+            return next((n for n, declared in self._plant.parameters.items() if declared.role == role), "")
+        if fault in _OF_SENSORS:
+            return self._plant.output.name
+        return self._plant.drive.name if fault in _OF_DRIVES else ""
 
     def refused(self, before: Sample | None, sample: Sample) -> Evidence:
         """A reading that the plant cannot have, or cannot have reached from the sample before."""

@@ -14,11 +14,13 @@ from twinmatch.health.faults import (
     PRECEDENCE,
     SLOW,
     Alarm,
+    EstimatedReading,
     Evidence,
     Fault,
     FaultSentences,
     Health,
     HealthState,
+    touching,
 )
 from twinmatch.health.lagged_effect import LaggedEffect, is_lagged
 from twinmatch.health.late_input import LateInput
@@ -104,18 +106,18 @@ class Monitor:
         self._delay = 0
 
     @property
+    def estimates(self) -> tuple[EstimatedReading, ...]:
+        """What sensors should read that are not believed: with a single one, nobody knows."""
+        return ()
+
+    @property
     def alarms(self) -> tuple[Alarm, ...]:
         """The newest alarms, oldest first, as many as are kept; only the last can still be on."""
         return tuple(self._alarms)
 
     def fault_between(self, first: int, last: int, *, slow: bool = False) -> Alarm | None:
-        """The first alarm whose trace touches the samples `first` to `last`, both included.
-
-        Nothing should be learned from such a window. Slow changes are left out unless asked for: matching
-        handles those. So are refused readings, which are in no window.
-        """
-        faults = (alarm for alarm in self._alarms if alarm.spoils or (slow and alarm.alters))
-        return next((alarm for alarm in faults if alarm.overlaps(first, last)), None)
+        """The first alarm that touches these samples; see `touching`."""
+        return touching(self._alarms, first, last, slow=slow)
 
     def push(self, sample: Sample, parameters: Parameters | None = None) -> Health:
         """Take one sample; judge the plant as it is now."""
@@ -394,6 +396,7 @@ class Monitor:
                 None,
                 evidence.reason,
                 spoils=evidence.fault not in SLOW and evidence.fault is not _REFUSED,
+                signal=self._sentences.signal(evidence.fault),
             )
         )
         self._begun(index, evidence)
@@ -439,7 +442,8 @@ class Monitor:
             alarm = self._alarms[-1]
             same = evidence is not None and evidence.fault is alarm.fault
             reason = evidence.reason if evidence is not None and same else alarm.reason
-            return Health(index, HealthState.FAULT, alarm.fault, alarm.first, reason, share, rate, news)
+            since, of = alarm.first, alarm.signal
+            return Health(index, HealthState.FAULT, alarm.fault, since, reason, share, rate, news, of)
         if evidence is None:
             return Health(index, HealthState.HEALTHY, None, None, "", share, rate, news)
         # At the start a late camera looks like a dead drive, and is far more common.

@@ -38,6 +38,8 @@ class ReadThrough:
         self._noise = 0.0
         self.samples = 0
         """Samples since it began."""
+        self.good: float | None = None
+        """For how long it was to be good when it began, s; None before that is known."""
         self.estimate = MissingReading(math.nan, math.nan)
         """What the sensor should read now."""
 

@@ -79,7 +79,7 @@ class HealthSettings:
         return cls(
             period=period,
             reference=_typical(plant),
-            jump=_JUMP * plant.output.noise,
+            jump=_JUMP * next(iter(plant.outputs.values())).noise,
             frozen=cls.frozen * scale,
             start=cls.start * scale,
         )

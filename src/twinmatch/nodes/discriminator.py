@@ -1,7 +1,7 @@
 """Judges the family of matches: samples and matches in, verdicts out, and a forecast at every sample.
 
-It publishes `twin/model_score`, `twin/nominal`, `twin/leader`, `twin/forecast` and `twin/match_request`, and
-serves `twin/what_if`.
+It publishes `twin/model_score`, `twin/nominal`, `twin/leader`, `twin/forecast`, `twin/match_request` and
+`plant/estimate`, and serves `twin/what_if`.
 """
 
 from __future__ import annotations
@@ -31,7 +31,15 @@ from twinmatch.nodes.topics import EVERYTHING, LATCHED, RELIABLE
 from twinmatch.parameters.candidates import candidates_in
 from twinmatch.signals import Sample
 from twinmatch.twin import Discriminator, MatchReport, Snapshot, Step
-from twinmatch_msgs.msg import Candidate, Forecast, ForecastScore, Match, MatchRequest, ModelScore
+from twinmatch_msgs.msg import (
+    Candidate,
+    EstimatedReading,
+    Forecast,
+    ForecastScore,
+    Match,
+    MatchRequest,
+    ModelScore,
+)
 from twinmatch_msgs.srv import Past, WhatIf
 
 QUESTIONS = "questions"
@@ -75,7 +83,7 @@ class ForecastPublisher:
             self._ahead = shown_samples(outlook.period, self._horizons)
         sample = outlook.sample
         try:
-            forecast = outlook.forecast(np.full(max(self._ahead), outlook.standing))
+            forecast = outlook.forecast(np.tile(outlook.standing, (max(self._ahead), 1)))
         except PlantError:
             if not outlook.parameters.model.is_external:
                 raise
@@ -133,6 +141,7 @@ class DiscriminatorNode(SampleNode):
         self._tries = 0
         self._scores = self.create_publisher(ModelScore, "twin/model_score", RELIABLE)
         self._nominals = self.create_publisher(Candidate, "twin/nominal", LATCHED)
+        self._estimates = self.create_publisher(EstimatedReading, "plant/estimate", RELIABLE)
         self._requests = self.create_publisher(MatchRequest, "twin/match_request", RELIABLE)
         super().open()
         self.create_subscription(Match, "twin/match", self._on_match, EVERYTHING)
@@ -182,6 +191,8 @@ class DiscriminatorNode(SampleNode):
         return None
 
     def _publish_step(self, step: Step) -> None:
+        for estimate in step.estimates:
+            self.publish(self._estimates, message_of(estimate, self._discriminator.stamps[estimate.sample]))
         for snapshot in step.snapshots:
             self._forecasts.publish(snapshot)
         for verdict in step.verdicts:

@@ -168,7 +168,7 @@ def _check_match(message: Any) -> None:
     size = len(message.free)
     _check_word(message, "status", STATUSES)
     _in_order(message)
-    _finite(message, "operating_point")
+    _check_point(message)
     _check_size(message, size, "standard_errors", "eigenvalues", of="its free parameters")
     _check_size(message, size**2, "covariance", "fisher", of="its free parameters")
     _check_size(message, size**2, "directions", of="its free parameters", empty=True)
@@ -224,10 +224,27 @@ def _check_verdict(message: Any) -> None:
         each = "gains", *skills, "coverage", "independent"
         _check_size(score, len(message.horizons), *each, of="its horizons", empty=True)
         _check_score(score)
+    for signal in message.signals:
+        each = "coverage", *(f"{name}_skill" for name in BASELINES)
+        _check_size(signal, len(message.horizons), *each, of="the horizons", empty=True)
+        _within(signal, 0.0, 1.0 + 1e-9, "inside", "coverage")
+
+
+def _check_point(message: Any) -> None:
+    _finite(message, "operating_point")
+    if not message.operating_point:
+        raise MessageError("operating_point is empty; expected a value for each output")
+
+
+def _check_estimate(message: Any) -> None:
+    _finite(message, "value", "wide", "good")
+    _within(message, 0.0, LARGEST, "band", absent=False)
+    if not (message.signal and message.since <= message.sample):
+        raise MessageError("it names no signal, or begins behind its sample")
 
 
 def _check_candidate(candidate: Any) -> None:
-    _finite(candidate, "operating_point")
+    _check_point(candidate)
     _among([candidate.chosen_order], [one.order for one in candidate.orders], "chosen_order")
     _within(candidate, 0.0, 1.0 + 1e-9, "nominal_probability", "margin", "plant_gap_to_nominal")
     _check_size(candidate, len(candidate.nu_gap_low), "nu_gap_high", of="the lower ends")
@@ -245,7 +262,8 @@ def _check_named(candidate: Any) -> None:
 
 
 def _check_request(message: Any) -> None:
-    _finite(message, "operating_point", *SAMPLED)
+    _check_point(message)
+    _finite(message, *SAMPLED)
     _within(message, 1e-4, 1e6, "period", absent=False)
 
 
@@ -380,6 +398,7 @@ MESSAGES: Final[dict[Any, MessageRules]] = {
     ours.ModelScore: MessageRules(_check_verdict, converted.record_of),
     ours.Candidate: MessageRules(_check_candidate),
     ours.ForecastScore: MessageRules(_check_score, converted.record_of),
+    ours.EstimatedReading: MessageRules(_check_estimate, converted.record_of),
     ours.PlantDescription: MessageRules(_check_description),
     Clock: MessageRules(departs=_clock_departs, owned=True),
     Image: MessageRules(_check_image),

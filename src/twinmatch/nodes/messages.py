@@ -20,8 +20,9 @@ from twinmatch.comparing.verdict import CandidateScore
 from twinmatch.description import Description, Quantity
 from twinmatch.dynamics import Parameters, PlantError
 from twinmatch.forecasting import Band, Forecast, Question, WhatIfResult
+from twinmatch.health import EstimatedReading
 from twinmatch.record import fill, object_of, parameters_of, parameters_tree, tree_of, tree_of_message
-from twinmatch.signals import NANOSECONDS, Sample, SignalError, Window
+from twinmatch.signals import NANOSECONDS, Sample, SignalError, Window, point_of, point_values
 from twinmatch.twin import MatchReport, MatchRequest, MirrorState
 from twinmatch_msgs import msg as messages
 from twinmatch_msgs import srv as services
@@ -97,6 +98,7 @@ _RECORDS: Final[dict[Any, Any]] = {
     Verdict: messages.ModelScore,
     CandidateScore: messages.Candidate,
     ForecastScore: messages.ForecastScore,
+    EstimatedReading: messages.EstimatedReading,
 }
 """The message of each record; all their fields have the same names."""
 
@@ -155,7 +157,7 @@ def request_message(request: MatchRequest, stamp: int) -> messages.MatchRequest:
     window = request.window
     message = messages.MatchRequest(
         sample=request.sample,
-        operating_point=request.operating_point,
+        operating_point=list(point_values(request.operating_point)),
         first=window.first,
         period=window.period,
         start=parameters_message(request.start),
@@ -190,7 +192,8 @@ def request_from(message: messages.MatchRequest) -> MatchRequest:
     seen = np.ones(samples, dtype=np.bool_)
     seen[lost] = False
     window = Window(**signals, first=message.first, period=message.period, seen=seen)
-    return MatchRequest(message.sample, message.operating_point, window, start, incumbent)
+    point = point_of(message.operating_point)
+    return MatchRequest(message.sample, point, window, start, incumbent)
 
 
 def shown_samples(period: float, horizons: tuple[int, ...]) -> tuple[int, ...]:

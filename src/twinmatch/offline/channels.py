@@ -7,17 +7,13 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from twinmatch.dynamics import Plant
-from twinmatch.health.channels import ChannelAlarm, ChannelMonitor
-from twinmatch.health.reading_through import ReadThrough
+from twinmatch.health.channels import HOUR, ChannelAlarm, ChannelMonitor
 from twinmatch.offline.judging import EVERY, Watch
 from twinmatch.record import finite
 from twinmatch.sessions import Session
 
 _WRITTEN: Final = ("signal", "size", "first", "flagged", "last", "reason", "rivals")
 """Fields of an alarm in a document."""
-_WIDE: Final = 10.0
-"""Width of a band up to which an estimate is good, ± so many standard deviations of the sensor's noise."""
-_HOUR: Final = 3600.0
 
 
 @dataclass(eq=False)
@@ -50,7 +46,7 @@ class EstimatedCourse:
 
     def line(self, period: float) -> str:
         """When it was read through, what it should read in the end, and for how long that was good."""
-        long = "at least an hour" if self.good >= _HOUR else f"{self.good / 60.0:.2g} min"
+        long = "at least an hour" if self.good >= HOUR else f"{self.good / 60.0:.2g} min"
         return (
             f"the twin reads through {self.text} from {self.first * period:g} to {self.last * period:g} s: "
             f"at the end it should read {self.values[-1]:.1f} ± {self.bands[-1]:.1f} {self.unit}, not "
@@ -119,34 +115,25 @@ def channel_health(
         return None
     monitor = ChannelMonitor(plant.model(name).typical(), session.period)
     course: dict[str, list[tuple[int, float]]] = {}
-    unjudged, through = 0, dict[ReadThrough, EstimatedCourse]()
+    unjudged, through = 0, dict[tuple[str, int], EstimatedCourse]()
     for done, sample in enumerate(session.samples):
         monitor.push(sample)
         unjudged += monitor.competition.blind
-        for one in monitor.found:
-            if one.evidence > 0.0 and monitor.shows(one):
-                course.setdefault(monitor.sentences.called(one.cause), []).append(
-                    (sample.index, one.evidence)
-                )
-        for output, estimated in monitor.competition.through.items():
-            if estimated.samples:
-                course_of = through.get(estimated) or _begun(plant, output, estimated, sample.index, session)
-                through[estimated] = course_of
-                course_of.values.append(estimated.estimate.value)
-                course_of.bands.append(estimated.estimate.band)
-                course_of.readings.append(sample.outputs[output])
+        for each in monitor.found:
+            if each.evidence > 0.0 and monitor.shows(each):
+                called = monitor.sentences.called(each.cause)
+                course.setdefault(called, []).append((sample.index, each.evidence))
+        for one in monitor.estimates:
+            declared = plant.outputs[one.signal]
+            text = declared.text or one.signal
+            own = EstimatedCourse(one.signal, text, declared.unit, one.since, one.wide, one.good)
+            own = through.setdefault((one.signal, one.since), own)
+            own.values.append(one.value)
+            own.bands.append(one.band)
+            own.readings.append(one.reading)
         if watch is not None and done % EVERY == 0:
             watch(done, len(session.samples))
     return ChannelHealth(
         session.name, plant, session.period, len(session.samples), unjudged, tuple(monitor.alarms), course,
         tuple(through.values()),
     )  # fmt: skip
-
-
-def _begun(
-    plant: type[Plant], output: int, estimated: ReadThrough, first: int, session: Session
-) -> EstimatedCourse:
-    name, declared = list(plant.outputs.items())[output]
-    wide = _WIDE * declared.noise
-    good = session.period * estimated.lasts(wide, round(_HOUR / session.period))
-    return EstimatedCourse(name, declared.text or name, declared.unit, first, wide, good)

@@ -38,7 +38,7 @@ from twinmatch.errors import TwinmatchError
 from twinmatch.plants import Peltier, find_plant, plant_named, written_name
 from twinmatch.plants.records import parameters_from
 from twinmatch.sessions.documents import parse_yaml, read_text, shown
-from twinmatch.signals import FloatArray
+from twinmatch.signals import FloatArray, point_of
 
 MAX_NAME = 200
 """Longest name, characters."""
@@ -48,7 +48,7 @@ class _Entry(msgspec.Struct):
     """What an entry has besides its parameters."""
 
     name: str | float
-    operating_point: float
+    operating_point: float | list[float]
     plant: str | float = Peltier.name
     structure: str | float = ""
     deviations: dict[str, Any] = {}
@@ -108,16 +108,19 @@ def _candidate(entry: Any, place: str, find: Callable[[str], type[Plant]]) -> Ca
         free, covariance = _spread(own.deviations, parameters)
     except TwinmatchError as error:
         raise CandidateFileError(f"{place}: {error}") from error
-    operating_point = own.operating_point
-    output = parameters.model.plant.output
-    low, high = output.span
-    if not low <= operating_point <= high:
-        unit = f" {output.unit}".rstrip()
+    values, outputs = np.atleast_1d(own.operating_point).tolist(), parameters.model.plant.outputs
+    if len(values) != len(outputs):
         raise CandidateFileError(
-            f"{place}: operating_point is {operating_point:g}{unit}; give a value within {low:g} and "
-            f"{high:g}{unit}"
+            f"{place}: operating_point has {len(values)} values; give one for each of {', '.join(outputs)}"
         )
-    return Candidate(name, operating_point, parameters, None, free, covariance)
+    for value, output in zip(values, outputs.values(), strict=True):
+        low, high = output.span
+        if not low <= value <= high:
+            unit = f" {output.unit}".rstrip()
+            raise CandidateFileError(
+                f"{place}: operating_point is {value:g}{unit}; give a value within {low:g} and {high:g}{unit}"
+            )
+    return Candidate(name, point_of(values), parameters, None, free, covariance)
 
 
 def _spread(entry: Mapping[str, Any], parameters: Parameters) -> tuple[tuple[str, ...], FloatArray]:
@@ -142,7 +145,8 @@ def candidates_text(candidates: Sequence[Candidate]) -> str:
     for each in candidates:
         model = each.parameters.model
         deviations = np.sqrt(np.diag(each.covariance)).tolist() if each.remembered else []
-        entry = {"name": each.name, "operating_point": each.operating_point}
+        point = np.array(each.operating_point).tolist()
+        entry: dict[str, Any] = {"name": each.name, "operating_point": point}
         entry |= {"plant": written_name(model.plant), "structure": model.structure_name}
         entry |= {name: each.parameters[name] for name in model.names}
         entry |= {"deviations": dict(zip(each.free, deviations, strict=True))} if deviations else {}

@@ -7,11 +7,14 @@ ranges, are those of the selected `plant` and `structure`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, Final
+
+import numpy as np
 
 from twinmatch.dynamics import (
     FROM_PLANT_FILE,
@@ -19,6 +22,7 @@ from twinmatch.dynamics import (
     FromPlantFile,
     LoopLaw,
     Model,
+    Output,
     PidGains,
     Plant,
     PlantError,
@@ -40,6 +44,7 @@ from twinmatch.parameters.declared import (
 )
 from twinmatch.plants import Peltier, find_plant, plant_named, written_name
 from twinmatch.plants.records import structure_of
+from twinmatch.signals import point_of
 from twinmatch.twin import ForecastSettings, ScheduleSettings, TrustLimits, TwinError, TwinSettings
 
 UNKNOWN: Final = "unknown"
@@ -49,9 +54,9 @@ _MAX_GAIN = 1e4
 """Largest gain; a larger one means a wrong unit."""
 
 
-def unit_of(drive: Drive) -> str:
-    """Unit of the control; its name where it has none."""
-    return drive.unit or drive.name
+def unit_of(signal: Output | Drive) -> str:
+    """Unit of a control or reading; a control's name where it has none."""
+    return signal.unit or (signal.name if isinstance(signal, Drive) else "")
 
 
 def closing_of(values: Mapping[str, Any]) -> LoopLaw:
@@ -168,11 +173,6 @@ def understood(place: str, given: Mapping[str, Any]) -> tuple[tuple[Setting, ...
         if given.get("allow_fmu"):
             adopt_fmus(Path(str(given["allow_fmu"])))
         plant = find_plant(str(given.get("plant", Peltier.name)))
-        if max(len(plant.outputs), len(plant.drives)) > 1:
-            raise ParameterError(
-                f"{place}: a verdict is on one loop, but plant {plant.name} has {len(plant.drives)} inputs "
-                f"and {len(plant.outputs)} outputs; use check-plant --data, backtest or try-controller"
-            )
         named = given.get("structure")
         model = plant.model(None if named is None else str(named))
         table = _table(model, given)
@@ -253,7 +253,11 @@ def values_of(settings: TwinSettings) -> Values:
         "free": list(settings.free),
         "loop": FromPlantFile.LOOP.value if settings.law is not None else UNKNOWN,
     }
-    groups: dict[str, Any] = {"pid": settings.law}
+    noise = {
+        "output": point_of(np.atleast_1d(settings.noise.outputs)),
+        "input": point_of(np.atleast_1d(settings.noise.inputs)),
+    }
+    groups: dict[str, Any] = {"pid": settings.law, "noise": SimpleNamespace(**noise)}
     for parameter in table_of(settings):
         owner, _, name = parameter.name.partition(".")
         if owner == "start":
@@ -343,7 +347,6 @@ def _plant(model: Model) -> tuple[Setting, ...]:
         )
         for name, declared in model.declared.items()
     )
-    y, u = plant.output, plant.drive
     return (
         Setting("plant", written_name(plant), "The plant: its name, or the file that defines it."),
         Setting(
@@ -356,14 +359,25 @@ def _plant(model: Model) -> tuple[Setting, ...]:
             "free", list(structure.free), "Parameters that a match may change.", choices=tuple(model.names)
         ),
         *starts,
-        Setting("noise.output", y.noise, "Noise of a reading (1 σ).", y.unit, 1e-6, 1e6),
-        Setting("noise.input", u.noise, "Noise of the control (1 σ).", unit_of(u), 1e-6, 1e6),
+        _noise("noise.output", "Noise of a reading (1 σ).", plant.outputs.values()),
+        _noise("noise.input", "Noise of the control (1 σ).", plant.drives.values()),
     )
+
+
+def _noise(name: str, text: str, signals: Collection[Output | Drive]) -> Setting:
+    """The noise of outputs or drives: a number, or one each of several."""
+    each = [signal.noise for signal in signals]
+    units = ", ".join(dict.fromkeys(map(unit_of, signals)))
+    return Setting(name, each if len(each) > 1 else each[0], text, units, 1e-6, 1e6)
 
 
 def _numbers(has: TwinSettings) -> tuple[Setting, ...]:
     """Schedule, sensor, family, trust and health: the numbers in the settings under the same names."""
-    names = {"y": has.plant.output.unit, "u": unit_of(has.plant.drive)}
+    plant = has.plant
+    names = {
+        "y": unit_of(next(iter(plant.outputs.values()))),
+        "u": unit_of(next(iter(plant.drives.values()))),
+    }
     sensor = (
         ("noise", "Noise of the simulated sensor of the twin (1 σ).", names["y"]),
         ("resolution", "Resolution of its readings; 0: continuous.", names["y"]),

@@ -12,6 +12,7 @@ import numpy as np
 
 from twinmatch.dynamics import Parameters
 from twinmatch.errors import TwinmatchError
+from twinmatch.signals import OperatingPoint
 
 
 class RecordError(TwinmatchError):
@@ -31,6 +32,8 @@ class Form(Enum):
     """A square matrix as rows of numbers; row by row in a message."""
     ARRAY = auto()
     """A numpy array; row by row in a message."""
+    POINT = auto()
+    """An operating point: in a message always a list."""
     SPAN = auto()
     """First and last sample, under the names `first` and `last`."""
     NAMED = auto()
@@ -91,7 +94,9 @@ def _field(owner: type, name: str, hint: Any, columns: int) -> RecordField:
     kind, optional = _unless_none(hint)
     origin, inside = get_origin(kind), get_args(kind)
     form, prefix = None, ""
-    if kind in (bool, int, float, str):
+    if hint == OperatingPoint:
+        form = Form.POINT
+    elif kind in (bool, int, float, str):
         form = Form.PLAIN
     elif kind is Parameters:
         form = Form.PARAMETERS

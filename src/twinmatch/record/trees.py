@@ -18,6 +18,7 @@ from twinmatch.dynamics import Parameters
 from twinmatch.errors import TwinmatchError
 from twinmatch.plants import records
 from twinmatch.record.fields import Form, RecordError, RecordField, fields_of, values_name
+from twinmatch.signals import point_of, point_values
 
 Tree = dict[str, Any]
 
@@ -129,6 +130,7 @@ _WRITERS: Final[dict[Form, Callable[[RecordField, Any], Tree]]] = {
     Form.LIST: lambda f, v: {f.name: list(v)},
     Form.ROWS: lambda f, v: {f.name: [item for row in v for item in row]},
     Form.ARRAY: lambda f, v: {f.name: v.ravel().tolist()},
+    Form.POINT: lambda f, v: {f.name: list(point_values(v))},
     Form.SPAN: lambda _, v: {"first": v[0], "last": v[1]},
     Form.NAMED: lambda f, v: {f.name: list(v), values_name(f.name): list(v.values())},
     Form.PARAMETERS: lambda f, v: {f.name: parameters_tree(v)},
@@ -185,6 +187,7 @@ _READERS: Final[dict[Form, Callable[[RecordField, Tree], Any]]] = {
     Form.LIST: lambda f, tree: tuple(f.kind(item) for item in tree[f.name]),
     Form.ROWS: lambda f, tree: tuple(tuple(row) for row in _read_array(f, tree, -1).tolist()),
     Form.ARRAY: lambda f, tree: _read_array(f, tree, f.columns),
+    Form.POINT: lambda f, tree: point_of(tree[f.name]),
     Form.SPAN: lambda _, tree: (int(tree["first"]), int(tree["last"])),
     Form.NAMED: lambda f, tree: dict(zip(tree[f.name], tree[values_name(f.name)], strict=True)),
     Form.PARAMETERS: _read_parameters,
@@ -261,6 +264,8 @@ def comparable(tree: Tree) -> Tree:
         # Before structures had names, the values implied the structure.
         structure = {"structure": tree["structure"]} if tree["structure"] or not values else {}
         return {"plant": tree["plant"], **structure, **values}
+    if isinstance(tree.get("operating_point"), float):  # before plants could have several outputs
+        tree["operating_point"] = [tree["operating_point"]]
     if "seebeck" in tree:  # the rig-specific message, before other plants were supported
         absent = math.isnan(tree["seebeck"])
         return {"plant": "", "structure": ""} if absent else {"plant": "peltier", **tree}

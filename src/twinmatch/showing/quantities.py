@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from typing import Final, NamedTuple
 
 from twinmatch.dynamics import Parameter, Plant, State
-from twinmatch.signals import KELVIN
+from twinmatch.signals import KELVIN, OperatingPoint, point_values
 
 _TAKE_PREFIXES: Final = frozenset({"V", "A", "W", "J", "N", "Ω", "m", "s", "F", "H", "Pa", "Hz", "rad"})
 
@@ -80,6 +80,18 @@ def _prefix(unit: str, scale: float) -> tuple[str, float]:
     if scale >= 0.1 or first is None or first.group() not in _TAKE_PREFIXES:
         return "", 1.0
     return ("m", 1e3) if scale >= 1e-3 else ("µ", 1e6)
+
+
+def point_number(point: OperatingPoint, plant: type[Plant]) -> str:
+    """An operating point with the decimals of the plant's outputs."""
+    outputs = zip(point_values(point), plant.outputs.values(), strict=True)
+    return ", ".join(number(value, output.decimals) for value, output in outputs)
+
+
+def outputs_unit(plant: type[Plant]) -> str:
+    """The unit of all outputs, or their units in turn."""
+    units = [output.unit for output in plant.outputs.values()]
+    return units[0] if len(set(units)) == 1 else ", ".join(units)
 
 
 def number(value: float | None, decimals: int = 2, *, plus: bool = False) -> str:

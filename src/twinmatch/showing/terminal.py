@@ -25,7 +25,7 @@ from twinmatch.offline.summary import nominal_score
 from twinmatch.showing.console import Console
 from twinmatch.showing.family import CRITERIA, FIGURES, FigureColumn, chosen_score, for_both
 from twinmatch.showing.lines import STYLES, Lines, redraws
-from twinmatch.showing.quantities import number, parameter_format, percent
+from twinmatch.showing.quantities import number, outputs_unit, parameter_format, percent, point_number
 from twinmatch.showing.verdicts import (
     Event,
     EventKind,
@@ -281,9 +281,11 @@ def _family_columns(verdict: Verdict) -> list[FamilyColumn]:
     columns: list[FamilyColumn] = [("candidate", "", candidate)]
     if not verdict.modelled:
         return columns
-    model, y = verdict.modelled[0].parameters.model, verdict.modelled[0].parameters.model.plant.output
+    model = verdict.modelled[0].parameters.model
     shown = [c for c in for_both(verdict.modelled[0], CRITERIA) if c.name in _KEPT]
-    columns.append(("at", y.unit, lambda c, _: number(c.operating_point, y.decimals)))
+    columns.append(
+        ("at", outputs_unit(model.plant), lambda c, _: point_number(c.operating_point, model.plant))
+    )
     columns += [_parameter(model.plant, name) for name in model.structure.free]
     columns.append(("order", "", lambda c, _: c.chosen_order))
     columns += map(of_both, shown)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from itertools import chain
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -32,7 +33,7 @@ from twinmatch.comparing import (
 )
 from twinmatch.dynamics import Parameters, PlantError
 from twinmatch.fitting import ORDERS
-from twinmatch.signals import FloatArray, Window
+from twinmatch.signals import FloatArray, OperatingPoint, Window, point_of, point_values
 from twinmatch.twin.forecaster import Forecaster
 from twinmatch.twin.settings import TwinSettings
 from twinmatch.twin.structure_fits import StructureFits, watched
@@ -50,6 +51,7 @@ class FamilyScores(NamedTuple):
     certainty: str
 
 
+_NO_ORDERS: Final = "orders and code lengths are for plants with one loop"
 UNSCORED: Final = FamilyScores((), None, None, (), (), (), "")
 
 
@@ -68,7 +70,8 @@ class _NewestWindow(NamedTuple):
     """The newest window that was scored, and the model identified on it."""
 
     window: Window
-    model: SimoModel
+    model: SimoModel | None
+    """None: the plant has several loops."""
     now: Parameters | None
     """Parameters of the plant fitted to the newest samples, if that was possible."""
 
@@ -97,11 +100,13 @@ class CandidatePool:
         )
         self.scores: FamilyScores | None = None
         """The newest scores; None before the first."""
-        self._family = Family(settings.most_candidates, settings.regime_width)
+        self._single = plant.single
+        widths = point_of([settings.regime_width * unit for unit in settings.units])
+        self._family = Family(settings.most_candidates, widths)
         self._members: dict[str, _Member] = {}
         self._successors: dict[str, str] = {}
         self._newest: _NewestWindow | None = None
-        self._reached: tuple[float, float] | None = None
+        self._reached: tuple[FloatArray, FloatArray] | None = None
         self._loop = LoopConditions(law, spans_of(plant), settings.schedule.span, period)
         self._remembered = tuple(remembered)
         self.estranged = ""
@@ -119,8 +124,8 @@ class CandidatePool:
         name = None if self.scores is None else self.scores.nominal
         return None if name is None else self._members[name].candidate
 
-    def incumbent_at(self, operating_point: float) -> Candidate | None:
-        """The match whose regime contains this set-point, if any."""
+    def incumbent_at(self, operating_point: OperatingPoint) -> Candidate | None:
+        """The match whose regime contains this operating point, if any."""
         return self._family.standing_at(operating_point)
 
     def admit(self, candidate: Candidate, window: Window) -> str:
@@ -129,10 +134,21 @@ class CandidatePool:
         Raises:
             TwinmatchError: its twin cannot be run or identified there.
         """
-        settings = self._settings
         before = self._family.standing_at(candidate.operating_point)
         if before is not None:
             self._successors[candidate.name] = before.name
+        member = self._member(candidate, window)
+        leaving = self._family.admit(candidate)
+        if leaving is not None:
+            self._members.pop(leaving.name)
+        self._members[candidate.name] = member
+        return f"candidate {candidate.name} matched on samples {window.first} to {window.last}"
+
+    def _member(self, candidate: Candidate, window: Window) -> _Member:
+        """A match with its twin's models; a plant of several loops has none."""
+        settings = self._settings
+        if not self._single:
+            return _Member(candidate, window, {}, (), "")
         seed = settings.seed + window.first
         response = twin_response(candidate.parameters, window, settings.law, settings.sensor, seed)
         models = {
@@ -141,11 +157,7 @@ class CandidatePool:
         measured = window.part(response.first, response.last)
         absolute = settings.plant.output.absolute
         orders = score_orders(list(models.values()), measured, settings.decimals, absolute=absolute)
-        leaving = self._family.admit(candidate)
-        if leaving is not None:
-            self._members.pop(leaving.name)
-        self._members[candidate.name] = _Member(candidate, window, models, orders, choose_order(orders))
-        return f"candidate {candidate.name} matched on samples {window.first} to {window.last}"
+        return _Member(candidate, window, models, orders, choose_order(orders))
 
     def enter(self) -> None:
         """Pass all candidates to the forecaster: the structures, the matches, newest first, and the
@@ -210,7 +222,7 @@ class CandidatePool:
         if self._newest is not None and names and self.forecaster.leader not in names:
             self.scores = self._score_all(self._newest)
 
-    def _model(self, window: Window) -> SimoModel:
+    def _model(self, window: Window) -> SimoModel | None:
         """Model of a measured window, of the order chosen by most members, in which all are compared.
 
         It is reached through the lower orders like all others.
@@ -218,6 +230,8 @@ class CandidatePool:
         Raises:
             FittingError: set-point or input does not move, or there are too few samples.
         """
+        if not self._single:
+            return None
         order = common_order([self._members[c.name].chosen for c in self._family.candidates])
         orders = ORDERS[: ORDERS.index(order) + 1]
         settings = self._settings
@@ -242,14 +256,11 @@ class CandidatePool:
         """
         window, plant, now = newest
         family = [self._members[c.name] for c in self._family.candidates]
-        models = [member.models[plant.order] for member in family]
-        identified = nu_gap_matrix([m.symbol for m in models])
         candidates = [*self._family.candidates, *beside]
         points, loop, count = self._points(window), self._loop, len(family)
         gaps = plant_gaps([c.parameters for c in candidates], points, loop)
         to_now = [None if now is None else plant_gap(c.parameters, now, points, loop) for c in candidates]
         distances = gaps.matrix[:, :count].sum(axis=1).tolist()
-        decimals, absolute = self._settings.decimals, self._settings.plant.output.absolute
         bare = [_bare_score(*of) for of in zip(candidates, distances, to_now, strict=True)]
         scores = tuple(
             replace(
@@ -258,12 +269,12 @@ class CandidatePool:
                 last=member.window.last if member.candidate.window else member.window.first - 1,
                 orders=member.orders,
                 chosen_order=member.chosen,
-                newest=score(model, window, decimals, absolute=absolute).total,
-                identified_gap_sum=float(identified[k].sum()),
-                identified_gap_to_plant=nu_gap(model.symbol, plant.symbol),
             )
-            for k, (member, model) in enumerate(zip(family, models, strict=True))
+            for k, member in enumerate(family)
         )
+        identified = np.zeros((0, 0))
+        if plant is not None:
+            scores, identified = self._with_models(scores, family, window, plant)
         nominal = nominal_of(scores)
         every, twins = (*scores, *bare[count:]), candidates[:count]
         certainty = judge_uncertainty(
@@ -272,23 +283,43 @@ class CandidatePool:
         return FamilyScores(
             candidates=certainty.candidates,
             nominal=nominal,
-            order=plant.order,
+            order=plant.order if plant else None,
             nu_gap=_rows(gaps.matrix),
-            nu_gap_points=gaps.points,
+            nu_gap_points=tuple(chain.from_iterable(map(point_values, gaps.points))),
             identified_gap=_rows(identified),
-            certainty=certainty.certainty,
+            certainty=certainty.certainty if plant else f"{certainty.certainty}; {_NO_ORDERS}",
         )
 
-    def _points(self, newest: Window) -> tuple[float, ...]:
+    def _with_models(
+        self, scores: Sequence[CandidateScore], family: Sequence[_Member], window: Window, plant: SimoModel
+    ) -> tuple[tuple[CandidateScore, ...], FloatArray]:
+        """The scores with what the twins' models of the plant's order say, and the ν-gaps between these."""
+        decimals, absolute = self._settings.decimals, self._settings.plant.output.absolute
+        models = [member.models[plant.order] for member in family]
+        gaps = nu_gap_matrix([m.symbol for m in models])
+        modelled = tuple(
+            replace(
+                bare,
+                newest=score(model, window, decimals, absolute=absolute).total,
+                identified_gap_sum=float(row.sum()),
+                identified_gap_to_plant=nu_gap(model.symbol, plant.symbol),
+            )
+            for bare, model, row in zip(scores, models, gaps, strict=True)
+        )
+        return modelled, gaps
+
+    def _points(self, newest: Window) -> tuple[OperatingPoint, ...]:
         """Operating points at which plants are compared: the family's, and the lowest and the highest
-        set-point of all scored windows; where the loop is not known, the lowest and the highest output at
+        set-points of all scored windows; where the loop is not known, the lowest and the highest outputs at
         the end of a window."""
-        levels = newest.reference
+        levels = newest.references
         if self._settings.law is None:
-            levels = np.array([newest.output[-self._settings.schedule.min_span :].mean()])
-        seen = [float(levels.min()), float(levels.max()), *(self._reached or ())]
-        self._reached = min(seen), max(seen)
-        return tuple(sorted({*self._reached, *(c.operating_point for c in self._family.candidates)}))
+            settled = newest.outputs[-self._settings.schedule.min_span :].T
+            levels = np.array([[y.mean() for y in settled]])
+        seen = np.vstack([levels, *(self._reached or ())])
+        self._reached = seen.min(axis=0), seen.max(axis=0)
+        points = {*map(point_of, self._reached), *(c.operating_point for c in self._family.candidates)}
+        return tuple(sorted(points, key=point_values))
 
 
 def _bare_score(candidate: Candidate, distance: float, to_now: float | None) -> CandidateScore:

@@ -6,14 +6,14 @@ from collections import deque
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from twinmatch.comparing import ADMITTED, REFUSED, Candidate, Verdict
 from twinmatch.errors import TwinmatchError
 from twinmatch.fitting import Status
 from twinmatch.fitting.match import not_determined
-from twinmatch.health import SLOW, Alarm, Health, HealthState, Monitor
-from twinmatch.signals import Sample, Window
+from twinmatch.health import SLOW, Alarm, EstimatedReading, Health, HealthState, Monitor
+from twinmatch.signals import Sample, Window, point_values
 from twinmatch.twin.candidates import UNSCORED, CandidatePool
 from twinmatch.twin.door import Door
 from twinmatch.twin.forecaster import Forecaster, Snapshot
@@ -24,6 +24,9 @@ from twinmatch.twin.schedule import Schedule, Trigger
 from twinmatch.twin.settings import TwinSettings
 from twinmatch.twin.structure_fits import watched
 from twinmatch.twin.trust import BandCheck, BandHistory
+
+if TYPE_CHECKING:
+    from twinmatch.health.channels import ChannelMonitor
 
 MAX_STAMPS = 10_000
 """Number of samples for which stamps are kept for verdicts still due."""
@@ -41,6 +44,8 @@ class Step(NamedTuple):
     of lost samples."""
     settled: tuple[Sample, ...] = ()
     """The samples that it has taken now, and stand-ins, as the door settled them."""
+    estimates: tuple[EstimatedReading, ...] = ()
+    """What sensors should have read that were not believed at these samples."""
 
 
 class Discriminator:
@@ -71,11 +76,11 @@ class Discriminator:
         """Stamps of the newest samples and stand-ins, ns, by index."""
         self._plain = settings or TwinSettings()
         self.settings = self._plain.informed_by(given)
-        self.monitor = Monitor(replace(self.settings.health, period=self.settings.period))
+        self.monitor = _monitor(self.settings)
         self._schedule = _schedule(self.settings)
         self._external = [model for model in watched(self.settings.plant) if model.is_external]
         self._pool = CandidatePool(self.settings, self._spoilt, [each for each in given if each.remembered])
-        self._bands = BandHistory(self.settings.limits.doubtful, self.settings.noise.output)
+        self._bands = BandHistory(self.settings.limits.doubtful, self.settings.noise.all[0])
         self._given = [each for each in given if not each.remembered]
         self._waiting: deque[Sample] = deque()
         self._door = Door.of(self.settings)
@@ -132,9 +137,11 @@ class Discriminator:
         """Process the queue until it is empty or a match is needed."""
         snapshots: list[Snapshot] = []
         settled: list[Sample] = []
+        estimates: list[EstimatedReading] = []
         while (sample := self._next()) is not None:
             settled.append(sample)
             verdicts += self._take(sample)
+            estimates += self.monitor.estimates
             if not sample.usable:
                 continue
             if self._snapshots and (sample.seen or sample.refused):
@@ -144,7 +151,7 @@ class Discriminator:
                 verdicts += self._on_trigger(self._due)
                 if self._request is not None:
                     break
-        return Step(tuple(verdicts), self._request, tuple(snapshots), tuple(settled))
+        return Step(tuple(verdicts), self._request, tuple(snapshots), tuple(settled), tuple(estimates))
 
     def _next(self) -> Sample | None:
         """The next sample of the queue, as the door settles it once all before it have been taken."""
@@ -210,7 +217,7 @@ class Discriminator:
         """Judge the plant's health; return the alarm that has just begun or ended."""
         if self._recent and not sample.follows(self._recent[-1]):
             if not sample.continues(self._recent[-1]):  # another session: the old alarms have other indices
-                self.monitor = Monitor(self.monitor.settings)
+                self.monitor = _monitor(self.settings)
             self._recent.clear()
         if sample.usable:
             self._recent.append(sample)
@@ -285,6 +292,7 @@ class Discriminator:
             leader=forecaster.leader,
             confidence=forecaster.confidence,
             forecasts=forecaster.scores,
+            alone=forecaster.standings.alone,
             standing="; ".join(text for text in (forecaster.sentence, self._pool.estranged) if text),
             remembered=self._pool.rests_on_memory(forecaster.leader),
             trusted=self._trusted,
@@ -344,7 +352,8 @@ class Discriminator:
         match, window = report.match, trigger.window
         if match.status is not Status.ACCEPTED:
             return MatchResult(REFUSED, f"match refused: {match.reason}")
-        name = f"{report.operating_point:g} {self.settings.plant.output.unit}"
+        outputs = zip(point_values(report.operating_point), self.settings.plant.outputs.values(), strict=True)
+        name = ", ".join(f"{value:g} {output.unit}" for value, output in outputs)
         free, covariance = match.of_parameters()
         candidate = Candidate(name, report.operating_point, match.parameters, window, free, covariance)
         with one_thread():
@@ -364,6 +373,8 @@ class Outcome(NamedTuple):
     verdicts: tuple[Verdict, ...]
     settled: tuple[Sample, ...]
     """The sample as the door settled it, behind the stand-ins for those lost before it."""
+    estimates: tuple[EstimatedReading, ...] = ()
+    """What sensors should have read that were not believed."""
 
 
 class Twin:
@@ -388,10 +399,21 @@ class Twin:
         """Take one sample; return the match and the verdicts that it triggers."""
         step = self.discriminator.push_sample(sample)
         if step.request is None:
-            return Outcome(None, step.verdicts, step.settled)
+            return Outcome(None, step.verdicts, step.settled, step.estimates)
         report = carry_out(step.request, self._matching)
         after = self.discriminator.push_match(report)
-        return Outcome(report, step.verdicts + after.verdicts, step.settled + after.settled)
+        settled, estimates = step.settled + after.settled, step.estimates + after.estimates
+        return Outcome(report, step.verdicts + after.verdicts, settled, estimates)
+
+
+def _monitor(settings: TwinSettings) -> Monitor | ChannelMonitor:
+    """Watches a plant with one loop as a whole, any other channel by channel."""
+    health = replace(settings.health, period=settings.period)
+    if settings.plant.single:
+        return Monitor(health)
+    from twinmatch.health.channels import ChannelMonitor  # noqa: PLC0415 — nothing else needs its arithmetic
+
+    return ChannelMonitor(health.followed, health.period)
 
 
 def _schedule(settings: TwinSettings) -> Schedule:
@@ -401,4 +423,11 @@ def _schedule(settings: TwinSettings) -> Schedule:
         with one_thread():
             return not_determined(window, settings.start, settings.free, settings.noise, settings.law)
 
-    return Schedule(settings.schedule, settings.period, settings.effect, settings.regime_width, left_open)
+    return Schedule(
+        settings.schedule,
+        settings.period,
+        settings.effect,
+        settings.regime_width,
+        units=settings.units,
+        determines=left_open,
+    )

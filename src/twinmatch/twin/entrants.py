@@ -94,31 +94,37 @@ class Standings:
     @cached_property
     def scores(self) -> tuple[ForecastScore, ...]:
         """Scores of all candidates, in their order."""
-        ledger, scored = self._ledger, []
-        if ledger is None:
-            return ()
+        return tuple(map(self._score, self._saved))
+
+    @property
+    def alone(self) -> dict[str, ForecastScore]:
+        """The leader's score in each forecast signal alone, by the signal's name: outputs, then inputs."""
+        if self._ledger is None or self.leader is None:
+            return {}
+        plant = self._entrants[self.leader].candidate.parameters.model.plant
+        names = [*plant.outputs, *plant.drives][: self._ledger.noise.size]
+        return {name: self._score(self.leader, signal) for signal, name in enumerate(names)}
+
+    def _score(self, name: str, signal: int | None = None) -> ForecastScore:
+        """The score of a candidate; its skills and bands in all signals or in one."""
+        assert self._ledger is not None  # noqa: S101 — otherwise nobody has saved anything
+        candidate, calibration = self._entrants[name].candidate, self._entrants[name].calibration
+        (total, gains), (first, last) = self._saved[name], candidate.samples
         spans = [(max((b for b in self._horizons if b < h), default=0), h) for h in self._horizons]
-        for name, (total, gains) in self._saved.items():
-            candidate, calibration = self._entrants[name].candidate, self._entrants[name].calibration
-            coverage, independent = zip(*(calibration.coverage(*span) for span in spans), strict=True)
-            first, last = candidate.samples
-            scored.append(
-                ForecastScore(
-                    name=name,
-                    parameters=candidate.parameters,
-                    first=first,
-                    last=last,
-                    gain=total,
-                    gains=tuple(gains),
-                    forecasts=ledger.forecasts(name),
-                    coverage=coverage,
-                    independent=independent,
-                    **dict(
-                        zip(_SKILLS, map(tuple, np.concatenate(ledger.skills(name)).tolist()), strict=True)
-                    ),
-                )
-            )
-        return tuple(scored)
+        coverage, independent = zip(*(calibration.coverage(*span, signal) for span in spans), strict=True)
+        skills = np.concatenate(self._ledger.skills(name, signal)).tolist()
+        return ForecastScore(
+            name=name,
+            parameters=candidate.parameters,
+            first=first,
+            last=last,
+            gain=total,
+            gains=tuple(gains),
+            forecasts=self._ledger.forecasts(name),
+            coverage=coverage,
+            independent=independent,
+            **dict(zip(_SKILLS, map(tuple, skills), strict=True)),
+        )
 
     @cached_property
     def _saved(self) -> dict[str, tuple[float, list[float]]]:

@@ -13,6 +13,7 @@ from twinmatch.comparing import (
     LEVEL_WORDS,
     ForecastScore,
     Shortfall,
+    SignalScore,
     TrustLevel,
     Verdict,
     doubt_words,
@@ -63,6 +64,8 @@ class Knowledge:
     """How often the leader was nearly the best, 0 to 1."""
     forecasts: tuple[ForecastScore, ...]
     """How well all candidates have forecast, also compared with forecasts that need no twin."""
+    alone: Mapping[str, ForecastScore]
+    """How well the leader has forecast each signal, by its name: outputs, then inputs."""
     standing: str
     """A sentence on who leads."""
     remembered: bool
@@ -95,6 +98,11 @@ class Knowledge:
         return self.health.fault if self.health and self.health.state is HealthState.FAULT else None
 
     @property
+    def signal(self) -> str:
+        """What the fault concerns, by its name in the plant file."""
+        return self.health.signal if self.health is not None and self.fault is not None else ""
+
+    @property
     def leading(self) -> ForecastScore | None:
         """The leader's score."""
         return next((score for score in self.forecasts if score.name == self.leader), None)
@@ -103,7 +111,14 @@ class Knowledge:
     def doubts(self) -> dict[float, Shortfall]:
         """Where the leader's forecasts do not pass the test, and why, by horizon, s."""
         of = self.leading
-        return of.doubts(self.horizons, self.trusted) if of else dict.fromkeys(self.horizons, FEW)
+        if of is None:
+            return dict.fromkeys(self.horizons, FEW)
+        found = of.doubts(self.horizons, self.trusted)
+        plant = of.parameters.model.plant
+        for name, output in plant.outputs.items() if len(plant.outputs) > 1 else ():
+            each = self.alone[name].doubts(self.horizons, self.trusted)
+            found = {h: doubt.of(output.text or name) for h, doubt in each.items()} | found
+        return found
 
     @property
     def structure_parameters(self) -> Parameters | None:
@@ -172,6 +187,7 @@ def verdict_of(known: Knowledge) -> Verdict:
         decided=led and known.confidence >= DECIDED_FROM,
         certainty="; ".join(sentence for sentence in (known.standing, scores.certainty) if sentence),
         fault="" if fault is None else fault.value,
+        fault_signal=known.signal,
         fault_since=known.health.since if fault is not None and known.health else None,
         structure=known.structure,
         structure_parameters=known.structure_parameters,
@@ -185,4 +201,17 @@ def verdict_of(known: Knowledge) -> Verdict:
         horizons=known.horizons,
         forecasts=known.forecasts,
         trusted=tuple(horizon for horizon in known.horizons if horizon not in doubts),
+        signals=_signals(known),
     )
+
+
+def _signals(known: Knowledge) -> tuple[SignalScore, ...]:
+    """How far to trust the forecasts of each signal; figures of the newest bands are NaN without any."""
+    newest = known.bands.each or ((math.nan, math.nan),) * len(known.alone)
+    found = []
+    for (name, score), (miss, inside) in zip(known.alone.items(), newest, strict=True):
+        doubts = score.doubts(known.horizons, known.trusted)
+        trusted = tuple(horizon for horizon in known.horizons if horizon not in doubts)
+        skills = score.persistence_skill, score.arx_skill
+        found.append(SignalScore(name, miss, inside, score.coverage, *skills, trusted))
+    return tuple(found)

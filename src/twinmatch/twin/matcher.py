@@ -17,7 +17,7 @@ from twinmatch.fitting import GateLimits, Match, Status, match
 from twinmatch.fitting.lacks import LEFT, Lack, lack_of
 from twinmatch.fitting.match import explaining, usable_fit, without_fit
 from twinmatch.fitting.problem import LASTING
-from twinmatch.signals import Window
+from twinmatch.signals import OperatingPoint, Window
 from twinmatch.twin.settings import TwinSettings
 
 _blas = cache(ThreadpoolController)
@@ -49,8 +49,8 @@ class MatchRequest(NamedTuple):
 
     sample: int
     """Index of the sample that set it off."""
-    operating_point: float
-    """Set-point at the window's end."""
+    operating_point: OperatingPoint
+    """Set-points at the window's end."""
     window: Window
     start: Parameters
     """Start of the search, and the values of the parameters that are not free."""
@@ -63,8 +63,8 @@ class MatchReport(NamedTuple):
 
     sample: int
     """Index of the sample that set it off."""
-    operating_point: float
-    """Set-point at the window's end."""
+    operating_point: OperatingPoint
+    """Set-points at the window's end."""
     match: Match
 
     def answers(self, request: MatchRequest) -> bool:

@@ -13,9 +13,11 @@ from twinmatch.dynamics import (
     FROM_PLANT_FILE,
     SKIPPED,
     Controller,
+    Drive,
     Experiment,
     Law,
     LoopLaw,
+    Output,
     Parameters,
     Response,
     advance,
@@ -228,7 +230,7 @@ class Residuals(NamedTuple):
     """RMS of measured minus twin over a window."""
 
     y: float
-    """Output residual of the driven twin, which gets the measured input."""
+    """Output residual of the driven twin, which gets the measured input; of several the worst, likewise."""
     u: float
     """Input residual of the closed-loop twin, which gets the set-point; NaN if the loop is not known."""
 
@@ -240,13 +242,20 @@ def residuals(parameters: Parameters, window: Window, law: Law | None) -> Residu
     disturbances = window.disturbances[SKIPPED:]
     states = begin_window(parameters, window)
     driven = simulate_driven(
-        parameters, window.input[SKIPPED:], states=states, period=window.period, disturbances=disturbances
+        parameters, window.inputs[SKIPPED:], states=states, period=window.period, disturbances=disturbances
     )
-    off = float(rms(window.received(window.output[SKIPPED:] - driven.output)))
+    plant = parameters.model.plant
+    off = _worst(window.received(window.outputs[SKIPPED:] - driven.outputs), plant.outputs)
     if law is None:
         return Residuals(off, float("nan"))
     closed = simulate_window(parameters, window, law=law)
-    return Residuals(off, float(rms(window.received(window.input[SKIPPED:] - closed.input))))
+    return Residuals(off, _worst(window.received(window.inputs[SKIPPED:] - closed.inputs), plant.drives))
+
+
+def _worst(left: FloatArray, signals: Mapping[str, Output | Drive]) -> float:
+    """RMS of what is left of the signals, shape (N, signals); of several, of the worst in its noise."""
+    sizes = rms(left.T)
+    return float(sizes[np.argmax(sizes / [signal.noise for signal in signals.values()])])
 
 
 def window_fit(parameters: Parameters, window: Window, law: Law | None) -> tuple[float, float]:

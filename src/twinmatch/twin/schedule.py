@@ -35,7 +35,7 @@ from twinmatch.dynamics.movement import ExpectedMovement, InputEffect
 from twinmatch.dynamics.pace import plant_scale
 from twinmatch.errors import TwinmatchError
 from twinmatch.settings import setting
-from twinmatch.signals import Sample, Window
+from twinmatch.signals import OperatingPoint, Sample, Signals, Window, point_of
 
 _LEAVING: Final = 0.1
 """Share of a least movement from which the output counts as on its way."""
@@ -59,7 +59,8 @@ class ScheduleSettings:
     """Those follow the plant's time constant; what is given itself is not multiplied."""
     stride: int = setting(60, "Samples between two checks while nothing changes.", "samples", 4, 10000)
     min_step: float = setting(2.0, "Smallest movement that starts a regime.", "{y}", 1e-6, 1e6)
-    """Where the loop is not known, of the output as the inputs are expected to move it."""
+    """Where the loop is not known, of the output as the inputs are expected to move it. Of several outputs of
+    the first; of the others in proportion to the noise."""
     min_span: int = setting(60, "A shorter regime is merged with the next one.", "samples", 10, 10000)
     span: int = setting(240, "A regime is judged this long after its step.", "samples", 20, 10000)
     """Or at its end, if that comes before."""
@@ -80,7 +81,8 @@ class ScheduleSettings:
             if one.metadata["unit"] == "samples":
                 low, high = one.metadata["low"], one.metadata["high"]
                 counts[one.name] = min(max(round(getattr(cls, one.name) * factor), low), high)
-        return cls(scale, min_step=plant.output.least_step, **counts)
+        first = next(iter(plant.outputs.values()))
+        return cls(scale, min_step=first.least_step, **counts)
 
     def __post_init__(self) -> None:
         for name in ("stride", "min_span", "span", "lead", "capacity"):
@@ -106,8 +108,8 @@ class Trigger(NamedTuple):
     window: Window
     excited: bool
     """Whether the window holds a step, so that parameters can be matched on it."""
-    operating_point: float
-    """Set-point at the window's end, or the output where the loop is not known; in the output's unit."""
+    operating_point: OperatingPoint
+    """Set-points at the window's end, or the outputs where the loop is not known; in the outputs' units."""
     reason: str = ""
     """Why it is not excited, in a sentence."""
 
@@ -115,9 +117,12 @@ class Trigger(NamedTuple):
 class Movements:
     """Movements of what counts, each as soon as it is far enough or a lesser one has lasted."""
 
-    def __init__(self, settings: ScheduleSettings, effect: InputEffect | None) -> None:
-        """Begin without samples; `effect`: what the inputs do to the outputs, None: the set-points count."""
-        self._least, self._lasting = settings.min_step, settings.min_span
+    def __init__(
+        self, settings: ScheduleSettings, effect: InputEffect | None, units: Signals = (1.0,)
+    ) -> None:
+        """Begin without samples; `effect`: what the inputs do to the outputs, None: the set-points count.
+        `units` of the outputs, in that of the first: so much larger is the least step of each."""
+        self._least, self._lasting = settings.min_step * np.array(units), settings.min_span
         self._expected = None if effect is None else ExpectedMovement(effect)
 
     def rest(self, sample: Sample) -> None:
@@ -132,10 +137,9 @@ class Movements:
         """Take a sample; return the index of the first one of the movement that counts now, if any."""
         far = 0.0
         if self._expected is not None:
-            far = float(np.max(np.abs(self._expected.take(np.array(sample.inputs)))))
+            far = float(np.max(np.abs(self._expected.take(np.array(sample.inputs))) / self._least))
         elif sample.references != self._anchor:
-            far = max(abs(now - then) for now, then in zip(sample.references, self._anchor, strict=True))
-        far /= self._least
+            far = float(np.max(np.abs(np.subtract(sample.references, self._anchor)) / self._least))
         if far < _LEAVING:
             self._away = sample.index + 1
         self._moving += far * far
@@ -155,6 +159,8 @@ class Schedule:
         period: float = 1.0,
         effect: InputEffect | None = None,
         width: float = 10.0,
+        *,
+        units: Signals = (1.0,),
         determines: Callable[[Window], str] = lambda _: "",
     ) -> None:
         """Begin without samples.
@@ -165,12 +171,13 @@ class Schedule:
             effect: what the inputs do to the outputs; None: the set-points count, the loop being known.
             width: width of a regime, in the output's unit: where the loop is not known, operating points are
                 rounded to a power of ten of at most a tenth of it.
+            units: those of the outputs, in that of the first, in which least step and width are given.
             determines: says in words what a window does not determine yet; empty if it does.
         """
         self.settings = settings or ScheduleSettings()
         self.period = period
-        self._movements, self._driven = Movements(self.settings, effect), effect is not None
-        self._decimals = -math.floor(math.log10(width / 10))
+        self._movements, self._driven = Movements(self.settings, effect, units), effect is not None
+        self._decimals = [-math.floor(math.log10(width * unit / 10)) for unit in units]
         self._open = determines
         self._samples: deque[Sample] = deque(maxlen=self.settings.capacity + 1)
 
@@ -239,12 +246,13 @@ class Schedule:
         self._judged_to = sample.index
         return Trigger(sample.index, window, False, self._point(window), missing)
 
-    def _point(self, window: Window) -> float:
+    def _point(self, window: Window) -> OperatingPoint:
         """The operating point at a window's end."""
         if not self._driven:
-            return float(window.reference[-1])
-        newest = window.output[-self.settings.min_span :]
-        return round(float(np.mean(newest)), self._decimals) + 0.0  # avoids an operating point of minus zero
+            return point_of(window.references[-1])
+        newest = window.outputs[-self.settings.min_span :].T
+        means = zip(newest, self._decimals, strict=True)  # avoids an operating point of minus zero
+        return point_of([round(float(np.mean(y)), decimals) + 0.0 for y, decimals in means])
 
     def _begin(self, last: int) -> int:
         """First sample of an excited window that ends with `last`."""

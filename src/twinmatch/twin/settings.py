@@ -27,6 +27,7 @@ from twinmatch.forecasting import HORIZONS, ForecastError
 from twinmatch.health import HealthSettings
 from twinmatch.plants import Peltier
 from twinmatch.settings import setting
+from twinmatch.signals import Signals
 from twinmatch.twin.schedule import ScheduleSettings
 
 _CLOSEST: Final = 10
@@ -127,6 +128,7 @@ class TwinSettings:
     regime_width: float = setting(
         10.0, "Operating points closer than half of this are one regime.", "{y}", 1e-6, 1e6
     )
+    """Of several outputs of the first; of the others in proportion to the noise."""
     limits: TrustLimits = field(default_factory=TrustLimits)
     health: HealthSettings = field(default_factory=HealthSettings)
     """Settings of the health monitor; their period is replaced by `period`."""
@@ -152,8 +154,7 @@ class TwinSettings:
         Raises:
             PlantError: there is no such structure.
         """
-        model = plant.model(structure)
-        noise = plant.output.noise
+        model, first = plant.model(structure), next(iter(plant.outputs.values()))
         running = law_for(plant, period, law)
         return cls(
             plant=plant,
@@ -164,8 +165,8 @@ class TwinSettings:
             noise=Noise.of(plant),
             law=running,
             sensor=plant.sensor or Sensor(),
-            decimals=plant.output.decimals + 1,
-            regime_width=_REGIME * noise,
+            decimals=first.decimals + 1,
+            regime_width=_REGIME * first.noise,
             health=HealthSettings.of(plant, period),
             forecasts=ForecastSettings.of(plant_scale(plant, period, scale), period),
         )
@@ -202,6 +203,12 @@ class TwinSettings:
         return effect_of(self.plant, self.period) if self.law is None else None
 
     @property
+    def units(self) -> Signals:
+        """Noise of each output, in units of the first one's: steps and widths are in proportion to it."""
+        noise = [y.noise for y in self.plant.outputs.values()]
+        return tuple(each / noise[0] for each in noise)
+
+    @property
     def model_scale(self) -> float | None:
         """`scale` for `identify` if models are from input to output; None if the loop is known and models are
         from its set-point."""
@@ -212,6 +219,13 @@ class TwinSettings:
             if of.model.plant is not self.plant:
                 msg = f"twin: {name} has parameters of {of.model.plant.title}; give {self.plant.title}'s"
                 raise TwinError(msg)
+        numbers = np.size(self.noise.outputs), np.size(self.noise.inputs)
+        signals = len(self.plant.outputs), len(self.plant.drives)
+        if numbers != signals:
+            raise TwinError(
+                f"twin: noise has {numbers[0]} outputs and {numbers[1]} inputs; plant {self.plant.name} has "
+                f"{signals[0]} and {signals[1]}: give one number for each"
+            )
         if self.most_candidates < 1:
             msg = f"twin: most_candidates is {self.most_candidates}; a family needs at least one"
             raise TwinError(msg)

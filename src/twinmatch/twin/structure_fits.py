@@ -22,7 +22,7 @@ from twinmatch.comparing import Candidate
 from twinmatch.dynamics import Law, Model, Parameters, Plant
 from twinmatch.errors import TwinmatchError
 from twinmatch.fitting import Noise, Prior, StructureFit, fit_structure
-from twinmatch.signals import Window
+from twinmatch.signals import Window, point_of
 from twinmatch.twin.recall import unlike
 from twinmatch.twin.structures import StructureChoice, choose_structure
 
@@ -210,7 +210,8 @@ class StructureFits:
 
     def _compete(self, models: Sequence[Model], window: Window) -> None:
         """Fit structures, except the matched one, to a window."""
-        level = window.output if self._law is None else window.reference
+        levels = window.outputs if self._law is None else window.references
+        point = point_of(np.median(levels, axis=0))
         for model in models:
             name, free = model.structure_name, model.structure.free
             if model is self._matched and name not in self._prior:
@@ -218,7 +219,7 @@ class StructureFits:
             before = self._fits.get(name)
             fit = None if model.lost else self._fit(model, window, before and before[1], informed=True)
             if fit is not None:
-                point, states = float(np.median(level)), fit.states[-1]
+                states = fit.states[-1]
                 candidate = Candidate(name, point, fit.parameters, window, free, fit.covariance, states)
                 self._fits[name] = candidate, fit
 

@@ -36,6 +36,8 @@ class BandCheck(NamedTuple):
     high: float = float("nan")
     last: float = float("nan")
     """The newest of them."""
+    each: tuple[tuple[float, float], ...] = ()
+    """The miss and the share of each output and then of each input that was forecast."""
 
     @property
     def miss(self) -> float:
@@ -57,18 +59,26 @@ def check_band(
     Only those that are `counted` are compared; None: all.
     """
 
-    def worst(values: FloatArray, bands: Sequence[Band]) -> tuple[float, float]:
-        each = [_misses(came, band, counted) for came, band in zip(values, bands, strict=True)]
-        return max(miss for miss, _ in each), min(inside for _, inside in each)
+    def misses(values: FloatArray, bands: Sequence[Band]) -> list[tuple[float, float]]:
+        return [_misses(came, band, counted) for came, band in zip(values, bands, strict=True)]
 
-    miss_y, inside_y = worst(outputs, forecast.outputs)
-    miss_u, inside_u = (float("nan"),) * 2 if inputs is None else worst(inputs, forecast.inputs)
+    of_outputs = misses(outputs, forecast.outputs)
+    of_inputs = [] if inputs is None else misses(inputs, forecast.inputs)
+    (miss_y, inside_y), (miss_u, inside_u) = _worst(of_outputs), _worst(of_inputs)
     band, size = forecast.outputs[0], outputs.shape[1]
     known = np.ones(size, dtype=np.bool_) if counted is None else counted
     held = known & (band.low[-size:] <= outputs[0]) & (outputs[0] <= band.high[-size:])  # no spikes
     came = outputs[0, held if held.any() else known]
     low, high, last = float(came.min()), float(came.max()), float(came[-1])
-    return BandCheck(miss_y, inside_y, miss_u, inside_u, low, high, last)
+    each = (*of_outputs, *of_inputs)
+    return BandCheck(miss_y, inside_y, miss_u, inside_u, low, high, last, each)
+
+
+def _worst(each: Sequence[tuple[float, float]]) -> tuple[float, float]:
+    """The greatest miss and the least share; NaN without any."""
+    if not each:
+        return float("nan"), float("nan")
+    return max(miss for miss, _ in each), min(inside for _, inside in each)
 
 
 def _misses(values: FloatArray, band: Band, counted: BoolArray | None) -> tuple[float, float]:

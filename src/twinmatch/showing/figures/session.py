@@ -28,7 +28,7 @@ from twinmatch.showing.quantities import signal_names
 from twinmatch.showing.series import Comparison, compare, rolling_rms
 from twinmatch.showing.style import CLOSED, DRIVEN, LEVELS, PLANT, SET_POINT, TEXT
 from twinmatch.showing.verdicts import admitted, last_verdict
-from twinmatch.signals import FloatArray, Sample, stretches
+from twinmatch.signals import FloatArray, Sample, point_text, stretches
 from twinmatch.twin import MatchReport, TwinSettings, filled_stretches
 
 if TYPE_CHECKING:
@@ -181,7 +181,7 @@ def _draw_matches(
     for m in matches:
         at = (m.sample * period, float(m.sample in joined))
         place: dict[str, Any] = {"textcoords": "offset points", "ha": "center", "fontsize": 7, "color": TEXT}
-        axes.annotate(f"{m.operating_point:g}", at, (0, 5), **place)
+        axes.annotate(point_text(m.operating_point), at, (0, 5), **place)
     axes.set_ylim(-0.6, 2.0)
     axes.set_yticks([0, 1], ["refused", "admitted"])
     axes.set_ylabel(f"matches\n({unit})" if unit else "matches")

@@ -35,6 +35,7 @@ from twinmatch.showing.quantities import (
 )
 from twinmatch.showing.series import Fan, root_mean_square
 from twinmatch.showing.verdicts import events, match_word, refusal
+from twinmatch.signals import point_text
 from twinmatch.twin import MatchReport
 
 Item = TypeVar("Item")
@@ -198,7 +199,7 @@ def match_table(
 
     of_match: list[tuple[str, Callable[[MatchReport], Cell]]] = [
         ("t / s", lambda m: Cell(number(m.sample * period, 0))),
-        ("set-point" if closed else "operating point", lambda m: Cell(f"{m.operating_point:g}")),
+        ("set-point" if closed else "operating point", lambda m: Cell(point_text(m.operating_point))),
         ("match", result),
         *((q.label, lambda m, q=q: parameter(m, q)) for q in shown),
         ("fit y / %", lambda m: Cell(percent(m.match.fit.y))),

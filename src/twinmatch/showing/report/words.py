@@ -229,7 +229,7 @@ def _matches(judgement: Judgement) -> str:
 
 
 def _steps(samples: Sequence[Sample], settings: TwinSettings) -> str:
-    movements = Movements(settings.schedule, settings.effect)
+    movements = Movements(settings.schedule, settings.effect, settings.units)
     movements.rest(samples[0])
     count = sum(movements.push(sample) is not None for sample in samples)
     means = "" if settings.effect is None else "the output moved by the input "
