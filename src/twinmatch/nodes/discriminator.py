@@ -205,8 +205,12 @@ class DiscriminatorNode(SampleNode):
         self._tries += 1
         self._pending = request
         self._requests.publish(request)
-        last = request.first + len(request.reference) - 1
+        last = request.first + self._length(request) - 1
         self.health.set("waiting for a match of", f"{request.first} to {last}")
+
+    def _length(self, request: MatchRequest) -> int:
+        """Samples in its window."""
+        return len(request.output) // len(self.settings.plant.outputs)
 
     def _repeat(self) -> None:
         pending = self._pending
@@ -218,7 +222,7 @@ class DiscriminatorNode(SampleNode):
 
     def _on_match(self, report: MatchReport) -> None:
         pending = self._pending
-        asked = None if pending is None else (pending.sample, pending.first, len(pending.reference))
+        asked = None if pending is None else (pending.sample, pending.first, self._length(pending))
         first, last = report.match.samples
         if asked != (report.sample, first, last + 1 - first):
             self.health.count("matches not asked for")  # a second answer, or anybody's: not even queued
