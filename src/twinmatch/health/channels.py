@@ -110,7 +110,9 @@ class ChannelMonitor:
         before = self._alarms[-1] if self._alarms else None
         self._push(sample)
         through = self.competition.through.items()
-        self.estimates = tuple(self._estimate(i, one, sample) for i, one in through if one.samples)
+        self.estimates = tuple(
+            self._estimate(i, one, sample) for i, one in through if one.samples > one.rehearsed
+        )
         newest, on = self._alarms[-1] if self._alarms else None, self.on
         news, nan = newest if newest is not before else None, math.nan
         if on is None:
@@ -127,7 +129,7 @@ class ChannelMonitor:
             one.good = period * one.lasts(wide, round(HOUR / period))
         value, band = one.estimate
         reading = (sample.refused or sample.outputs)[output]
-        since = sample.index - one.samples + 1
+        since = sample.index - (one.samples - one.rehearsed) + 1
         return EstimatedReading(sample.index, name, value, band, reading, since, wide, one.good)
 
     def _push(self, sample: Sample) -> None:
@@ -146,7 +148,7 @@ class ChannelMonitor:
             row = ChangeRow((Fault.SENSOR_IMPLAUSIBLE, output), "")
             best = Suspect(row.cause, math.inf, row, 0.0, 0.0, self.competition.count - _CONFIRM, -1)
             self._raise(Fault.SENSOR_IMPLAUSIBLE, best, [best])
-            self.competition.read_through(output)
+            self.competition.read_through(output, best.born)
         self.found = [f for f in map(self._lost_or_weak, self.competition.found()) if self._counts(f)]
         self._judge(self.found)
         for output in [*self.competition.through]:
@@ -246,7 +248,7 @@ class ChannelMonitor:
         if fault is Fault.SENSOR_FROZEN:
             if self.shows(best) and self.on is None:
                 self._raise(fault, best, found)
-                self.competition.read_through(signal, frozen=True)
+                self.competition.read_through(signal, best.born)
             return
         if fault is Fault.DRIFT or (fault is Fault.DRIVE_WEAK and best.shift > 0.0):
             return  # what does more than before has no name
@@ -257,7 +259,7 @@ class ChannelMonitor:
             self._standing.append((fault, best.row, best.shift))
         self._adopt(best)
         if fault is Fault.SENSOR_DRIFT:
-            self.competition.read_through(signal)
+            self.competition.read_through(signal, best.born)
 
     def _adopt(self, best: Suspect) -> None:
         """The plant is so from now on; what has changed may be undone."""

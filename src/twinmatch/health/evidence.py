@@ -17,7 +17,7 @@ from twinmatch.dynamics.bank import ChangeRows, Reading, spawn, step, tally, unb
 from twinmatch.health.faults import Fault
 from twinmatch.health.hypotheses import ChangeRow, Named, rows_of
 from twinmatch.health.mixture import HealthyMixture
-from twinmatch.health.reading_through import ReadThrough
+from twinmatch.health.reading_through import ReadThrough, Rehearsal
 from twinmatch.health.sensors import LearnedSensor
 from twinmatch.signals import BoolArray, FloatArray, Sample
 
@@ -28,6 +28,8 @@ _SLOTS: Final = 6
 _REACH: Final = 480.0
 """Age after which an onset is forgotten, s."""
 _HOUR: Final = 3600.0
+_REHEARSED: Final = 300.0
+"""Time from which on the plant is known well enough to read through a sensor, s."""
 _COUNTS: Final = math.log(0.01)
 """Log-weight of a level from which on changes begin in it."""
 _INTERESTING: Final = -6.0
@@ -63,6 +65,7 @@ class Competition:
         outputs = self._model.plant.outputs.values()
         self.sensors = [LearnedSensor(output.noise, output.span, self.second) for output in outputs]
         self._usual, self._suspected = rows_of(self._model), False
+        self._rehearsals = [Rehearsal(self.second, output.noise) for output in outputs]
         self.through: dict[int, ReadThrough] = {}
         """Estimates of the outputs whose sensors lie, by their places."""
         self.expect_back([])
@@ -78,8 +81,9 @@ class Competition:
         self.count = 0
         """Samples since."""
         self.healthy.restart()
-        for sensor in self.sensors:
+        for sensor, rehearsal in zip(self.sensors, self._rehearsals, strict=True):
             sensor.restart()
+            rehearsal.drop()
         self._clear()
 
     def _clear(self) -> None:
@@ -134,6 +138,7 @@ class Competition:
         given = Reading(values, seen, repeated, noise, digit, pause, healthy.acting(u), row)
         code, levels = self._model.kernels.code, healthy.levels
         step(code, healthy.fixed, healthy.members, traces, table, levels, given, self.count)
+        self._rehearse(given, variance)
         if self.through:
             given = given._replace(seen=seen & ~np.isin(np.arange(seen.size), list(self.through)))
             for output, one in self.through.items():
@@ -149,6 +154,19 @@ class Competition:
             sensor.learn(value, counts, nats)
         self.count += 1
         healthy.known += 1
+
+    def _rehearse(self, given: Reading, variance: FloatArray) -> None:
+        """Read through each sensor that is right, to know what such an estimate is worth."""
+        for output, rehearsal in enumerate(self._rehearsals):
+            if rehearsal.on is None and self.known >= _REHEARSED and not self.through:
+                rehearsal.on = self._without(output, 0)
+            rehearsal.push(given, float(variance[output]), output)
+
+    def _without(self, output: int, since: int) -> ReadThrough:
+        healthy, band = self.healthy, self._rehearsals[output].band
+        return ReadThrough(
+            self._model, healthy.without(output, since), healthy.fixed, output, table=self._table, band=band
+        )
 
     def found(self) -> list[Suspect]:
         """Every cause with its evidence, the best first."""
@@ -174,11 +192,16 @@ class Competition:
         """Whether a reading is far from a forecast that was made before it began to repeat itself."""
         return self.healthy.missed(self._stood(output), output, value, self.sensors[output].variance)
 
-    def read_through(self, output: int, *, frozen: bool = False) -> None:
-        """Estimate an output without its sensor from now on; `frozen`: nothing counts since it repeats."""
+    def read_through(self, output: int, since: int) -> None:
+        """Estimate an output without its sensor from now on, which has lied `since` so many samples after the
+        last gap: by the estimate that was rehearsed then, if there is one."""
         if output not in self.through:
-            since = self._stood(output) if frozen else 0
-            self.through[output] = ReadThrough(self._model, self.healthy, output, self._table, since)
+            known = self._rehearsals[output].on
+            if known is None or known.samples <= self.count - since:
+                known = self._without(output, since)
+            known.rehearsed = known.samples
+            self.through[output] = known
+            self._rehearsals[output].drop()
 
     def _stood(self, output: int) -> int:
         """Samples since the last gap at the reading that an output repeats."""
@@ -215,3 +238,6 @@ class Competition:
             members.covariance[b] += np.outer(traces.trace[t], traces.trace[t]) * traces.variance[t]
         self._clear()
         self.healthy.forget_newest()
+        for output, rehearsal in enumerate(self._rehearsals):
+            if one.cause != (Fault.SENSOR_DRIFT, output):  # it asks that sensor nothing
+                rehearsal.drop()

@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Final, NamedTuple
 
 import numpy as np
 
 from twinmatch.dynamics import Model
-from twinmatch.dynamics.bank import BankMembers, ChangeRows, Reading, step, unborn
-from twinmatch.health.mixture import HealthyMixture
+from twinmatch.dynamics.bank import BankConstants, BankMembers, ChangeRows, Reading, step, unborn
 
-_BAND: Final = 1.645
-"""Half of the band that holds nine of ten readings, in standard deviations."""
+_Z: Final = 1.645
+"""Half of the band that holds nine of ten, in standard deviations of a normal distribution."""
+_AGES: Final = np.array([10.0, 30.0, 60.0, 120.0, 300.0, 600.0])
+"""Ages up to which errors are learned apart, s of a plant as fast as the rig; beyond, those of the last."""
+_STRAYS: Final = 4.0
+"""How far an estimate usually strays within the longest but one of these ages, in the sensor's noise …"""
+_PRIOR: Final = 2.0
+"""… and the number of rehearsals as which this counts."""
 
 
 class MissingReading(NamedTuple):
@@ -27,17 +33,18 @@ class ReadThrough:
     """Estimates one output from the inputs and from the other outputs; push every sample."""
 
     def __init__(
-        self, model: Model, healthy: HealthyMixture, output: int, table: ChangeRows, since: int
-    ) -> None:
-        """Begin with what is believed now, or with what was believed before its reading stood, `since` so
-        many samples after the last gap; 0: it does not stand."""
-        self._code, self._fixed, self._output, self._table = model.kernels.code, healthy.fixed, output, table
-        self._alone, self._healthy = healthy.without(output, since), healthy
-        self._none = unborn(0, len(healthy.numbers))
+        self, model: Model, members: BankMembers, fixed: BankConstants, output: int, *, table: ChangeRows,
+        band: Callable[[int, float, float], float],
+    ) -> None:  # fmt: skip
+        """Continue with one member that asks the sensor nothing. `band` is half of the width that holds nine
+        of ten readings at an age, samples, where the member's variance and that of the noise are given."""
+        self._code, self._fixed, self._output, self._table = model.kernels.code, fixed, output, table
+        self._alone, self._band = members, band
+        self._none = unborn(0, members.at.shape[1])
         self._given: Reading | None = None
         self._noise = 0.0
-        self.samples = 0
-        """Samples since it began."""
+        self.samples = self.rehearsed = 0
+        """Samples since it began, and those of them at which it was not needed yet."""
         self.good: float | None = None
         """For how long it was to be good when it began, s; None before that is known."""
         self.estimate = MissingReading(math.nan, math.nan)
@@ -64,8 +71,49 @@ class ReadThrough:
         return longest
 
     def _seen_in(self, members: BankMembers, age: int) -> MissingReading:
-        doubts = self._healthy.doubts
-        variance = members.variance[0, self._output] * doubts[min(age, doubts.size - 1)]
-        return MissingReading(
-            float(members.expected[0, self._output]), _BAND * math.sqrt(variance + self._noise)
-        )
+        expected, variance = (float(one[0, self._output]) for one in (members.expected, members.variance))
+        return MissingReading(expected, self._band(age, variance, self._noise))
+
+
+class Rehearsal:
+    """Reads through a sensor that is right, again and again, and learns how far off that is."""
+
+    def __init__(self, second: float, noise: float) -> None:
+        """Begin without any; `second`: samples in a second of a plant as fast as the rig; `noise` as the
+        plant file declares it."""
+        self._usual, self._strays = (_STRAYS * noise) ** 2, _AGES[-2] * second
+        self._ends = np.round(_AGES * second).astype(np.int64)
+        self._sums, self._count = np.zeros((2, _AGES.size))
+        self.drop()
+
+    def drop(self) -> None:
+        """Forget the one that is on: something else than its error may have come into it."""
+        self.on: ReadThrough | None = None
+        self._squares, self._samples = np.zeros((2, _AGES.size))
+
+    def push(self, given: Reading, variance: float, output: int) -> None:
+        """Take a sample of all outputs, and the variance of the noise of this one."""
+        if self.on is None:
+            return
+        others = np.arange(given.seen.size) != output
+        self.on.push(given._replace(seen=given.seen & others), variance)
+        age = int(np.searchsorted(self._ends, self.on.samples))
+        if age == _AGES.size:  # the sensor was right: so far off are estimates
+            known = self._samples > 0.0
+            self._sums[known] += self._squares[known] / self._samples[known]
+            self._count += known
+            self.drop()
+        elif given.seen[output]:
+            self._squares[age] += max((given.y[output] - self.on.estimate.value) ** 2 - variance, 0.0)
+            self._samples[age] += 1.0
+
+    def band(self, age: int, variance: float, noise: float) -> float:
+        """Half of the width that holds nine of ten readings at an age, samples: that of Student's t, as the
+        errors within a rehearsal are nearly one. The member's own variance, and the usual error, count as
+        some rehearsals."""
+        upto = min(int(np.searchsorted(self._ends, age)), _AGES.size - 1)
+        number = _PRIOR + self._count[upto]
+        usual = max(variance, self._usual * min(age / self._strays, 1.0))
+        found = max(variance, (_PRIOR * usual + self._sums[upto]) / number)
+        wider = 1.0 + (_Z**2 + 1.0) / (4.0 * number) + (5.0 * _Z**4 + 16.0 * _Z**2 + 3.0) / (96.0 * number**2)
+        return _Z * math.sqrt(wider**2 * found + noise)
