@@ -50,7 +50,7 @@ def watched() -> tuple[FaultTrial, ChannelMonitor, FloatArray]:
     monitor = ChannelMonitor(kit.parameters, 1.0)
     for sample in samples(kit, kit.healthy + strayed[:-AFTER], 0):
         monitor.push(sample)
-    assert monitor.alarms == []
+    assert monitor.alarms == ()
     return kit, monitor, strayed[-AFTER:]
 
 
@@ -104,7 +104,9 @@ def test_with_one_sensor_a_drive_and_the_room_are_not_told_apart_either() -> Non
 
 def test_what_is_too_small_at_its_usual_size_is_compared_with_nothing() -> None:
     said = confusions(PLANTS["peltier"], 1.0)
-    assert said[-1].startswith("faults too small to be compared, at their usual size: losses (convection")
+    assert said[-1].startswith(
+        "faults too small to show beside such steps, at their usual size: losses (convection"
+    )
 
 
 class Walls(Heaters, name="walls"):

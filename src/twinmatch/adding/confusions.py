@@ -73,7 +73,11 @@ def confusions(plant: type[Plant], period: float | None = None) -> list[str]:
         listed = "; ".join(dict.fromkeys(map(" and ".join, pairs)))
         said += [f"faults that cannot be told apart, {how}: {listed}"] if pairs else []
     unseen = ", ".join(faults.called[r.number] for r, rivals in found if rivals is None and not r.slowly)
-    return [*said, f"faults too small to be compared, at their usual size: {unseen}"] if unseen else said
+    return (
+        [*said, f"faults too small to show beside such steps, at their usual size: {unseen}"]
+        if unseen
+        else said
+    )
 
 
 class FaultTrial:
