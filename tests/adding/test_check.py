@@ -384,7 +384,7 @@ def test_plants_with_several_loops_are_checked_signal_by_signal() -> None:
     checked = check_plant(PLANTS["tclab-both"], 1.0)
     assert checked.findings == ()
     assert checked.notes[-1] == (
-        "faults that cannot be told apart, even by large steps of every drive (a sample every 1 s): "
+        "faults that cannot be told apart, even under large steps (a sample every 1 s): "
         "losses (convection to the room) and temperature of the room"
     )
 

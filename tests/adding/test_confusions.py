@@ -96,7 +96,7 @@ def test_what_is_said_apart_is_named_and_what_is_said_alike_is_said_as_both(
 
 def test_with_one_sensor_a_drive_and_the_room_are_not_told_apart_either() -> None:
     (said,) = confusions(PLANTS["tclab"], 1.0)
-    begins = "faults that cannot be told apart, even by large steps of every drive (a sample every 1 s): "
+    begins = "faults that cannot be told apart, even under large steps (a sample every 1 s): "
     assert said.startswith(begins)
     loss, room = "losses (convection to the room)", "temperature of the room"
     assert {f"{loss} and {room}", f"{room} and the drive heater 1"} < {*said.removeprefix(begins).split("; ")}

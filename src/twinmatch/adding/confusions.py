@@ -37,8 +37,8 @@ _QUICKER: Final = 0.7
 """Time between two steps of a drive, as a share of that of the one before."""
 _RIG: Final = int(np.flatnonzero(LEVELS == 1.0)[0])
 """Place of the model error of a real rig."""
-_DIGIT: Final = 1e-3
-"""Last digit of a reading without noise, in noises."""
+_WAYS: Final = {False: "even under large steps (a sample every {:g} s)", True: "if they come slowly"}
+"""How faults come: at once, or slowly."""
 _NINE_IN_TEN: Final = 1.28
 _APART: Final = 0.5 * (_NINE_IN_TEN + math.sqrt(_NINE_IN_TEN**2 + 2.0 * LEAD)) ** 2
 """Expected lead of a fault over another, nats, from which on it is named in nine of ten runs: a name needs a
@@ -56,7 +56,7 @@ def confusions(plant: type[Plant], period: float | None = None) -> list[str]:
         period: sampling period, s; at least, and by default, a hundredth of the plant's time constant.
     """
     model = plant.model(plant.followed or next(iter(plant.structures)))
-    watched = plant.typical or len(plant.outputs) > 1 or len(plant.drives) > 1
+    watched = plant.typical or len(plant.outputs) + len(plant.drives) > 2
     if not watched or model.structure.external is not None:
         return []
     period = max(period or 0.0, usual_scale(plant))
@@ -66,18 +66,14 @@ def confusions(plant: type[Plant], period: float | None = None) -> list[str]:
     except PlantError:  # the other checks report it
         return []
     said = []
-    large = f"even by large steps of every drive (a sample every {period:g} s)"
-    for slowly, how in ((False, large), (True, "if they come slowly")):
+    for slowly, way in _WAYS.items():
         mine = [(row, rivals or []) for row, rivals in found if bool(row.slowly) == slowly]
         pairs = [sorted(faults.called[number] for number in (row.number, r)) for row, of in mine for r in of]
         listed = "; ".join(dict.fromkeys(map(" and ".join, pairs)))
-        said += [f"faults that cannot be told apart, {how}: {listed}"] if pairs else []
+        said += [f"faults that cannot be told apart, {way.format(period)}: {listed}"] if pairs else []
     unseen = ", ".join(faults.called[r.number] for r, rivals in found if rivals is None and not r.slowly)
-    return (
-        [*said, f"faults too small to show beside such steps, at their usual size: {unseen}"]
-        if unseen
-        else said
-    )
+    said += [f"faults too small to show beside such steps, at their usual size: {unseen}"] if unseen else []
+    return said
 
 
 class FaultTrial:
@@ -149,19 +145,18 @@ class FaultTrial:
             logged = healthy.fixed.free.logged[model.structure.free.index(kind)]
             value = parameters[kind] * math.exp(size) if logged else parameters[kind] + size
             parameters = parameters.replace(**{kind: value})
-        run = simulate_driven(parameters, inputs, states=self.states, period=self._period)
-        return run.outputs + offsets
+        return simulate_driven(parameters, inputs, states=self.states, period=self._period).outputs + offsets
 
     def _follow(
-        self, members: BankMembers, traces: ChangeTraces, readings: FloatArray, inputs: FloatArray
+        self, members: BankMembers, traces: ChangeTraces, ys: FloatArray, us: FloatArray
     ) -> FloatArray:
         """Nats that each hypothesis has saved, shape (N, R); the filter and the traces are moved on."""
         healthy, model, table = self._competition.healthy, self.parameters.model, self._competition.table
-        noise, no, seen = model.noise, np.zeros(model.noise.size), np.ones(model.noise.size, dtype=bool)
-        saved = []
-        for k, (y, u) in enumerate(zip(readings, inputs, strict=False)):
-            acting = healthy.acting(u)
-            given = Reading(y, seen, no, noise, _DIGIT * noise, no, acting, model.disturbances)
+        noise, no, saved = model.noise, np.zeros(model.noise.size), []
+        seen = no == 0.0
+        for k, (y, u) in enumerate(zip(ys, us, strict=False)):
+            # What has no noise has no last digit either.
+            given = Reading(y, seen, no, noise, 1e-3 * noise, no, healthy.acting(u), model.disturbances)
             step(model.kernels.code, healthy.fixed, members, traces, table, 1, given, k)
             saved.append(traces.now - members.gained.sum())
         if not members.alive.all():
@@ -180,6 +175,5 @@ def _steps(parameters: Parameters, count: int, holds: float) -> FloatArray:
     k, columns = np.arange(count), []
     for j, drive in enumerate(parameters.model.plant.drives.values()):
         low, high = drive.limits
-        up = k // max(round(holds * _QUICKER**j), 1) % 2
-        columns.append(low + (high - low) * np.where(up, 0.9, 0.1))
+        columns.append(low + (high - low) * np.where(k // max(round(holds * _QUICKER**j), 1) % 2, 0.9, 0.1))
     return np.array(columns).T
