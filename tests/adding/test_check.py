@@ -381,7 +381,12 @@ def test_a_lag_whose_units_are_made_to_fit_passes_whatever_they_are(y: str, u: s
 
 
 def test_plants_with_several_loops_are_checked_signal_by_signal() -> None:
-    assert check_plant(PLANTS["tclab-both"], 1.0).findings == ()
+    checked = check_plant(PLANTS["tclab-both"], 1.0)
+    assert checked.findings == ()
+    assert checked.notes[-1] == (
+        "faults that cannot be told apart, even under large steps (a sample every 1 s): "
+        "losses (convection to the room) and temperature of the room"
+    )
 
     class Idle(Heaters, name="idle"):
         def equations(self, parts: frozenset[str]) -> Equations:

@@ -22,7 +22,9 @@ pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; r
 from twinmatch.showing.foxglove.layout import TOPICS
 
 PAGE = PROJECT / "docs" / "your_plant.md"
-HOT_END, ROOM, CELL = (PROJECT / "docs" / f"{name}.md" for name in ("hot_end", "room", "cell"))
+HOT_END, ROOM, CELL, PLATE = (
+    PROJECT / "docs" / f"{name}.md" for name in ("hot_end", "room", "cell", "uniformity")
+)
 
 
 def commands(page: Path) -> list[list[str]]:
@@ -97,6 +99,21 @@ def test_a_contactor_that_opens_under_a_cell_is_a_lost_drive(tmp_path: Path) -> 
     found = dict(re.findall(r"\b(slope|r|r1|t1) ([\d.]+) (?:mV/\(A h\)|mΩ|s)", last))
     wanted = {"slope": 22.0, "r": 2.0, "r1": 1.0, "t1": 20.0}
     assert {name: float(value) for name, value in found.items()} == pytest.approx(wanted, rel=0.05)
+
+
+@pytest.mark.slow
+def test_a_heater_that_comes_loose_under_an_even_plate_is_named(tmp_path: Path) -> None:
+    """What is said before is what the page quotes; afterwards 0.6 of the right heater's power is left."""
+    said = followed(PLATE, tmp_path)
+    assert all(code == 0 for _, code, _ in said), said
+    for quoted in re.findall(r"^> `(.*)`$", PLATE.read_text(encoding="utf-8"), re.MULTILINE)[:1]:
+        assert quoted in said[0][2]
+    named = re.search(r"drive-weak from (\d+) s .* at (\d+) s: right heater has (\d+)%", said[-1][2])
+    assert named is not None
+    begins, flagged, left = map(int, named.groups())
+    assert abs(begins - 2100) <= 2  # onsets are two seconds apart
+    assert flagged <= 2160
+    assert 45 <= left <= 75
 
 
 @pytest.mark.slow

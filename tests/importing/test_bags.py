@@ -24,6 +24,7 @@ from rosbags.rosbag2 import CompressionMode, StoragePlugin
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from tests.support.bags import START, STORE, bag, header, number, temperature
+from tests.support.exchanging import Heaters
 from tests.support.plant_files import plant_file
 from tests.support.processes import run_twinmatch
 from twinmatch.cli import main
@@ -35,6 +36,7 @@ from twinmatch.plants import find_plant
 from twinmatch.sampling.channels import Channel
 from twinmatch.sampling.sources import parse_map
 from twinmatch.sessions import read_session
+from twinmatch.sessions.files import RecordingError
 
 STORE.register(get_types_from_msg("float32 value\nstring name", "lab_msgs/msg/Reading"))
 STORE.register(get_types_from_msg("std_msgs/Header header\nReading[] readings", "lab_msgs/msg/Rack"))
@@ -118,6 +120,41 @@ def test_a_bag_of_either_storage_becomes_a_session(
     assert samples[4].input == 10.0
     assert samples[5].input == pytest.approx(10.0 * part + 15.0 * (1 - part), abs=1e-5)
     assert samples[6].input == pytest.approx(15.0, abs=1e-9)
+
+
+def test_a_bag_of_two_loops_has_a_row_for_each_reading_of_the_first_output(tmp_path: Path) -> None:
+    """The second sensor begins three readings later and is read between those of the first; one of the
+    commands comes with every reading, the other when it changes."""
+    made = [(-0.2, "/sp", number(40.0)), (-0.2, "/sp2", number(50.0)), (-0.1, "/q2", number(7.0))]
+    for k in range(TICKS):
+        made += [
+            (k * PERIOD, "/one", temperature(k * PERIOD, 20.0 + k)),
+            (k * PERIOD, "/q1", number(1.0 + k)),
+        ]
+        if k >= 3:
+            made.append(((k + 0.5) * PERIOD, "/two", temperature((k + 0.5) * PERIOD, 90.0 - k)))
+    source = bag(tmp_path / "bag", StoragePlugin.MCAP, made)
+    entries = ["output.1=/one:temperature", "second=/two:temperature", "first_power=/q1", "input.2=/q2"]
+    closed = [*entries, "reference.1=/sp", "second_reference=/sp2"]
+    found = map_bag(source, parse_map(closed), Heaters)
+    assert found.has_reference
+    assert [s.outputs[0] for s in found.samples] == [20.0 + k for k in range(4, TICKS)]
+    assert [s.outputs[1] for s in found.samples[:-1]] == pytest.approx(
+        [90.5 - k for k in range(4, TICKS - 1)]
+    )
+    assert {(s.references, s.inputs[1]) for s in found.samples} == {((40.0, 50.0), 7.0)}
+    # The bag's time, 30 ms late: so long the command before still acts.
+    late = 0.03 / PERIOD
+    assert [s.inputs[0] for s in found.samples] == pytest.approx([1.0 + k - late for k in range(4, TICKS)])
+    assert (
+        f"Of {TICKS} messages of first, {TICKS - 4} are used (left out: 4 before the first" in found.notes[-1]
+    )
+    with pytest.raises(RecordingError, match="no topic is mapped to second; add --map second=TOPIC:FIELD"):
+        map_bag(source, parse_map([entries[0], *entries[2:]]), Heaters)
+    with pytest.raises(RecordingError, match=r"second and output.2 are the same signal; give it once"):
+        map_bag(source, parse_map([*entries, "output.2=/one"]), Heaters)
+    with pytest.raises(RecordingError, match=r"is in degC .*, but the plant's first_power in %"):
+        map_bag(source, parse_map(["first_power=/one:temperature", *entries[:2], entries[3]]), Heaters)
 
 
 def test_list_shows_topics_and_proposes_a_map(tmp_path: Path) -> None:

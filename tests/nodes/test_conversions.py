@@ -312,6 +312,14 @@ def test_a_forecast_of_several_signals_is_carried_sample_by_sample() -> None:
     assert repr(forecast_from(message)) == repr(foretold)
     part = forecast_from(forecast_message(foretold, 5, (1, 4)))
     assert [band.low.tolist() for band in part.outputs] == [[-0.5, 2.5], [3.5, 6.5]]
+    driven = replace(foretold, references=np.full((4, 2), np.nan))  # of a twin whose loop is not known
+    message = there_and_back(forecast_message(driven, 5))
+    check(message)
+    assert repr(forecast_from(message)) == repr(driven)
+    message.reference[0] = math.inf
+    with pytest.raises(MessageError, match="reference is inf; expected"):
+        check(message)
+    message = there_and_back(forecast_message(foretold, 5))
     message.output = [1.0] * 7
     with pytest.raises(MessageError, match="output has 7 values for its times; expected 4, or that of each"):
         check(message)

@@ -312,11 +312,15 @@ def test_the_defaults_make_a_profile_and_suit_the_guard() -> None:
     assert 2 * values["command_period"] < GuardLimits().command_timeout
 
 
-@pytest.mark.parametrize("name", sorted(name for name, plant in PLANTS.items() if len(plant.drives) == 1))
+@pytest.mark.parametrize("name", sorted(PLANTS))
 def test_every_plant_has_a_table_with_its_own_signals(name: str) -> None:
     plant = PLANTS[name]
     names = {parameter.name for parameter in sampler_table(plant)}
-    signals = {"reference", "output", "input", *plant.disturbances}
+    loop = ["reference", "output", "input"]
+    if name == "tclab-both":
+        outputs = ["temperature", "second_temperature"]
+        loop = [*outputs, *(f"{y}_reference" for y in outputs), "power", "second"]
+    signals = {*loop, *plant.disturbances}
     assert {n for n in names if n.startswith("map.")} == {f"map.{signal}" for signal in signals}
     assert {n for n in names if n.startswith("max_age.")} == {f"max_age.{signal}" for signal in signals}
 
@@ -324,7 +328,7 @@ def test_every_plant_has_a_table_with_its_own_signals(name: str) -> None:
 def test_a_plant_in_a_file_has_its_disturbances_and_ages_follow_the_period(tmp_path: Path) -> None:
     path = str(plant_file(tmp_path, "attached_block"))
     given = {"plant": path, "period": 0.1, "map.output": "/t", "map.input": "/u", "map.room": "/room; unit=K"}
-    values = check("sampler", understood("sampler", given), given)
+    values = check("sampler", *understood("sampler", given))
     sources = sources_of("sampler", values)
     assert list(sources) == ["output", "input", "room"]
     limits = limits_of(values, sources)
@@ -338,7 +342,7 @@ def test_a_plant_in_a_file_has_its_disturbances_and_ages_follow_the_period(tmp_p
 
 def test_several_topics_give_their_mean() -> None:
     given = {"map.output": "/t2:data, /t3:data; scale=0.1; offset=-4", "map.input": "/u"}
-    source = sources_of("sampler", check("sampler", understood("sampler", given), given))["output"]
+    source = sources_of("sampler", check("sampler", *understood("sampler", given)))["output"]
     channels = source.channels("output")
     assert [channel.text for channel in channels] == ["/t2:data", "/t3:data"]
     followed = source.follow("output", "°C", channels, ["std_msgs/msg/Float64"] * 2)
@@ -347,7 +351,7 @@ def test_several_topics_give_their_mean() -> None:
 
 def test_units_that_messages_have_by_their_definition_are_known() -> None:
     given = {"map.output": "/t", "map.input": "/u"}
-    source = sources_of("sampler", check("sampler", understood("sampler", given), given))["output"]
+    source = sources_of("sampler", check("sampler", *understood("sampler", given)))["output"]
     kinds, warm = ["sensor_msgs/msg/Temperature"], [parse_channel("/t:temperature")]
     assert source.follow("output", "K", warm, kinds).value([20.0]) == pytest.approx(293.15)
     assert source.follow("output", "°C", warm, kinds).value([20.0]) == 20.0

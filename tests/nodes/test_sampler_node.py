@@ -10,11 +10,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
+from geometry_msgs.msg import Point
 from rclpy.duration import Duration
 from rclpy.time import Time
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64
+from sensor_msgs.msg import JointState, Temperature
+from std_msgs.msg import Float64, Float64MultiArray
 
 from tests.support.foreign_rig import CAPACITY, GAIN, TOPICS, Oven
 from tests.support.oven import HOLD, MAP, PERIOD, RIG, oven_file
@@ -202,6 +204,49 @@ def test_an_index_that_means_another_joint_at_the_start_ends_the_sampler(beside:
     assert "is elbow in one message and gripper in another; choose it by name" in sampler.text
 
 
+BOTH = {
+    "map.output.1": "/kit/one:temperature",
+    "map.second_temperature": "/kit/two; unit=K",
+    "map.power": "/kit/heaters:data[0]",
+    "map.input.2": "/kit/heaters:data[1]",
+    "map.reference.1": "/kit/wanted:x",
+    "map.second_temperature_reference": "/kit/wanted:y",
+}
+"""Two heaters and two sensors, by the names of the plant file and by their numbers."""
+
+
+def sampler_of_both(start: Any, folder: Path, **more: Any) -> Inside:
+    """Its parameters are in a file: ROS takes no name with a number on a command line."""
+    given = {"plant": "tclab-both", "period": PERIOD, **BOTH, **more}
+    file = folder / "both.yaml"
+    file.write_text(yaml.safe_dump({"sampler": {"ros__parameters": given}}))
+    return start("sampler", "--params-file", f"{file}")
+
+
+def test_two_loops_are_sampled_by_name_and_by_number(beside: Beside, start: Any, tmp_path: Path) -> None:
+    kinds = {
+        "/kit/one": Temperature,
+        "/kit/two": Float64,
+        "/kit/wanted": Point,
+        "/kit/heaters": Float64MultiArray,
+    }
+    done = [((40.0, 50.0 + k), (20.0 + k, 31.0 - k), (5.0 * k, 100.0 - k)) for k in range(12)]
+    sent = (
+        [
+            ("/kit/wanted", Point(x=r[0], y=r[1])),
+            ("/kit/one", Temperature(temperature=y[0])),
+            ("/kit/two", Float64(data=y[1] + 273.15)),
+            ("/kit/heaters", Float64MultiArray(data=u)),
+        ]
+        for r, y, u in done
+    )
+    passed_on(beside, sampler_of_both(start, tmp_path, use_sim_time=True), kinds, sent)
+    samples = [sample_from(message) for message in beside.samples]
+    assert [s.index for s in samples] == list(range(12))
+    assert [(s.references, s.inputs) for s in samples] == [(r, u) for r, _, u in done]
+    assert [s.outputs for s in samples] == [pytest.approx(y, abs=1e-9) for _, y, _ in done]
+
+
 def test_samples_of_a_rig_in_step_lead_to_its_own_numbers(beside: Beside, plant: Path) -> None:
     """0.5 W/% and 4 J/K, of a plant file that begins at 0.8 and 6."""
     ticks = in_step(beside, 3 * HOLD)
@@ -309,6 +354,33 @@ def test_what_does_not_fit_is_one_line_and_exit_code_2(beside: Beside) -> None:
     rig.wait_until(lambda: rig.json, "its first samples")
     for given, words in MISFITS:
         sampler = beside.sampler(wait_timeout="5.0", **given)
+        assert sampler.wait() == 2
+        assert re.search(words, sampler.text)
+        assert sampler.text.count("\n") == 1
+    assert not beside.samples
+
+
+OF_BOTH: tuple[tuple[dict[str, str], str], ...] = (
+    ({"map.second_temperature": ""}, "map.second_temperature is missing; give its topic and field"),
+    (
+        {"map.power": "/oven/heater", "map.input.1": "/oven/heater"},
+        "map.input.1 and map.power are the same signal; give it once",
+    ),
+    ({"map.reference.1": ""}, "map.temperature_reference is missing; .*; give all set-points, or none"),
+    ({"map.power": "/oven/heater; unit=degC"}, "'/oven/heater:data' is in degC, but the plant's power in %"),
+    ({"paced_by": "input"}, "paced_by is 'input'; allowed: one of: .*, power, second, timer"),
+    ({"max_age.output.3": 3.0}, "there is no parameter max_age.output.3"),
+)
+
+
+def test_what_does_not_fit_two_loops_is_one_line_and_exit_code_2(
+    beside: Beside, start: Any, tmp_path: Path
+) -> None:
+    rig = beside.rig()
+    rig.wait_until(lambda: rig.json, "its first samples")
+    for given, words in OF_BOTH:
+        values = dict.fromkeys(BOTH, "/oven/heater") | {"wait_timeout": 5.0} | given
+        sampler = sampler_of_both(start, tmp_path, **values)
         assert sampler.wait() == 2
         assert re.search(words, sampler.text)
         assert sampler.text.count("\n") == 1

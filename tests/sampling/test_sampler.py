@@ -23,6 +23,7 @@ from twinmatch.sampling.channels import (
     steps,
     usual_unit,
 )
+from twinmatch.sampling.names import LoopNames
 from twinmatch.sampling.sampler import Grid, Limits, Rate, Sampler, SignalBuffer
 from twinmatch.signals import Sample
 
@@ -111,6 +112,48 @@ def test_without_a_reference_it_is_one_that_says_nothing() -> None:
     signals = {name: limits for name, limits in SIGNALS.items() if name != "reference"}
     samples = run(Sampler(signals, 1.0), [e for e in loop(10) if e[1] != "reference"], 12.0)
     assert {s.reference for s in samples} == {20.0}
+
+
+LOOPS = LoopNames(("r1", "r2"), ("y1", "y2"), ("u1", "u2"))
+ALL = ("r1", "r2", "y1", "y2", "u1", "u2")
+
+
+def two_loops(ticks: int, late: float) -> list[tuple[float, str, float]]:
+    """Two readings, and 20 ms later the commands, the second of which is so much later than the first."""
+    told = [(0.0, "r1", 40.0), (0.0, "r2", 50.0)]
+    for k in range(ticks):
+        told += [(k, "y2", 60.0 - k), (k, "y1", 20.0 + k)]
+        told += [(k + 0.02, "u1", 100.0 - k), (k + 0.02 + late, "u2", 10.0 + k)]
+    return told
+
+
+@pytest.mark.parametrize("late", [0.05, -0.01])
+@pytest.mark.parametrize("paced_by", ["u1", "u2", "y2"])
+def test_a_tick_of_two_loops_is_one_sample_with_both_of_each(paced_by: str, late: float) -> None:
+    sampler = Sampler(
+        dict.fromkeys(ALL, Limits(2.0)) | {"r1": Limits(), "r2": Limits()}, 1.0, paced_by, loop=LOOPS
+    )
+    samples = run(sampler, two_loops(20, late), 25.0)
+    if paced_by in LOOPS.inputs:
+        assert [s.inputs for s in samples] == [(100.0 - k, 10.0 + k) for k in range(20)]
+        assert [s.outputs for s in samples] == [(20.0 + k, 60.0 - k) for k in range(20)]
+    else:  # means up to the next reading, at the beginning of which the commands before still stand
+        expected = [(100.0 - k + 0.02, 10.0 + k - 0.02 - late) for k in range(1, 20)]
+        assert np.array([s.inputs for s in samples]) == pytest.approx(np.array(expected))
+        assert [s.outputs for s in samples] == [(20.0 + k, 60.0 - k) for k in range(1, 20)]
+    assert {s.references for s in samples} == {(40.0, 50.0)}
+
+
+def test_a_tick_without_one_of_two_readings_has_no_sample() -> None:
+    told = [e for e in two_loops(20, 0.0) if e[1] in ALL[2:] and not (e[1] == "y2" and 5 <= e[0] < 15)]
+    unmapped = {name: Limits(2.0) for name in ALL if not name.startswith("r")}
+    sampler = Sampler(unmapped, 1.0, "u1", loop=LOOPS)
+    samples = run(sampler, told, 25.0)
+    assert [s.index for s in samples] == [*range(6), *range(15, 20)]  # at tick 6 it is older than 2 s
+    assert sampler.counts["y2"].late == sampler.idle == 9
+    assert {s.references for s in samples} == {(20.0, 60.0)}
+    with pytest.raises(SamplingError, match="u2 is not mapped; every sample needs it"):
+        Sampler({name: Limits() for name in ALL[:-1]}, 1.0, "u1", loop=LOOPS)
 
 
 def test_disturbances_are_in_the_plants_order_and_unmapped_ones_have_their_default() -> None:

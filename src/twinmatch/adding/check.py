@@ -1,6 +1,7 @@
 """All checks of a plant file that need no data.
 
-Equations, declarations, and behaviour at its defaults and within the bounds of its parameters.
+Equations, declarations, behaviour at its defaults and within the bounds of its parameters, and which faults
+cannot be told apart.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from twinmatch.adding.confusions import confusions
 from twinmatch.adding.dimensions import Dimensions
 from twinmatch.adding.trial import (
     CheckedPlant,
@@ -52,6 +54,7 @@ def check_plant(
         for faults, remarks in _steps(plant, period, show):
             findings += faults
             notes += [note for note in remarks if note not in notes]
+        notes += [] if findings else confusions(plant, period)
     except PlantError as error:
         unusable = str(error)
     return CheckedPlant(plant.title, tuple(_once(findings, plant.title)), tuple(notes), unusable)

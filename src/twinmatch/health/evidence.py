@@ -93,7 +93,7 @@ class Competition:
 
     def expect_back(self, back: list[ChangeRow]) -> None:
         """Make the table of changes, with what may be undone, and room for their traces."""
-        self._rows = rows = [*self._usual, *back]
+        self.rows = rows = [*self._usual, *back]
         healthy = self.healthy
         self._traces = unborn(healthy.levels * len(rows) * _SLOTS, len(healthy.numbers))
         self._causes = list(dict.fromkeys(row.cause for row in rows))
@@ -101,7 +101,7 @@ class Competition:
         once = len(self._causes) * _HOUR / EVERY
         spread, period, scale = np.array([row.spread for row in rows]), healthy.period, healthy.scale
         lasting = np.array([round(row.lasting * self.second) for row in rows], dtype=np.int64)
-        self._table = ChangeRows(
+        self.table = ChangeRows(
             number=np.array([healthy.numbers[row.number] for row in rows], dtype=np.int64),
             cause=np.array([self._causes.index(row.cause) for row in rows], dtype=np.int64),
             rate=np.array([period / (row.slowly * scale) if row.slowly else 0.0 for row in rows]),
@@ -118,7 +118,7 @@ class Competition:
 
     def push(self, sample: Sample, values: FloatArray, seen: BoolArray) -> None:
         """Take the readings of a sample, and which of them count."""
-        healthy, sensors, table, traces = self.healthy, self.sensors, self._table, self._traces
+        healthy, sensors, table, traces = self.healthy, self.sensors, self.table, self._traces
         reach = round(_REACH * self.second)
         if self.count and self.count % max(1, round(EVERY * self.second)) == 0:
             if not self._suspected and healthy.choose_way():
@@ -131,10 +131,8 @@ class Competition:
         readings = list(zip(sensors, values.tolist(), seen.tolist(), strict=True))
         for sensor, value, counts in readings:
             sensor.read(value, counts)
-        learned = np.array(
-            [(one.repeated, one.noise, one.step, one.pause, one.variance) for one in sensors]
-        ).T
-        repeated, noise, digit, pause, variance = learned
+        learned = [(one.repeated, one.noise, one.step, one.pause, one.variance) for one in sensors]
+        repeated, noise, digit, pause, variance = np.array(list(zip(*learned, strict=True)))
         given = Reading(values, seen, repeated, noise, digit, pause, healthy.acting(u), row)
         code, levels = self._model.kernels.code, healthy.levels
         step(code, healthy.fixed, healthy.members, traces, table, levels, given, self.count)
@@ -165,7 +163,7 @@ class Competition:
     def _without(self, output: int, since: int) -> ReadThrough:
         healthy, band = self.healthy, self._rehearsals[output].band
         return ReadThrough(
-            self._model, healthy.without(output, since), healthy.fixed, output, table=self._table, band=band
+            self._model, healthy.without(output, since), healthy.fixed, output, table=self.table, band=band
         )
 
     def found(self) -> list[Suspect]:
@@ -173,7 +171,7 @@ class Competition:
         dear, healthy, suspects = 2.0 * math.log(1.0 + self.known / _HOUR), self.healthy, []
         for c in np.flatnonzero(self._totals >= _INTERESTING + dear):
             t = int(self._likeliest[c])
-            row, born = self._rows[t // _SLOTS % len(self._rows)], int(self._traces.born[t])
+            row, born = self.rows[t // _SLOTS % len(self.rows)], int(self._traces.born[t])
             slowly = row.slowly * healthy.scale
             share = min((self.count - born) * healthy.period / slowly, 1.0) if slowly else 1.0
             shift, error = float(self._traces.mean[t]), math.sqrt(self._traces.variance[t])
@@ -229,9 +227,9 @@ class Competition:
     def adopt(self, one: Suspect) -> None:
         """Take a change for how the plant is, in every healthy member: by its own trace, if it has one that
         began then."""
-        traces, members, row = self._traces, self.healthy.members, one.hypothesis // _SLOTS % len(self._rows)
+        traces, members, row = self._traces, self.healthy.members, one.hypothesis // _SLOTS % len(self.rows)
         for b in range(self.healthy.healthy):
-            begin = (b * len(self._rows) + row) * _SLOTS
+            begin = (b * len(self.rows) + row) * _SLOTS
             own = range(begin, begin + _SLOTS) if b < self.healthy.levels else ()
             t = next((t for t in own if traces.born[t] == one.born), one.hypothesis)
             members.at[b] += traces.trace[t] * traces.mean[t]

@@ -16,7 +16,8 @@ from twinmatch.importing.resampling import Gaps, Kind, Resampled, repeated, resa
 from twinmatch.importing.tables import Table, split_title
 from twinmatch.importing.times import Times, read_times, row_times
 from twinmatch.sampling.channels import SamplingError
-from twinmatch.sampling.sources import INPUT, OUTPUT, REFERENCE, TIME, SignalMap, SignalSource
+from twinmatch.sampling.names import LoopNames, accepted_names, by_signal
+from twinmatch.sampling.sources import INPUT, OUTPUT, TIME, SignalMap, SignalSource
 from twinmatch.sessions.files import RecordingError
 from twinmatch.sessions.recording import EPOCH
 from twinmatch.signals import FloatArray, Sample, Signals
@@ -52,25 +53,6 @@ class PlantSignal(NamedTuple):
     high: float = math.inf
 
 
-class LoopNames(NamedTuple):
-    """Names of a plant's signals in a map: `reference`, `output` and `input`, if there is one of each."""
-
-    references: tuple[str, ...]
-    outputs: tuple[str, ...]
-    inputs: tuple[str, ...]
-
-    @classmethod
-    def of(cls, plant: type[Plant]) -> LoopNames:
-        """Of several outputs or inputs, the names are those of the plant file; `y_reference` is the set-point
-        of an output y."""
-        outputs, inputs = tuple(plant.outputs), tuple(plant.drives)
-        return cls(
-            (REFERENCE,) if len(outputs) == 1 else tuple(f"{y}_{REFERENCE}" for y in outputs),
-            (OUTPUT,) if len(outputs) == 1 else outputs,
-            (INPUT,) if len(inputs) == 1 else inputs,
-        )
-
-
 def with_plant_names(table: Table, plant: type[Plant], given: SignalMap) -> SignalMap:
     """The map, completed with columns that have the names of signals."""
     sources = dict(by_signal(plant, given.sources))
@@ -79,7 +61,7 @@ def with_plant_names(table: Table, plant: type[Plant], given: SignalMap) -> Sign
     for title in table.columns:
         titled.setdefault(split_title(title)[0].lower(), []).append(title)
     # The plant's own names first: a drive may be called output.
-    for signal, names in sorted(_names(plant).items(), key=lambda entry: len(entry[1]) == 1):
+    for signal, names in sorted(accepted_names(plant).items(), key=lambda entry: len(entry[1]) == 1):
         for name in reversed(names) if signal not in sources else ():
             titles = titled.get(name.lower(), [])
             if len(titles) == 1 and titles[0] not in taken:
@@ -161,51 +143,6 @@ def _require_pace(table: Table, plant: type[Plant], period: float) -> None:
             "nothing of that could be seen. If the times are in another unit, write 'time=COLUMN; unit=ms' "
             f"or the like; if they are right, give --period {period:g}"
         )
-
-
-def _names(plant: type[Plant]) -> dict[str, tuple[str, ...]]:
-    loop = LoopNames.of(plant)
-    more = ("setpoint", "set_point", "set-point") if loop.references == (REFERENCE,) else ()
-    return {
-        TIME: (TIME,),
-        **_numbered(OUTPUT, loop.outputs, tuple(plant.outputs)),
-        **_numbered(INPUT, loop.inputs, tuple(plant.drives)),
-        **{signal: (*names, *more) for signal, names in _numbered(REFERENCE, loop.references).items()},
-        **{name: (name,) for name in plant.disturbances},
-    }
-
-
-def _numbered(kind: str, signals: tuple[str, ...], names: tuple[str, ...] = ()) -> dict[str, tuple[str, ...]]:
-    """Accepted names of each signal; where there are several, one is its number, such as output.2."""
-    own = names or signals
-    number = (lambda k: (f"{kind}.{k}",)) if len(signals) > 1 else (lambda _: ())
-    return {
-        signal: tuple(dict.fromkeys((signal, name, *number(k))))
-        for k, (signal, name) in enumerate(zip(signals, own, strict=True), 1)
-    }
-
-
-def by_signal(plant: type[Plant], sources: Mapping[str, SignalSource]) -> dict[str, SignalSource]:
-    """The sources by signal, from sources by any accepted name.
-
-    Raises:
-        RecordingError: the plant has no signal of that name, or a signal is given twice.
-    """
-    known = {name: signal for signal, names in _names(plant).items() for name in names}
-    known |= {signal: signal for signal in _names(plant)}  # also where a drive is called output
-    named: dict[str, SignalSource] = {}
-    used: dict[str, str] = {}
-    for name, source in sources.items():
-        if name not in known:
-            signals = ", ".join(
-                f"{s} ({n[1]})" if len(n) > 1 and s not in (TIME, REFERENCE) else s
-                for s, n in _names(plant).items()
-            )
-            raise RecordingError(f"--map: plant {plant.name} has no signal {name!r}; it has {signals}")
-        if known[name] in named:
-            raise RecordingError(f"--map: {used[known[name]]} and {name} are the same signal; give it once")
-        named[known[name]], used[known[name]] = source, name
-    return named
 
 
 def with_titles(table: Table, source: SignalSource) -> SignalSource:

@@ -1,4 +1,5 @@
-"""The signals of a bag as samples of a plant: one row per reading, with what acted on the plant there.
+"""The signals of a bag as samples of a plant: one row per reading of its first output, with what acted on
+the plant there.
 
 Times are those of the headers, and those of the bag where messages have none. Headers that share another
 clock, as that of a simulator, count for all: the time constants of the plant are in it. Where a clock was set
@@ -17,20 +18,12 @@ from numpy.typing import NDArray
 
 from twinmatch.dynamics import Plant
 from twinmatch.importing.bags import Bag, Series, open_bag
-from twinmatch.importing.mapped import Mapped, by_signal, map_samples
+from twinmatch.importing.mapped import Mapped, map_samples
 from twinmatch.importing.resampling import Gaps, bridged_up_to, held_means, usual_step
 from twinmatch.importing.tables import Table
 from twinmatch.sampling.channels import Channel, SamplingError
-from twinmatch.sampling.sources import (
-    INPUT,
-    OUTPUT,
-    REFERENCE,
-    TIME,
-    FollowedSignal,
-    SignalMap,
-    SignalSource,
-    signals_of,
-)
+from twinmatch.sampling.names import LoopNames, by_signal, signals_of
+from twinmatch.sampling.sources import OUTPUT, TIME, FollowedSignal, SignalMap, SignalSource
 from twinmatch.sessions.files import ProgressCallback, RecordingError
 from twinmatch.signals import FloatArray
 
@@ -72,13 +65,11 @@ def map_bag(
 
     Raises:
         RecordingError: as `open_bag`, `Bag.series` and `map_samples`; a signal that is not mapped.
-        PlantError: the plant has several outputs or inputs.
     """
-    _ = plant.output, plant.drive  # the rows are those of the only output
-    sources = by_signal(plant, given.sources)
+    sources, loop = by_signal(plant, given.sources), LoopNames.of(plant)
     if TIME in sources:
         raise RecordingError("--map time: a bag has the times of its messages; leave it out")
-    for name in (OUTPUT, INPUT):
+    for name in (*loop.outputs, *loop.inputs):
         if name not in sources:
             msg = f"{path}: no topic is mapped to {name}; add --map {name}=TOPIC:FIELD (--list shows them)"
             raise RecordingError(msg)
@@ -86,13 +77,14 @@ def map_bag(
         recorded, followed = _read(bag, plant, sources, progress)
         counted = bag.notes
     times, notes = _one_clock(recorded)
-    signals, lost, stretches = _signals(path, recorded, followed, times)
-    known, more = _known(path, signals, sources, longest, gaps)
+    signals, lost, stretches = _signals(path, loop, recorded, followed, times)
+    known, more = _known(path, loop, signals, sources, longest=longest, gaps=gaps)
     used = int(known.sum())
     if used < 2:
-        msg = f"{path}: fewer than two readings of {sources[OUTPUT].text} follow the first input; check --map"
+        rows = sources[loop.outputs[0]].text
+        msg = f"{path}: fewer than two readings of {rows} follow the first input; check --map"
         raise RecordingError(msg)
-    columns = _columns(signals, known, longest)
+    columns = _columns(loop, signals, known, longest)
     columns[TIME] = stretches.taken_back(columns[TIME])
     table = Table(path, columns, (np.flatnonzero(known) + 1).tolist(), "reading")
     # The values are in the plant's units.
@@ -101,7 +93,7 @@ def map_bag(
     run = map_samples(table, given, plant, longest=longest, gaps=gaps)
     read = {name: held[0].values.size for name, held in recorded.items()}
     return run._replace(
-        sources=sources, notes=[*run.notes, *counted, *notes, _account(read, used, [*lost, *more])]
+        sources=sources, notes=[*run.notes, *counted, *notes, _account(read, loop, used, [*lost, *more])]
     )
 
 
@@ -166,15 +158,16 @@ def _passed(every: Sequence[Series]) -> dict[int, FloatArray]:
 
 def _signals(
     path: Path,
+    loop: LoopNames,
     recorded: Mapping[str, list[Series]],
     followed: Mapping[str, FollowedSignal],
     times: Mapping[str, list[FloatArray]],
 ) -> tuple[dict[str, _Signal], list[tuple[int, str]], _Stretches]:
-    """Signals in the plant's units; how many messages of the output are not used, in words; and
+    """Signals in the plant's units; how many messages of the first output are not used, in words; and
     the stretches, which are put one after another."""
     held = {name: list(zip(recorded[name], times[name], strict=True)) for name in recorded}
     every = [(one.place, time) for each in held.values() for one, time in each]
-    stretches = _Stretches.of(every, times[OUTPUT][0])
+    stretches = _Stretches.of(every, times[loop.outputs[0]][0])
     signals, lost = {}, {}
     for name, each in held.items():
         rising = []
@@ -184,7 +177,7 @@ def _signals(
         first = rising[0]  # whose times are those of the signal
         values = [first.values, *(np.interp(first.time, o.time, o.values) for o in rising[1:])]
         signals[name] = _Signal(first.time, followed[name].value(values))
-    return signals, lost[OUTPUT], stretches
+    return signals, lost[loop.outputs[0]], stretches
 
 
 class _Stretches(NamedTuple):
@@ -256,8 +249,10 @@ def _growing(
 
 def _known(
     path: Path,
+    loop: LoopNames,
     signals: Mapping[str, _Signal],
     sources: Mapping[str, SignalSource],
+    *,
     longest: float | None,
     gaps: Gaps,
 ) -> tuple[NDArray[np.bool_], list[tuple[int, str]]]:
@@ -266,10 +261,12 @@ def _known(
     Raises:
         RecordingError: a signal that arrives periodically has a hole that is to be refused.
     """
-    time = signals[OUTPUT].time
-    known = time >= max(signals[name].time[0] for name in (INPUT, REFERENCE) if name in signals)
-    lost = [(int((~known).sum()), "before the first input or set-point")]
-    for name in signals.keys() - {OUTPUT, REFERENCE}:  # a set-point applies until the next
+    rows, *others = loop.outputs
+    time, needed = signals[rows].time, [*loop.inputs, *loop.references, *others]
+    known = time >= max(signals[name].time[0] for name in needed if name in signals)
+    what = "input, set-point or other output" if others else "input or set-point"
+    lost = [(int((~known).sum()), f"before the first {what}")]
+    for name in (n for n in signals if n not in {rows, *loop.references}):  # set-points apply until the next
         text = f"{name} ({sources[name].text})"
         unknown = np.zeros_like(known)
         for begin, end in _holes(signals[name].time, time, longest):
@@ -306,17 +303,18 @@ def _holes(time: FloatArray, rows: FloatArray, longest: float | None) -> Iterato
 
 
 def _columns(
-    signals: Mapping[str, _Signal], known: NDArray[np.bool_], longest: float | None
+    loop: LoopNames, signals: Mapping[str, _Signal], known: NDArray[np.bool_], longest: float | None
 ) -> dict[str, FloatArray]:
     """Columns of a table by signal, for the readings that are known."""
-    time = signals[OUTPUT].time[known]
-    columns = {TIME: time, OUTPUT: signals[OUTPUT].values[known]}
+    rows = loop.outputs[0]
+    time = signals[rows].time[known]
+    columns = {TIME: time, rows: signals[rows].values[known]}
     for name, signal in signals.items():
-        if name == INPUT:
+        if name in loop.inputs:
             columns[name] = _means(signal, time, longest)
-        elif name == REFERENCE:
+        elif name in loop.references:
             columns[name] = signal.values[np.searchsorted(signal.time, time, side="right") - 1]
-        elif name != OUTPUT:
+        elif name != rows:
             columns[name] = np.interp(time, signal.time, signal.values)
     return columns
 
@@ -331,12 +329,13 @@ def _means(signal: _Signal, time: FloatArray, longest: float | None) -> FloatArr
     return held_means(signal.time, signal.values, time, ends, ends - time)
 
 
-def _account(read: Mapping[str, int], used: int, lost: Sequence[tuple[int, str]]) -> str:
+def _account(read: Mapping[str, int], loop: LoopNames, used: int, lost: Sequence[tuple[int, str]]) -> str:
     """What became of the messages that were read, in a sentence."""
-    others = ", ".join(f"{count} of {name}" for name, count in read.items() if name != OUTPUT)
+    rows = loop.outputs[0]
+    others = ", ".join(f"{count} of {name}" for name, count in read.items() if name != rows)
     left = ", ".join(f"{count} {why}" for count, why in lost if count)
     return (
-        f"Of {read[OUTPUT]} messages of the output, {used} are used"
+        f"Of {read[rows]} messages of {'the output' if rows == OUTPUT else rows}, {used} are used"
         + (f" (left out: {left})" if left else "")
         + f"; read beside them: {others}."
     )

@@ -12,7 +12,6 @@ from itertools import chain
 from pathlib import Path
 from typing import Final
 
-from twinmatch.importing.mapped import by_signal
 from twinmatch.launching.processes import LaunchError
 from twinmatch.links.kit_link import require_package, require_port
 from twinmatch.nodes.sampler import sources_of, understood
@@ -20,7 +19,8 @@ from twinmatch.nodes.step import PATIENCE
 from twinmatch.parameters.declared import Setting, Values, check, render, sections_of
 from twinmatch.parameters.twin import at_period, read_settings, table_of, values_of
 from twinmatch.plants import find_plant, written_name
-from twinmatch.sampling.sources import REFERENCE, SignalMap
+from twinmatch.sampling.names import LoopNames, by_signal
+from twinmatch.sampling.sources import SignalMap
 
 SAMPLER = "sampler"
 _SIM_TIME = Setting("use_sim_time", False, "Whether the time is that of /clock.")
@@ -242,7 +242,7 @@ def attach_plan(
     """
     values, sim_time = _sampler_values(config, said)
     plant = find_plant(values["plant"])
-    driven = REFERENCE not in sources_of(SAMPLER, values)
+    driven = LoopNames.of(plant).references[0] not in sources_of(SAMPLER, values)
     as_written = read_settings(twin_config, written_name(plant), driven=driven)
     if driven and as_written.law is not None:
         raise LaunchError(
@@ -252,7 +252,7 @@ def attach_plan(
     settings = at_period(as_written, values["period"], twin_config)
     twin_values = values_of(settings)
     sampler, twin = folder / "sampler.yaml", folder / "twin.yaml"
-    sampler.write_text(render(SAMPLER, understood(SAMPLER, values), values), "utf-8")
+    sampler.write_text(render(SAMPLER, *understood(SAMPLER, values)), "utf-8")
     table = table_of(settings)
     twin.write_text(render("/**", table, twin_values), "utf-8")
     return AttachPlan(
@@ -275,8 +275,8 @@ def _sampler_values(config: Path | None, said: SignalMap) -> tuple[Values, bool]
         given["period"] = said.period
     place = str(config) if config is not None else "attach"
     plant = find_plant(str(given.get("plant", "peltier")))
-    for signal, source in by_signal(plant, said.sources).items():
-        given[f"map.{signal}"] = source.text
-    values = check(place, understood(place, given), given)
+    table, given = understood(place, given)
+    given |= {f"map.{signal}": source.text for signal, source in by_signal(plant, said.sources).items()}
+    values = check(place, table, given)
     sources_of(place, values)
     return values, bool(_SIM_TIME.accept(given.get(_SIM_TIME.name, False), place))

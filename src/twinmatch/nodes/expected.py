@@ -156,7 +156,8 @@ def _check_forecast(message: Any) -> None:
         values = len(getattr(message, name.split("_", maxsplit=1)[0]))
         _check_size(message, values, name, of="its means")
     _rising(message, "time")
-    _finite(message, "reference", *bands)
+    _finite(message, *bands)
+    _within(message, -LARGEST, LARGEST, "reference")  # a twin whose loop is not known assumes inputs
     _within(message, 0.0, 1.0, "confidence", absent=False)
 
 

@@ -19,16 +19,9 @@ from twinmatch.nodes.topics import RELIABLE, ForeignTopics
 from twinmatch.parameters.declared import ParameterError, Setting
 from twinmatch.plants import Peltier, find_plant, written_name
 from twinmatch.sampling.channels import Followed, SamplingError
+from twinmatch.sampling.names import LoopNames, signal_called, signals_of
 from twinmatch.sampling.sampler import TIMER, Limits, Sampler
-from twinmatch.sampling.sources import (
-    INPUT,
-    OUTPUT,
-    REFERENCE,
-    FollowedSignal,
-    SignalSource,
-    parse_source,
-    signals_of,
-)
+from twinmatch.sampling.sources import FollowedSignal, SignalSource, parse_source
 from twinmatch_msgs.msg import LoopSample
 
 _PERIODS: Final = 3.0
@@ -42,15 +35,15 @@ _SLACK: Final = 1e-9
 def sampler_table(plant: type[Plant] = Peltier, period: float | None = None) -> tuple[Setting, ...]:
     """The parameters for a plant and a sampling period, s."""
     usual = plant.loop.period if plant.loop else 1.0
-    signals, step = signals_of(plant), period or usual
-    ages = {REFERENCE: 0.0, OUTPUT: _PERIODS, INPUT: _PERIODS}
+    signals, step, loop = signals_of(plant), period or usual, LoopNames.of(plant)
+    ages = dict.fromkeys(loop.references, 0.0) | dict.fromkeys((*loop.outputs, *loop.inputs), _PERIODS)
     pacer = "What paces the ticks: a signal with one message per period, or the sampler's own timer."
     types = "Type of each topic that has several, comma-separated: /cmd std_msgs/msg/Float64, …"
     wait = "Longest wait for topics without publisher; 0: for ever."
     maps, limits = [], []
     for name, known in signals.items():
         unit = f", in {known.unit}" if known.unit else ""
-        optional = "; empty: none" if name not in (OUTPUT, INPUT) else ""
+        optional = "; empty: none" if name not in (*loop.outputs, *loop.inputs) else ""
         text = f"Topic and field of the {name} ({known.text or known.name}){unit}{optional}."
         maps.append(Setting(f"map.{name}", "", text))
         age = round(ages.get(name, _SLOWLY) * step, 9)
@@ -59,7 +52,7 @@ def sampler_table(plant: type[Plant] = Peltier, period: float | None = None) -> 
     return (
         Setting("plant", written_name(plant), "Plant of the rig: its name, or the file that defines it."),
         Setting("period", usual, "Sampling period of the running loop.", "s", 0.01, 60.0),
-        Setting("paced_by", INPUT, pacer, choices=(*signals, TIMER)),
+        Setting("paced_by", loop.inputs[0], pacer, choices=(*signals, TIMER)),
         Setting("settle", 0.1, "Wait after such a message for those sent with it.", "periods", 0.0, 0.45),
         *maps,
         *limits,
@@ -70,48 +63,64 @@ def sampler_table(plant: type[Plant] = Peltier, period: float | None = None) -> 
     )
 
 
-def understood(place: str, given: Mapping[str, Any]) -> tuple[Setting, ...]:
-    """The table for the plant selected by the given values.
+def understood(place: str, given: Mapping[str, Any]) -> tuple[tuple[Setting, ...], dict[str, Any]]:
+    """The table for the plant selected by the given values, and these by its own names of the signals.
 
     Raises:
-        ParameterError: there is no such plant.
+        ParameterError: there is no such plant, or a signal is given by two of its names.
     """
     try:
         plant = find_plant(str(given.get("plant", Peltier.name)))
     except PlantError as error:
         msg = f"{place}: {error}"
         raise ParameterError(msg) from error
+    called, used = signal_called(plant), dict[str, str]()
+    for name in given:
+        kind, _, signal = name.partition(".")
+        own = f"{kind}.{called.get(signal, signal)}" if kind in {"map", "max_age"} else name
+        if own in used:
+            raise ParameterError(f"{place}: {used[own]} and {name} are the same signal; give it once")
+        used[own] = name
+    values = {own: given[name] for own, name in used.items()}
+    if isinstance(pacer := values.get("paced_by"), str):
+        values["paced_by"] = called.get(pacer, pacer)
     period = given.get("period")
-    return sampler_table(plant, float(period) if isinstance(period, int | float) and period > 0 else None)
+    known = float(period) if isinstance(period, int | float) and period > 0 else None
+    return sampler_table(plant, known), values
 
 
 def sources_of(place: str, values: Mapping[str, Any]) -> dict[str, SignalSource]:
     """The sources of the mapped signals, by name in the plant's order.
 
     Raises:
-        TwinmatchError: a map entry cannot be parsed, or that of output or input is missing.
+        TwinmatchError: a map entry cannot be parsed, or that of an output, an input or one of several
+            set-points is missing.
     """
-    sources = {}
-    for name in signals_of(find_plant(values["plant"])):
+    sources, plant = {}, find_plant(values["plant"])
+    for name in signals_of(plant):
         text = values[f"map.{name}"]
         if text.strip():
             sources[name] = parse_source(f"{place}: map.{name}", text)
             sources[name].channels(name)
-    for name in (OUTPUT, INPUT):
+    loop = LoopNames.of(plant)
+    closed = loop.references if sources.keys() & {*loop.references} else ()
+    for name in (*loop.outputs, *loop.inputs, *closed):
         if name not in sources:
-            msg = f"{place}: map.{name} is missing; give its topic and field, such as /topic:data"
+            more = "; give all set-points, or none" if name in closed else ""
+            msg = f"{place}: map.{name} is missing; give its topic and field, such as /topic:data{more}"
             raise ParameterError(msg)
     return sources
 
 
 def limits_of(values: Mapping[str, Any], mapped: Mapping[str, SignalSource]) -> dict[str, Limits]:
     """The limits of each mapped signal."""
-    known = signals_of(find_plant(values["plant"]))
+    plant = find_plant(values["plant"])
+    known, outputs = signals_of(plant), LoopNames.of(plant).outputs
 
     def limits(name: str) -> Limits:
         low, high = known[name].low, known[name].high
         slack = _SLACK * max(abs(low), abs(high)) if high - low < float("inf") else 0.0
-        return Limits(values[f"max_age.{name}"], low - slack, high + slack, lenient=name == OUTPUT)
+        return Limits(values[f"max_age.{name}"], low - slack, high + slack, lenient=name in outputs)
 
     return {name: limits(name) for name in mapped}
 
@@ -153,7 +162,7 @@ class SamplerNode(TwinmatchNode):
     @classmethod
     def table_for(cls, given: Mapping[str, Any]) -> tuple[Sequence[Setting], Mapping[str, Any]]:
         """The parameters for the selected plant."""
-        return understood(cls.NAME, given), given
+        return understood(cls.NAME, given)
 
     def read_parameters(self) -> None:
         """Create the sampler and its sources."""
@@ -171,6 +180,7 @@ class SamplerNode(TwinmatchNode):
             values["paced_by"],
             settle=values["settle"],
             disturbances={name: d.default for name, d in self._plant.disturbances.items()},
+            loop=LoopNames.of(self._plant),
         )
 
     def open(self) -> None:

@@ -1,8 +1,9 @@
 """Samples of a loop that foreign programs run: values and times in, one sample per tick out.
 
-At tick k, reference, output and disturbances are the newest values; the input is what acts on the plant from
-tick k to tick k+1. If the input paces the loop (a controller that has read the output and then commands),
-that is its value at the tick. Otherwise it is known one period later, as the mean over that period.
+At tick k, references, outputs and disturbances are the newest values; the inputs are what acts on the plant
+from tick k to tick k+1. If an input paces the loop (a controller that has read the outputs and then
+commands), these are their values at the tick. Otherwise they are known one period later, as means over that
+period.
 """
 
 from __future__ import annotations
@@ -19,8 +20,9 @@ from typing import Final
 import numpy as np
 
 from twinmatch.sampling.channels import SamplingError
-from twinmatch.sampling.sources import INPUT, OUTPUT, REFERENCE
-from twinmatch.signals import NANOSECONDS, Sample
+from twinmatch.sampling.names import LoopNames
+from twinmatch.sampling.sources import INPUT
+from twinmatch.signals import NANOSECONDS, Sample, Signals
 
 TIMER: Final = "timer"
 """Paces the samples with the sampler's own clock instead of a signal."""
@@ -176,22 +178,24 @@ class Sampler:
         *,
         settle: float = 0.1,
         disturbances: Mapping[str, float] = _NONE,
+        loop: LoopNames = LoopNames(),  # noqa: B008 (it is immutable)
     ) -> None:
         """Start without values.
 
         Args:
-            signals: limits of the mapped signals by name: `output`, `input`, perhaps `reference`, and
-                disturbances.
+            signals: limits of the mapped signals by name: all outputs and inputs of the loop, its references
+                or none, and disturbances.
             period: sampling period, s.
             paced_by: the signal whose values trigger the ticks, or `timer`.
             settle: time to wait after the value that triggers a tick for the values sent with it, in periods.
             disturbances: default value of each of the plant's disturbances, in its order; used where a
                 disturbance is not mapped.
+            loop: names of the references, outputs and inputs.
 
         Raises:
             SamplingError: the settings allow no sampling.
         """
-        _check(signals, period, paced_by, settle)
+        _check(signals, loop, period, paced_by, settle)
         self.counts = {name: Counts() for name in signals}
         self.troubles: dict[str, str] = {}
         """Reasons why the newest tick had no sample, by signal or `pace`; empty if it had one."""
@@ -204,11 +208,12 @@ class Sampler:
         self._period, self._step = period, round(period * NANOSECONDS)
         self._pacer = paced_by
         self._settle = round(settle * self._step)
-        self._disturbances = disturbances
+        self._disturbances, self._loop = disturbances, loop
+        self._commanded = paced_by in loop.inputs
         self._ticks: deque[_Tick] = deque()
         self._within: set[str] = set()
         self._first: int | None = None
-        self._reference: float | None = None
+        self._references: Signals = ()
 
     def refused(self, name: str) -> int:
         """Values of a signal that were not finite."""
@@ -236,9 +241,9 @@ class Sampler:
         samples = []
         while self._ticks and self._complete(self._ticks[0], now):
             tick = self._ticks.popleft()
-            if INPUT not in tick.values:
-                mean = self._buffers[INPUT].mean(tick.time, tick.time + self._step)
-                tick.values[INPUT] = self._check_value(INPUT, mean, tick.ready + self._step, tick.troubles)
+            for name in () if self._commanded else self._loop.inputs:
+                mean = self._buffers[name].mean(tick.time, tick.time + self._step)
+                tick.values[name] = self._check_value(name, mean, tick.ready + self._step, tick.troubles)
             self.troubles = tick.troubles
             if not tick.troubles:
                 samples.append(self._sample(tick.number, tick.time, tick.values))
@@ -247,7 +252,7 @@ class Sampler:
         return samples
 
     def _complete(self, tick: _Tick, now: int) -> bool:
-        return bool(tick.values) and (self._pacer == INPUT or now >= tick.ready + self._step)
+        return bool(tick.values) and (self._commanded or now >= tick.ready + self._step)
 
     def _push(self, tick: _Tick) -> None:
         self.rate.push(tick.time)
@@ -266,21 +271,22 @@ class Sampler:
         elif after is not None and self._pacer != TIMER and after.ready - tick.ready < self._settle:
             tick.troubles["pace"] = "several ticks arrived at once; their other values cannot be told apart"
         for name in self._signals:
-            if name != INPUT or self._pacer == INPUT:
+            if self._commanded or name not in self._loop.inputs:
                 value = tick.paced if name == self._pacer else self._buffers[name].newest
                 tick.values[name] = self._check_value(name, value, tick.ready, tick.troubles)
 
     def _sample(self, number: int, time: int, values: Mapping[str, float]) -> Sample:
+        references, outputs, inputs = self._loop
         if self._first is None:
             self._first = number
-        if self._reference is None:  # without a mapped reference the field must still be finite
-            self._reference = values[OUTPUT]
+            # Without mapped references the fields must still be finite.
+            self._references = tuple(values[name] for name in outputs)
         return Sample(
             number - self._first,
             time,
-            values.get(REFERENCE, self._reference),
-            values[OUTPUT],
-            values[INPUT],
+            tuple(map(values.get, references, self._references)),
+            tuple(values[name] for name in outputs),
+            tuple(values[name] for name in inputs),
             tuple(values.get(name, usual) for name, usual in self._disturbances.items()),
         )
 
@@ -308,8 +314,10 @@ class Sampler:
         return value
 
 
-def _check(signals: Mapping[str, Limits], period: float, paced_by: str, settle: float) -> None:
-    for name in (OUTPUT, INPUT):
+def _check(
+    signals: Mapping[str, Limits], loop: LoopNames, period: float, paced_by: str, settle: float
+) -> None:
+    for name in (*loop.outputs, *loop.inputs):
         if name not in signals:
             raise SamplingError(f"{name} is not mapped; every sample needs it")
     if paced_by not in (*signals, TIMER):

@@ -30,10 +30,7 @@ from typing import Any, Final, NamedTuple, TypeVar
 import msgspec
 
 from twinmatch.decoding import FiniteNumber, decoded
-from twinmatch.description import Quantity
-from twinmatch.dynamics import Plant
 from twinmatch.errors import TwinmatchError
-from twinmatch.plants.records import description_of
 from twinmatch.sampling.channels import Channel, SamplingError, parse_channel, usual_unit
 from twinmatch.sessions.files import RecordingError
 from twinmatch.signals import FloatArray
@@ -46,13 +43,6 @@ TIME: Final = "time"
 
 _FORM: Final = "write SIGNAL=COLUMN, such as output=T or 'output=T; unit=K; scale=0.1; offset=-40'"
 Number = TypeVar("Number", float, FloatArray)
-
-
-def signals_of(plant: type[Plant]) -> dict[str, Quantity]:
-    """The signals of a plant with one loop: reference, output, input, and its disturbances in their order."""
-    description = description_of(plant)
-    loop = {REFERENCE: description.reference, OUTPUT: description.output, INPUT: description.input}
-    return loop | dict(zip(plant.disturbances, description.disturbances, strict=True))
 
 
 @dataclass(frozen=True)

@@ -108,9 +108,6 @@ def test_the_command_shows_every_output(tmp_path: Path) -> None:
     assert (tmp_path / "card_health.png").is_file()
     refused = run_twinmatch("backtest", path, "--config", "config/twin.yaml")
     assert "has several loops, and its twin is fitted to the session itself" in refused.stderr
-    verdicts = run_twinmatch("replay", path)
-    assert verdicts.returncode == 2
-    assert "a verdict is on one loop, but plant tclab-both has 2 inputs and 2 outputs; use" in verdicts.stderr
 
 
 def test_a_real_kit_is_forecast_better_than_by_arx() -> None:

@@ -1,0 +1,179 @@
+"""Which faults the structure of a plant cannot tell apart, from its file alone.
+
+The plant has its typical parameters, every drive steps again and again, and then one of the faults comes for
+which its health is watched. The bank of hypotheses (`dynamics.bank`) takes the readings without their noise,
+in the filter whose equations err as those of a real rig do. What a hypothesis then saves of their code is
+what it is expected to save of noisy ones: free parameters, states and passing offsets absorb what they absorb
+beside a running plant.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+
+from twinmatch.adding.trial import middle_of
+from twinmatch.dynamics import Parameters, Plant, PlantError, begin, simulate_driven
+from twinmatch.dynamics.bank import BankMembers, ChangeTraces, Reading, spawn, step, unborn
+from twinmatch.dynamics.pace import usual_scale
+from twinmatch.health.channel_sentences import ChannelSentences
+from twinmatch.health.channels import CHANGE, LEAD
+from twinmatch.health.evidence import Competition
+from twinmatch.health.faults import Fault
+from twinmatch.health.hypotheses import ChangeRow
+from twinmatch.health.mixture import LEVELS
+from twinmatch.signals import FloatArray
+
+_BEFORE: Final = 600.0
+"""Time for which the plant is seen before a fault, so that its parameters may be said to have changed, s of a
+plant as fast as the rig …"""
+_AFTER: Final = 480.0
+"""… after it: then the bank forgets when something began …"""
+_HOLDS: Final = 100.0
+"""… and time between two steps of the first drive."""
+_QUICKER: Final = 0.7
+"""Time between two steps of a drive, as a share of that of the one before."""
+_RIG: Final = int(np.flatnonzero(LEVELS == 1.0)[0])
+"""Place of the model error of a real rig."""
+_WAYS: Final = {False: "even under large steps (a sample every {:g} s)", True: "if they come slowly"}
+"""How faults come: at once, or slowly."""
+_NINE_IN_TEN: Final = 1.28
+_APART: Final = 0.5 * (_NINE_IN_TEN + math.sqrt(_NINE_IN_TEN**2 + 2.0 * LEAD)) ** 2
+"""Expected lead of a fault over another, nats, from which on it is named in nine of ten runs: a name needs a
+lead of `LEAD`, and noise moves one of n nats by √(2 n), the standard deviation of the log-likelihood ratio of
+two normal distributions that are n apart. It is 9.6."""
+_NOT_NAMED: Final = frozenset({Fault.DRIFT, Fault.DISTURBANCE})
+"""The unknown is nobody's rival; what passes has passed when it counts."""
+
+
+def confusions(plant: type[Plant], period: float | None = None) -> list[str]:
+    """Sentences on the faults that a plant's health cannot tell apart, and on those that it cannot see.
+
+    Args:
+        plant: the plant; one loop is watched from its file on if that has typical parameters.
+        period: sampling period, s; at least, and by default, a hundredth of the plant's time constant.
+    """
+    model = plant.model(plant.followed or next(iter(plant.structures)))
+    watched = plant.typical or len(plant.outputs) + len(plant.drives) > 2
+    if not watched or model.structure.external is not None:
+        return []
+    period = max(period or 0.0, usual_scale(plant))
+    try:
+        faults = FaultTrial(model.typical(), period)
+        found = [(row, faults.rivals(row)) for row in faults.rows]
+    except PlantError:  # the other checks report it
+        return []
+    said = []
+    for slowly, way in _WAYS.items():
+        mine = [(row, rivals or []) for row, rivals in found if bool(row.slowly) == slowly]
+        pairs = [sorted(faults.called[number] for number in (row.number, r)) for row, of in mine for r in of]
+        listed = "; ".join(dict.fromkeys(map(" and ".join, pairs)))
+        said += [f"faults that cannot be told apart, {way.format(period)}: {listed}"] if pairs else []
+    unseen = ", ".join(faults.called[r.number] for r, rivals in found if rivals is None and not r.slowly)
+    said += [f"faults too small to show beside such steps, at their usual size: {unseen}"] if unseen else []
+    return said
+
+
+class FaultTrial:
+    """A plant under steps of its drives, and what each of its hypotheses says of a fault."""
+
+    def __init__(self, parameters: Parameters, period: float) -> None:
+        """See the healthy plant.
+
+        Raises:
+            PlantError: it cannot be simulated at this sampling period (s).
+        """
+        self.parameters, self._period, model = parameters, period, parameters.model
+        self._competition = Competition(parameters, period)
+        healthy, words = self._competition.healthy, ChannelSentences(model)
+        named = [row for row in self._competition.rows if row.cause[0] not in _NOT_NAMED]
+        self.called = {row.number: words.called(row.cause) for row in named}
+        """The numbers that may change, in words."""
+        least = {}
+        for row in sorted(named, key=lambda row: -abs(size_of(row))):
+            drive, sensor = (row.number.startswith(kind) for kind in ("share", "offset"))
+            # A drive that does more has no name; other numbers creep for longer than a change is followed.
+            if (size_of(row) < 0.0 or not drive) and (drive or sensor or not row.slowly):
+                least[row.number, bool(row.slowly)] = row
+        self.rows = list(least.values())
+        """The faults: of each number the one of the least usual size."""
+        pace = min(self._competition.second, 1.0)
+        before, after = round(_BEFORE * pace), round(_AFTER * pace)
+        inputs = _steps(parameters, before + after, _HOLDS * pace)
+        states = begin(parameters, middle_of(model), input=inputs[0])
+        run = simulate_driven(parameters, inputs[:before], states=states, period=period)
+        shown = model.kernels.slopes_at(parameters.vector, states, inputs[0], model.disturbances)[6]
+        if shown.any():
+            raise PlantError(f"{model.title}: an output shows a drive at once, which no hypothesis expects")
+        self.healthy, self.inputs, self.states = run.outputs, inputs, run.states[-1]
+        healthy.open(run.outputs[0], inputs[0], model.disturbances)
+        self._members = BankMembers(*(array[[_RIG]] for array in healthy.members))
+        self._members.error[:] = LEVELS[_RIG]
+        self._follow(self._members, unborn(0, len(healthy.numbers)), run.outputs, inputs)
+
+    def rivals(self, fault: ChangeRow) -> list[str] | None:
+        """The numbers whose changes are not told apart from a fault; None if it is too small for a report."""
+        members = BankMembers(*(array.copy() for array in self._members))
+        rows, table = self._competition.rows, self._competition.table
+        traces = unborn(len(rows), members.at.shape[1])
+        spawn(traces, table, members.at, np.zeros(1), -1.0, len(self.inputs), 0)
+        saved = self._follow(members, traces, self.readings(fault), self.inputs[len(self.healthy) :])
+        saved += np.log(table.mass)
+        numbers = np.array(["" if row.cause[0] in _NOT_NAMED else row.number for row in rows])
+        by_number = {name: saved[:, numbers == name].max(axis=1) for name in self.called}
+        own = by_number.pop(fault.number)
+        reported = own >= CHANGE
+        if not reported.any():
+            return None
+        return [name for name, its in by_number.items() if (own - its)[reported].max() < _APART]
+
+    def readings(self, fault: ChangeRow) -> FloatArray:
+        """What is read from its beginning on, without noise, shape (N, o)."""
+        parameters, inputs, size = self.parameters, self.inputs[len(self.healthy) :].copy(), size_of(fault)
+        model, healthy = parameters.model, self._competition.healthy
+        time = np.arange(len(inputs)) * self._period / healthy.scale
+        now = size * (time / fault.slowly if fault.slowly else np.ones_like(time))
+        offsets = np.zeros((len(inputs), model.noise.size))
+        kind, _, place = fault.number.partition(" ")
+        if kind == "share":
+            inputs[:, int(place)] += (inputs[:, int(place)] - model.rest[int(place)]) * now
+        elif kind == "offset":
+            offsets[:, int(place)] = now
+        else:
+            logged = healthy.fixed.free.logged[model.structure.free.index(kind)]
+            value = parameters[kind] * math.exp(size) if logged else parameters[kind] + size
+            parameters = parameters.replace(**{kind: value})
+        return simulate_driven(parameters, inputs, states=self.states, period=self._period).outputs + offsets
+
+    def _follow(
+        self, members: BankMembers, traces: ChangeTraces, ys: FloatArray, us: FloatArray
+    ) -> FloatArray:
+        """Nats that each hypothesis has saved, shape (N, R); the filter and the traces are moved on."""
+        healthy, model, table = self._competition.healthy, self.parameters.model, self._competition.table
+        noise, no, saved = model.noise, np.zeros(model.noise.size), []
+        seen = no == 0.0
+        for k, (y, u) in enumerate(zip(ys, us, strict=False)):
+            # What has no noise has no last digit either.
+            given = Reading(y, seen, no, noise, 1e-3 * noise, no, healthy.acting(u), model.disturbances)
+            step(model.kernels.code, healthy.fixed, members, traces, table, 1, given, k)
+            saved.append(traces.now - members.gained.sum())
+        if not members.alive.all():
+            raise PlantError(f"{model.title}: its filter is not finite")
+        return np.cumsum(saved, axis=0)
+
+
+def size_of(fault: ChangeRow) -> float:
+    """Its usual size, in its number's unit; a drive does less."""
+    return fault.shift or (-fault.spread if fault.number.startswith("share") else fault.spread)
+
+
+def _steps(parameters: Parameters, count: int, holds: float) -> FloatArray:
+    """Commands that step up and down over most of each drive's range, every drive in a time of its own, shape
+    (N, m)."""
+    k, columns = np.arange(count), []
+    for j, drive in enumerate(parameters.model.plant.drives.values()):
+        low, high = drive.limits
+        columns.append(low + (high - low) * np.where(k // max(round(holds * _QUICKER**j), 1) % 2, 0.9, 0.1))
+    return np.array(columns).T

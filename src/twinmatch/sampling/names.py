@@ -1,0 +1,91 @@
+"""Names of a plant's signals in maps and parameters, in tables, bags and beside a running rig alike."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from itertools import chain
+from typing import NamedTuple, TypeVar
+
+from twinmatch.description import Quantity
+from twinmatch.dynamics import Plant
+from twinmatch.plants.records import description_of
+from twinmatch.sampling.sources import INPUT, OUTPUT, REFERENCE, TIME
+from twinmatch.sessions.files import RecordingError
+
+_Value = TypeVar("_Value")
+
+
+class LoopNames(NamedTuple):
+    """Names of a plant's signals in a map: `reference`, `output` and `input`, if there is one of each."""
+
+    references: tuple[str, ...] = (REFERENCE,)
+    outputs: tuple[str, ...] = (OUTPUT,)
+    inputs: tuple[str, ...] = (INPUT,)
+
+    @classmethod
+    def of(cls, plant: type[Plant]) -> LoopNames:
+        """Of several outputs or inputs, the names are those of the plant file; `y_reference` is the set-point
+        of an output y."""
+        outputs, inputs = tuple(plant.outputs), tuple(plant.drives)
+        return cls(
+            (REFERENCE,) if len(outputs) == 1 else tuple(f"{y}_{REFERENCE}" for y in outputs),
+            (OUTPUT,) if len(outputs) == 1 else outputs,
+            (INPUT,) if len(inputs) == 1 else inputs,
+        )
+
+
+def signals_of(plant: type[Plant]) -> dict[str, Quantity]:
+    """The signals of a plant: references, outputs, inputs and disturbances, in the order of its file."""
+    is_ = description_of(plant)
+    names = chain(*LoopNames.of(plant), plant.disturbances)
+    return dict(zip(names, chain(is_.references, is_.outputs, is_.inputs, is_.disturbances), strict=True))
+
+
+def accepted_names(plant: type[Plant]) -> dict[str, tuple[str, ...]]:
+    """By signal, and for the time, the names by which a map may call it; its own first."""
+    loop = LoopNames.of(plant)
+    more = ("setpoint", "set_point", "set-point") if loop.references == (REFERENCE,) else ()
+    return {
+        TIME: (TIME,),
+        **_numbered(OUTPUT, loop.outputs, tuple(plant.outputs)),
+        **_numbered(INPUT, loop.inputs, tuple(plant.drives)),
+        **{signal: (*names, *more) for signal, names in _numbered(REFERENCE, loop.references).items()},
+        **{name: (name,) for name in plant.disturbances},
+    }
+
+
+def _numbered(kind: str, signals: tuple[str, ...], names: tuple[str, ...] = ()) -> dict[str, tuple[str, ...]]:
+    """Accepted names of each signal; where there are several, one is its number, such as output.2."""
+    own = names or signals
+    number = (lambda k: (f"{kind}.{k}",)) if len(signals) > 1 else (lambda _: ())
+    return {
+        signal: tuple(dict.fromkeys((signal, name, *number(k))))
+        for k, (signal, name) in enumerate(zip(signals, own, strict=True), 1)
+    }
+
+
+def signal_called(plant: type[Plant]) -> dict[str, str]:
+    """The signal that each accepted name means."""
+    names = accepted_names(plant)
+    known = {name: signal for signal, accepted in names.items() for name in accepted}
+    return known | {signal: signal for signal in names}  # also where a drive is called output
+
+
+def by_signal(plant: type[Plant], given: Mapping[str, _Value]) -> dict[str, _Value]:
+    """The entries of a map by signal, from entries by any accepted name.
+
+    Raises:
+        RecordingError: the plant has no signal of that name, or a signal is given twice.
+    """
+    known, named, used = signal_called(plant), dict[str, _Value](), dict[str, str]()
+    for name, entry in given.items():
+        if name not in known:
+            signals = ", ".join(
+                f"{s} ({n[1]})" if len(n) > 1 and s not in (TIME, REFERENCE) else s
+                for s, n in accepted_names(plant).items()
+            )
+            raise RecordingError(f"--map: plant {plant.name} has no signal {name!r}; it has {signals}")
+        if known[name] in named:
+            raise RecordingError(f"--map: {used[known[name]]} and {name} are the same signal; give it once")
+        named[known[name]], used[known[name]] = entry, name
+    return named
