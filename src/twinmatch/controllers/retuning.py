@@ -18,10 +18,9 @@ from scipy.optimize import Bounds, NonlinearConstraint, approx_fprime, minimize
 
 from twinmatch.controllers.answer import ControllerError
 from twinmatch.controllers.members import Holding, TriedTwin
-from twinmatch.controllers.pids import as_linear
 from twinmatch.controllers.responses import LOAD
 from twinmatch.controllers.whole_loop import WholeLoop
-from twinmatch.dynamics import SKIPPED, Experiment, Linear, PidGains, PlantError, read
+from twinmatch.dynamics import SKIPPED, Experiment, Linear, PidGains, PlantError, as_linear, read
 from twinmatch.errors import TwinmatchError
 from twinmatch.signals import FloatArray, Window
 
