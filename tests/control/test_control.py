@@ -241,11 +241,11 @@ def test_samples_of_a_limited_drive_have_what_passes_and_the_integral_does_not_w
     loop = Loop(Peltier)
     for k in range(20):
         tick(loop, k, 60.0, 25.0)
-    loop.limit = 40.0
+    loop.limits = [40.0]
     assert [tick(loop, k, 60.0, 25.0).input for k in range(20, 60)] == [40.0] * 40
     assert loop.input > 40.0  # what it asks for
     assert tick(loop, 60, 60.0, 62.0).input < 40.0
-    loop.limit = math.inf
+    loop.limits = [math.inf]
     assert tick(loop, 61, 60.0, 25.0).input > 40.0
 
 
@@ -313,7 +313,7 @@ def test_a_second_call_at_once_is_not_a_tick():
 def test_the_controller_continues_from_the_output_that_stands(pwm, reference, temperature):
     loop = Loop(Peltier)
     tick(loop, 0, reference, temperature)
-    loop.input = pwm
+    loop.inputs = [pwm]
     assert tick(loop, 3, reference, temperature).input == pytest.approx(pwm, abs=1e-9)
 
 

@@ -44,7 +44,7 @@ def armed_gate() -> tuple[Clocks, OutputGate]:
     gate.command(120.0, 7, clocks.stamp)
     gate.temperature(25.0, clocks.stamp)
     decision = gate.decide()
-    assert decision[:3] == (120.0, True, 7)
+    assert decision[:3] == ((120.0,), True, 7)
     return clocks, gate
 
 
@@ -120,10 +120,10 @@ def test_a_standing_clock_closes_the_gate_by_the_wall_clock() -> None:
     clocks.step(0.0, 0.0, 0.2)
     gate.command(120.0, 9, clocks.stamp)
     gate.temperature(25.0, clocks.stamp)
-    assert gate.decide()[:2] == (0.0, False)
+    assert gate.decide()[:2] == ((0.0,), False)
     assert kind_of(gate) is FaultKind.CLOCK
     clocks.step(0.1)
-    assert gate.decide()[:2] == (0.0, False)  # it latched
+    assert gate.decide()[:2] == ((0.0,), False)  # it latched
 
 
 def test_nothing_is_armed_before_the_clock_has_moved_and_that_is_not_a_fault() -> None:
@@ -132,7 +132,7 @@ def test_nothing_is_armed_before_the_clock_has_moved_and_that_is_not_a_fault() -
     for _ in range(30):
         gate.command(120.0, 0, clocks.stamp)
         gate.temperature(25.0, clocks.stamp)
-        assert gate.decide()[:2] == (0.0, False)
+        assert gate.decide()[:2] == ((0.0,), False)
         clocks.step(0.0, 0.0, 0.1)
     assert gate.clock_stopped
     assert gate.fault is None

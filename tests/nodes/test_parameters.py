@@ -14,10 +14,9 @@ from hypothesis import strategies as st
 
 from tests.support.places import PROJECT
 from tests.support.plant_files import plant_file
-from twinmatch.control import Profile
 from twinmatch.errors import TwinmatchError
 from twinmatch.nodes.camera_bridge import CameraBridge
-from twinmatch.nodes.controller import controller_table, profile_from
+from twinmatch.nodes.controller import controller_table, profiles_from
 from twinmatch.nodes.gated import gate_limits, gate_table
 from twinmatch.nodes.player import Player
 from twinmatch.nodes.pwm_bridge import PwmBridge
@@ -157,7 +156,7 @@ def test_the_kits_controller_differs_in_its_profile_alone() -> None:
     table = controller_table(TCLab)
     given = yaml.safe_load((CONFIG / "tclab.yaml").read_text("utf-8"))["controller"]["ros__parameters"]
     values, usual = check("controller", table, given), check("controller", table, {})
-    assert isinstance(profile_from(values), Profile)
+    assert profiles_from(values) is not None
     assert {n for n in values if values[n] != usual[n]} == {"profile.levels", "profile.holds"}
 
 
@@ -304,8 +303,7 @@ def test_the_twin_knows_the_running_pid() -> None:
 
 def test_the_defaults_make_a_profile_and_suit_the_guard() -> None:
     values = check("controller", controller_table(), {})
-    profile = profile_from(values)
-    assert profile is not None
+    (profile,) = profiles_from(values) or ()
     assert profile.reference(0.0) == 30.0
     # The controller has to switch off, and to say so, before the bridge has to latch.
     assert values["max_age"] < GuardLimits().temperature_timeout

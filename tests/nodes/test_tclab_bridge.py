@@ -57,7 +57,7 @@ class Rig(HeaterRig):
 
     def feed(self) -> None:
         if self.power is not None:
-            message = PlantCommand(index=7, input=self.power)
+            message = PlantCommand(index=7, input=[self.power])
             message.header.stamp.sec, message.header.stamp.nanosec = divmod(time.time_ns(), 10**9)
             self._commands.publish(message)
 
@@ -86,9 +86,9 @@ def test_commands_reach_heater_one_and_readings_come_back(
     process = bridge(start_process, kit, *PATIENT, "-p", "second:=15.0")
     rig.drive(42.0, kit)
     kit.shown[1] = 33.5
-    rig.until(lambda: rig.readings and rig.readings[-1].output == 33.5, "a reading")
+    rig.until(lambda: rig.readings and list(rig.readings[-1].output) == [33.5], "a reading")
     assert list(rig.readings[-1].disturbances) == [15.0]
-    rig.until(lambda: rig.applied[-1].input == 42.0, "what was applied")
+    rig.until(lambda: list(rig.applied[-1].input) == [42.0], "what was applied")
     assert (rig.applied[-1].sequence, rig.applied[-1].fault) == (7, "")
     assert Process.well(process.end(signal.SIGINT))
     assert kit.heaters == [0.0, 0.0]
@@ -144,9 +144,9 @@ def test_the_cable_is_pulled_and_put_back(start: Start, rig: Rig, kit: BenchKit)
     rig.drive(50.0, kit)
     kit.unplug()
     rig.faulted("link", kit)
-    rig.until(lambda: math.isnan(rig.applied[-1].input), "not knowing")
+    rig.until(lambda: math.isnan(rig.applied[-1].input[0]), "not knowing")
     kit.plug()
-    rig.until(lambda: rig.applied[-1].input == 0.0, "a kit that is back")
+    rig.until(lambda: list(rig.applied[-1].input) == [0.0], "a kit that is back")
     assert rig.call("clear_fault").success
     rig.drive(30.0, kit)
 
@@ -171,7 +171,7 @@ def test_a_cable_pulled_before_the_first_answer_is_a_fault_too(start: Start, rig
     rig.power = 50.0
     rig.faulted("link", kit)
     kit.plug()
-    rig.until(lambda: rig.applied[-1].input == 0.0, "a kit that is back")
+    rig.until(lambda: list(rig.applied[-1].input) == [0.0], "a kit that is back")
     assert kit.heaters == [0.0, 0.0]
 
 

@@ -37,7 +37,7 @@ from twinmatch.dynamics.loop import (
     controller_state,
 )
 from twinmatch.dynamics.observer import Observer, ObserverBank, RandomWalk
-from twinmatch.dynamics.pids import FilteredPid, PidLoops, as_linear, pid_law
+from twinmatch.dynamics.pids import FilteredPid, PidLoops, as_linear, pid_law, pids_of
 from twinmatch.dynamics.plant import Model, Parameters, Plant
 from twinmatch.dynamics.runs import Tangents
 from twinmatch.dynamics.sensor import Sensor, SensorRealisation
@@ -125,6 +125,7 @@ __all__ = [
     "noise_scores",
     "pid_law",
     "pid_of",
+    "pids_of",
     "quantities",
     "read",
     "readings",

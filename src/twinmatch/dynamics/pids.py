@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -113,7 +113,18 @@ class PidLoops(LinearLaw):
 
     def at_period(self, period: float) -> PidLoops:
         """The same PIDs at another sample time, s."""
-        return self if period == self.period else PidLoops.of(*(each.at_period(period) for each in self.pids))
+        return (
+            self
+            if period == self.period
+            else PidLoops.of(*(replace(each, period=period) for each in self.pids))
+        )
+
+
+def pids_of(law: Law | None) -> tuple[PidGains, ...]:
+    """The PIDs of which a law consists; of another law, or none, no PIDs."""
+    if isinstance(law, PidGains):
+        return (law,)
+    return law.pids if isinstance(law, PidLoops) else ()
 
 
 def _matrices(pid: FilteredPid, period: float) -> tuple[np.ndarray, ...]:
