@@ -27,12 +27,13 @@ from twinmatch.parameters.declared import ParameterError, Setting, check, render
 from twinmatch.parameters.twin import (
     read_settings,
     recorded_values,
+    running_law,
     settings_from,
     twin_table,
     twin_values,
     values_of,
 )
-from twinmatch.plants import PLANTS, Peltier, TCLab, find_plant
+from twinmatch.plants import PLANTS, Peltier, TCLab, TCLabBoth, find_plant
 from twinmatch.safety import GuardLimits, OutputGuard, RunawayLimits
 from twinmatch.safety.limits import SafetyError
 from twinmatch.sampling.channels import parse_channel
@@ -158,6 +159,53 @@ def test_the_kits_controller_differs_in_its_profile_alone() -> None:
     values, usual = check("controller", table, given), check("controller", table, {})
     assert profiles_from(values) is not None
     assert {n for n in values if values[n] != usual[n]} == {"profile.levels", "profile.holds"}
+
+
+BOTH = (CONFIG / "tclab_both.yaml").read_text("utf-8")
+
+
+def test_the_file_of_both_heaters_says_all_of_the_controller_and_of_the_bridge_which() -> None:
+    table, given = controller_table(TCLabBoth), yaml.safe_load(BOTH)
+    profile = {
+        name: given["controller"]["ros__parameters"][name] for name in ("profile.levels", "profile.holds")
+    }
+    assert render("controller", table, profile) in BOTH
+    first, second = profiles_from(check("controller", table, profile)) or ()
+    assert [(first.reference(t), second.reference(t)) for t in (0, 450, 900)] == [
+        (35, 35),
+        (50, 35),
+        (50, 45),
+    ]
+    assert check("tclab_bridge", TCLabBridge.PARAMETERS, given["tclab_bridge"]["ros__parameters"])
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        (
+            "profile.levels",
+            [30.0, 40.0, 50.0],
+            "has 3 values for 4 times; give one of each output (temperature, s",
+        ),
+        (
+            "profile.levels",
+            [30.0, 90.0] * 4,
+            "profile of second_temperature: level 1 is 90 °C; give one in the",
+        ),
+        (
+            "profile.lowest",
+            [20.0],
+            "profile.lowest has 1 values; give one for temperature and second_temperature",
+        ),
+        ("profile.highest", [75.0, -1.0], "profile.lowest 0 must be below profile.highest -1 °C"),
+        ("pid.integral", [1.0] * 3, "pid.integral has 3 values; give one for each of 2 loops"),
+    ],
+)
+def test_what_is_not_said_of_each_heater_is_one_line(name: str, value: list[float], message: str) -> None:
+    values = check("controller", controller_table(TCLabBoth), {name: value})
+    with pytest.raises(TwinmatchError) as caught:
+        (profiles_from(values), running_law(values, TCLabBoth.loop))
+    assert message in str(caught.value)
 
 
 def test_twin_file_holds_the_defaults() -> None:

@@ -163,8 +163,10 @@ class OutputGate:
             for k, guard in enumerate(guards):
                 beside = (*passed[:k], *passed[k + 1 :], *self.beside)
                 guard.output(now, np.array(beside) if beside else None)
-            if fault := next(filter(None, (guard.fault for guard in guards)), None):
-                self.trip(fault.kind, fault.message)
+            fault = next(filter(None, (guard.fault for guard in guards)), None)
+            for guard in guards:
+                if fault is not None:
+                    guard.latch(fault)
             if not self.armed:
                 for guard in guards:
                     guard.passed = 0.0

@@ -191,8 +191,11 @@ class OutputGuard:
 
     def trip(self, kind: FaultKind, message: str, now: float) -> None:
         """Latch a fault, unless one is latched already: the first one shows the cause."""
-        if self.fault is None:
-            self.fault = GuardFault(kind, message, now)
+        self.latch(GuardFault(kind, message, now))
+
+    def latch(self, fault: GuardFault) -> None:
+        """Latch a fault that may be another drive's, unless one is latched already."""
+        self.fault = self.fault or fault
         self._armed = False
 
     def output(self, now: float, beside: FloatArray | None = None) -> float:
