@@ -12,10 +12,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.support.faulty_rig import profile
-from tests.support.liar import BEGINS, KIT, LIES, RIG, SLOW_LIES, Bench, Ending, lie_to, lie_to_both
+from tests.support.liar import (
+    BEGINS,
+    KIT,
+    LIES,
+    RIG,
+    SLOW_LIES,
+    Bench,
+    Ending,
+    lie_to,
+    lie_to_both,
+    whole_kit,
+)
 from tests.support.peltier_oracle import integrated
-from twinmatch.dynamics import Parameters
-from twinmatch.plants import TCLabBoth
 from twinmatch.safety import Accusations, BudgetLimits, FaultKind, HeatBudget, OutputGuard
 from twinmatch.safety.ceiling import Ceiling
 from twinmatch.safety.limits import SafetyError
@@ -55,14 +64,6 @@ def test_no_lie_of_the_sensor_overheats_the_plant(bench: Bench, name: str, set_p
     assert ending.highest < bench.bridge.LIMITS.highest
 
 
-def both(seed: int) -> Parameters:
-    """A whole kit, its heater 2 with half to three quarters of the power of heater 1."""
-    random, typical = np.random.default_rng(seed), TCLabBoth.model("sensor lags").typical()
-    moved = {name: typical[name] * random.uniform(0.75, 1.25) for name in ("losses", "heating", "exchange")}
-    moved["second_heating"] = moved["heating"] * random.uniform(0.5, 0.75)
-    return typical.replace(**moved, ambient=random.uniform(288.0, 301.0))
-
-
 @pytest.mark.parametrize(
     ("name", "channel", "set_points"),
     [
@@ -76,7 +77,7 @@ def test_no_lie_of_either_sensor_overheats_a_kit_whose_heaters_are_both_driven(
 ) -> None:
     """And both are off in the end."""
     references = np.tile(set_points, (BEGINS + 300, 1))
-    endings = lie_to_both(both(3), references, LIES[name], channel, seed=3)
+    endings = lie_to_both(whole_kit(3), references, LIES[name], channel, seed=3)
     fault = endings[0].fault
     assert fault is not None
     assert f"the {('first', 'second')[channel]} heater" in fault.message
@@ -87,7 +88,7 @@ def test_no_lie_of_either_sensor_overheats_a_kit_whose_heaters_are_both_driven(
 def test_two_healthy_heaters_latch_nothing() -> None:
     """Each is a load for the other."""
     steps = np.repeat([[35.0, 30.0], [50.0, 30.0], [50.0, 42.0], [30.0, 42.0]], 300, axis=0)
-    first, second = lie_to_both(both(12), steps, seed=12)
+    first, second = lie_to_both(whole_kit(12), steps, seed=12)
     assert first.fault is None
     assert first.limited + second.limited <= 12  # 1 %
 

@@ -23,7 +23,7 @@ from twinmatch.controllers.retuning import AIMS, Retuned, retune
 from twinmatch.controllers.stability import MemberStability
 from twinmatch.controllers.track_record import LawComparison, compared, widened
 from twinmatch.controllers.whole_loop import WholeLoop
-from twinmatch.dynamics import FilteredPid, as_linear, pid_law
+from twinmatch.dynamics.pids import FilteredPid, as_linear, pid_law
 
 __all__ = [
     "AIMS",

@@ -32,7 +32,8 @@ from twinmatch.controllers.stability import (
     open_question,
     stability_of,
 )
-from twinmatch.dynamics import Law, Parameters, Plant, PlantError, Rest, TwoLevel, as_linear
+from twinmatch.dynamics import Law, Parameters, Plant, PlantError, Rest, TwoLevel
+from twinmatch.dynamics.pids import as_linear
 from twinmatch.errors import TwinmatchError
 from twinmatch.signals import FloatArray
 

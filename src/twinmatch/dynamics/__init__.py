@@ -37,7 +37,7 @@ from twinmatch.dynamics.loop import (
     controller_state,
 )
 from twinmatch.dynamics.observer import Observer, ObserverBank, RandomWalk
-from twinmatch.dynamics.pids import FilteredPid, PidLoops, as_linear, pid_law, pids_of
+from twinmatch.dynamics.pids import PidLoops, pids_of
 from twinmatch.dynamics.plant import Model, Parameters, Plant
 from twinmatch.dynamics.runs import Tangents
 from twinmatch.dynamics.sensor import Sensor, SensorRealisation
@@ -73,7 +73,6 @@ __all__ = [
     "Equations",
     "Experiment",
     "ExternalEquations",
-    "FilteredPid",
     "Foresight",
     "FromPlantFile",
     "Known",
@@ -105,7 +104,6 @@ __all__ = [
     "Tangents",
     "TwoLevel",
     "advance",
-    "as_linear",
     "begin",
     "begin_window",
     "box_step",
@@ -123,7 +121,6 @@ __all__ = [
     "maximum",
     "minimum",
     "noise_scores",
-    "pid_law",
     "pid_of",
     "pids_of",
     "quantities",

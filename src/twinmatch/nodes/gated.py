@@ -13,7 +13,7 @@ import itertools
 import threading
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Final, Generic, NamedTuple, TypeVar
 
@@ -117,7 +117,7 @@ class OutputGate:
         with self._news:
             return self._safety_clock.stopped
 
-    def command(self, values: Sequence[float] | float, index: int, stamp: int) -> None:
+    def command(self, values: Iterable[float] | float, index: int, stamp: int) -> None:
         """Take the commands sent at `stamp` (ns), computed at sample `index`."""
         with self._news:
             try:
@@ -126,7 +126,7 @@ class OutputGate:
                 self.trip(FaultKind.COMMAND_INVALID, f"the command cannot be used: {error}")
             self._index, self.commanded = index, stamp
 
-    def temperature(self, celsius: Sequence[float] | float, stamp: int) -> None:
+    def temperature(self, celsius: Iterable[float] | float, stamp: int) -> None:
         """Take the temperatures measured at `stamp` (ns)."""
         self._take(OutputGuard.temperature, celsius, stamp=stamp)
 
