@@ -302,7 +302,7 @@ def test_ticks_follow_the_clock(start: Start, bench: Bench) -> None:
 
 
 def test_two_loops_have_two_set_points_and_one_message(start: Start, listener: Listener) -> None:
-    """A reading or a set-point of one heater alone, or one that is no number, moves nothing."""
+    """A reading or a set-point of one heater alone, or NaN, moves nothing."""
     samples = listener.hear(LoopSample, "plant/sample", EVERYTHING)
     commands = listener.hear(PlantCommand, "plant/command", EVERYTHING)
     readings = listener.node.create_publisher(PlantReading, "plant/reading", 1)

@@ -203,7 +203,7 @@ def test_what_is_wrong_with_either_drive_puts_both_to_zero(
     clocks, gate = armed_pair()
     clocks.step(0.1)
     spoil(gate, clocks.stamp)
-    if not kind:  # a tick of the loops alone is no reason
+    if not kind:  # a tick of the loops alone ends nothing
         assert gate.decide().inputs == (120.0, 80.0)
         return
     assert gate.decide()[:2] == ((0.0, 0.0), False)
@@ -227,7 +227,7 @@ def test_a_sample_of_other_size_is_refused() -> None:
 
 
 def test_a_limit_is_that_of_its_drive() -> None:
-    """Heater 2 is told to be cold, and heated at full power; heater 1 keeps its command."""
+    """Sensor 2 stays cold while heater 2 is at full power; heater 1 keeps its command."""
     clocks = Clocks()
     gate = OutputGate(clocks, TCLabBridge.guards_of_both(TCLabBridge.LIMITS))
     passed = []

@@ -167,6 +167,7 @@ class VirtualKit(VirtualPlantTime):
             "heater": self._model._H1,
             "second_heater": self._model._H2,
             "sensor": self._model._T1,
+            "second_sensor": self._model._T2,
             "power": self.board.heaters[0],
             "second": self.board.heaters[1],
             "speed": self.pace.achieved(),
