@@ -2,6 +2,7 @@
 
     python -m benchmarks.lies rig 8
     python -m benchmarks.lies kit 8
+    python -m benchmarks.lies both 4
     python -m benchmarks.lies slow 20
     python -m benchmarks.lies healthy 1000
 
@@ -17,7 +18,19 @@ from dataclasses import replace
 import numpy as np
 
 from tests.support.faulty_rig import profile
-from tests.support.liar import BEGINS, KIT, LIES, RIG, SLOW_LIES, Bench, Ending, lie_to
+from tests.support.liar import (
+    BEGINS,
+    KIT,
+    LIES,
+    RIG,
+    SLOW_LIES,
+    Bench,
+    Ending,
+    lie_to,
+    lie_to_both,
+    whole_kit,
+)
+from twinmatch.dynamics import begin, simulate_driven
 from twinmatch.safety import BudgetLimits, OutputGuard
 
 LEVELS = {"rig": (RIG, (30.0, 60.0, 90.0)), "kit": (KIT, (30.0, 50.0, 65.0))}
@@ -54,6 +67,35 @@ def measure(name: str, plants: int) -> None:
             ]
             before, after = map(shown, cases)
             print(f"{level:3.0f} {lie:26s} | {before:42s} | {after}", flush=True)
+
+
+def both(plants: int) -> None:
+    """Kits whose heaters are both driven: a lie of either sensor, and healthy hours of ten steps each."""
+    print(
+        f"{plants} kits, sensor 1 or 2 lies: highest temperature of each heater, °C; seconds to zero; by what"
+    )
+    for levels in ((30.0, 30.0), (50.0, 35.0), (60.0, 40.0)):
+        references = np.tile(levels, (BEGINS + LASTS, 1))
+        for lie, told in LIES.items():
+            for channel in (0, 1):
+                runs = [
+                    lie_to_both(whole_kit(seed), references, told, channel, seed) for seed in range(plants)
+                ]
+                heaters = " | ".join(f"{shown(list(each)):42s}" for each in zip(*runs, strict=True))
+                print(f"{levels} {lie:26s} of {channel + 1} | {heaters}", flush=True)
+    latched = limited = 0
+    for seed in range(10 * plants):
+        kit, random = whole_kit(1000 + seed), np.random.default_rng(seed)
+        tops = [simulate_driven(kit, np.tile(u, (1500, 1)), states=begin(kit, [25.0, 25.0])).outputs[-1, k]
+                for k, u in enumerate(((90.0, 0.0), (0.0, 90.0)))]  # fmt: skip
+        high = np.minimum(tops, 70.0)
+        steps = np.repeat(random.uniform(25.0, high, (10, 2)), 360, axis=0)
+        endings = lie_to_both(kit, steps, seed=seed)
+        limited += max(int(ending.limited) for ending in endings)
+        if endings[0].fault is not None:
+            latched += 1
+            print(f"hour {seed}: {endings[0].fault}", flush=True)
+    print(f"{latched} of {10 * plants} healthy hours latched a fault; seconds limited: {limited}")
 
 
 def slow(plants: int) -> None:
@@ -97,6 +139,8 @@ def main() -> None:
         healthy(number)
     elif what == "slow":
         slow(number)
+    elif what == "both":
+        both(number)
     else:
         measure(what, number)
 

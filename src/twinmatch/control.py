@@ -1,6 +1,6 @@
-"""The control loop: set-point over time, and one PID step per tick, without clock or ROS.
+"""The control loops: set-points over time, and one step of each PID per tick, without clock or ROS.
 
-`Profile` is the set-point as a function of time. `Loop` takes readings and the time, and makes one `Sample`
+`Profile` is a set-point as a function of time. `Loop` takes readings and the time, and makes one `Sample`
 per tick. Where it cannot (no fresh reading, a missed tick) it makes none, so the index of the next sample
 shows how many are missing.
 """
@@ -11,14 +11,14 @@ import math
 from bisect import bisect_right
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from itertools import accumulate
+from itertools import accumulate, repeat
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from twinmatch.dynamics import Controller, PidGains, Plant, pid_of
+from twinmatch.dynamics import Controller, Law, Plant, law_of, pids_of
 from twinmatch.errors import TwinmatchError
-from twinmatch.signals import NANOSECONDS, Sample
+from twinmatch.signals import NANOSECONDS, FloatArray, Sample, Signals, one_of_each, signals_of
 
 __all__ = ["ControlError", "Loop", "Profile"]
 
@@ -53,10 +53,12 @@ class Profile:
     """Upper end."""
     unit: str = field(kw_only=True)
     """Unit of the set-points, for messages."""
+    name: str = field(default="profile", kw_only=True)
+    """What it is called in messages."""
 
     def __post_init__(self) -> None:
         if problem := next(self._problems(), ""):
-            raise ControlError(f"profile: {problem}")
+            raise ControlError(f"{self.name}: {problem}")
 
     def _problems(self) -> Iterator[str]:
         """Why the profile cannot be run; each holds if there is none before it."""
@@ -98,7 +100,7 @@ class Profile:
             ControlError: the time is not finite.
         """
         if not math.isfinite(time):
-            msg = f"profile: the time is {time} s; it must be finite"
+            msg = f"{self.name}: the time is {time} s; it must be finite"
             raise ControlError(msg)
         round_ = sum(self.holds)
         first_round = not self.repeat or time < round_
@@ -116,7 +118,7 @@ class Profile:
 
 
 class Loop:
-    """The PID on a grid of ticks, one period apart.
+    """The PIDs of a plant's loops on a grid of ticks, one period apart.
 
     The first tick that has a reading and a set-point starts the grid and is sample 0. A tick without them
     (none yet, or the newest reading is stale) makes no sample and switches the output off; a tick that is
@@ -132,7 +134,7 @@ class Loop:
     def __init__(
         self,
         plant: type[Plant],
-        gains: PidGains | None = None,
+        law: Law | None = None,
         *,
         max_age: float = 2.0,
         state: ArrayLike | None = None,
@@ -141,19 +143,27 @@ class Loop:
 
         Args:
             plant: the controlled plant.
-            gains: gains and period of the controller; default: those of the plant file, at 1 s.
+            law: one PID for each output; default: that of the plant file, at 1 s.
             max_age: age from which a reading is stale, s.
-            state: state of the controller at sample 0; default: its output starts at zero.
+            state: state of the PIDs at sample 0, a row each; default: their outputs start at zero.
 
         Raises:
-            ControlError: the age is not positive.
-            PlantError: no gains are given and the plant file has none.
+            ControlError: the age is not positive, or the law is not one PID for each output.
+            PlantError: no law is given and the plant file has none.
         """
         if not (math.isfinite(max_age) and max_age > 0):
             msg = f"loop: max_age is {max_age} s; it must be positive"
             raise ControlError(msg)
-        self.input = 0.0
-        """The current command to the plant, in its unit."""
+        self._plant = plant
+        law = law or law_of(plant, 1.0)
+        self._gains = pids_of(law)
+        if len(self._gains) != len(plant.outputs) or len(self._gains) != len(plant.drives):
+            raise ControlError(
+                f"loop: the law of plant {plant.name} is a {type(law).__name__}; give a PID for each of its "
+                f"{len(plant.outputs)} outputs and {len(plant.drives)} drives"
+            )
+        self.inputs = [0.0] * len(self._gains)
+        """The current commands to the plant, in its units."""
         self.trouble = "no tick yet"
         """Why the output is off; empty while there are samples."""
         self.missed = 0
@@ -165,17 +175,18 @@ class Loop:
         self.jitter = 0.0
         """Lateness of the newest tick, s."""
         self.held = False
-        """Whether a fault holds the drive at rest: then the input is rest, in the samples too, and the
+        """Whether a fault holds the drives at rest: then the inputs are rest, in the samples too, and the
         controller continues from there."""
-        self.limit = math.inf
-        """The most that passes: samples have no higher input, and the controller continues from there."""
-        self._plant = plant
-        self._gains = gains or pid_of(plant)
-        self._pid = Controller(self._gains, state)
+        self.limits = [math.inf] * len(self._gains)
+        """The most that passes: samples have no higher inputs, and the controller continues from there."""
+        rows = repeat(None) if state is None else np.reshape(state, (len(self._gains), -1))
+        self._pids = [Controller(gains, row) for gains, row in zip(self._gains, rows, strict=False)]
         self._restart = state is None
-        self._period = round(self._gains.period * NANOSECONDS)
+        self.period = law.period
+        """Between two ticks, s."""
+        self._period = round(law.period * NANOSECONDS)
         self._max_age = round(max_age * NANOSECONDS)
-        self._output = math.nan
+        self._outputs: Signals = ()
         self._measured: int | None = None
         self._disturbances: tuple[float, ...] = ()
         self._number: int | None = None  # of the newest tick on the grid
@@ -185,42 +196,52 @@ class Loop:
     @property
     def time(self) -> float:
         """Time from sample 0 to the newest tick in whole periods, s; 0 before sample 0."""
-        return (self._number or 0) * self._gains.period
+        return (self._number or 0) * self.period
+
+    @property
+    def input(self) -> float:
+        """The current command of a single loop."""
+        return one_of_each("input", tuple(self.inputs))
 
     @property
     def running(self) -> bool:
         """Whether the newest tick made a sample."""
         return not self.trouble
 
-    def measure(self, output: float, stamp: int, disturbances: Sequence[float] = ()) -> None:
-        """Take a reading measured at `stamp` (ns), with the disturbances if they are measured too.
+    def measure(
+        self, outputs: Sequence[float] | float, stamp: int, disturbances: Sequence[float] = ()
+    ) -> None:
+        """Take the readings measured at `stamp` (ns), with the disturbances if they are measured too.
 
-        A reading that is not finite, or has some but not all of the plant's disturbances, is only counted.
+        Readings that are not finite or not one of each output, or that have some but not all of the plant's
+        disturbances, are only counted.
         """
-        whole = len(disturbances) in (0, len(self._plant.disturbances))
-        if whole and all(map(math.isfinite, (output, *disturbances))):
-            self._output, self._measured, self._disturbances = output, stamp, tuple(disturbances)
+        read = signals_of(outputs)
+        whole = len(read) == len(self._pids) and len(disturbances) in (0, len(self._plant.disturbances))
+        if whole and all(map(math.isfinite, (*read, *disturbances))):
+            self._outputs, self._measured, self._disturbances = read, stamp, tuple(disturbances)
         else:
             self.refused += 1
 
-    def tick(self, now: int, profile: Callable[[float], float | None]) -> Sample | None:
+    def tick(self, now: int, profile: Callable[[float], Sequence[float] | float | None]) -> Sample | None:
         """Take the time of a tick; return its sample, if there is one.
 
         If there is none, `trouble` says why the output is off, or the tick did not count.
 
         Args:
             now: the time, ns.
-            profile: returns the set-point, or None, at a time since sample 0 (s), which is in whole periods
+            profile: returns the set-points, or None, at a time since sample 0 (s), which is in whole periods
                 so that a late tick does not shift a step of the set-point.
         """
         number = self._place(now)
         if number is None:
             return None
         self._newest = now
-        reference = profile(number * self._gains.period)
-        trouble = self._doubt(now, reference)
-        if trouble or reference is None:
-            self.trouble, self.input, self._restart = trouble, 0.0, True
+        wanted = profile(number * self.period)
+        references = None if wanted is None else signals_of(wanted)
+        trouble = self._doubt(now, references)
+        if trouble or references is None:
+            self.trouble, self.inputs, self._restart = trouble, [0.0] * len(self._pids), True
             if self._number is not None:
                 self.idle += 1
                 self._number = number
@@ -231,15 +252,23 @@ class Loop:
             self._restart = True
         self._number, self.trouble = number, ""
         if self.held:
-            self.input, self._restart = self._plant.drive.rest, True
-            return Sample(number, now, reference, self._output, self.input, self._disturbances)
+            self.inputs, self._restart = [drive.rest for drive in self._plant.drives.values()], True
+            passed = self.inputs
+        else:
+            passed = [self._step(k, references[k]) for k in range(len(self._pids))]
+            self._restart = False
+        return Sample(number, now, references, self._outputs, tuple(passed), self._disturbances)
+
+    def _step(self, k: int, reference: float) -> float:
+        """One step of a PID; returns what passes of its command."""
+        pid, output = self._pids[k], self._outputs[k]
         if self._restart:
-            self._continue(reference)
-        self.input = float(self._pid.step(reference, self._output)[0])
-        excess = max(0.0, self.input - self.limit)
-        if excess and self._gains.integral:  # it must not wind up
-            self._pid.state = self._pid.state - np.array([excess, 0.0])
-        return Sample(number, now, reference, self._output, self.input - excess, self._disturbances)
+            pid.state = self._continued(k, reference - output)
+        self.inputs[k] = float(pid.step(reference, output)[0])
+        excess = max(0.0, self.inputs[k] - self.limits[k])
+        if excess and self._gains[k].integral:  # it must not wind up
+            pid.state = pid.state - np.array([excess, 0.0])
+        return self.inputs[k] - excess
 
     def _place(self, now: int) -> int | None:
         """Number of this tick on the grid; None if it does not count."""
@@ -263,24 +292,27 @@ class Loop:
         self.jitter = rest / NANOSECONDS
         return expected + skipped
 
-    def _doubt(self, now: int, reference: float | None) -> str:
+    def _doubt(self, now: int, references: Signals | None) -> str:
         """Why there is no sample now; empty if there is one."""
-        output = self._plant.output
+        names = " and ".join(self._plant.outputs)
+        working = (
+            f"is the {' and the '.join({each.sensor: 0 for each in self._plant.outputs.values()})} working?"
+        )
         if self._measured is None:
-            return f"no {output.name} yet; is the {output.sensor} working?"
+            return f"no {names} yet; {working}"
         if now - self._measured > self._max_age:
             age = (now - self._measured) / NANOSECONDS
-            return f"the newest {output.name} is {age:.1f} s old; is the {output.sensor} working?"
-        if reference is None:
+            return f"the newest {names} is {age:.1f} s old; {working}"
+        if references is None:
             return "no set-point yet"
-        if not math.isfinite(reference):
-            return f"the set-point is {reference}, not a finite number"
-        return ""
+        if len(references) != len(self._pids):
+            return f"{len(references)} set-points are given for {names}"
+        wrong = next((each for each in references if not math.isfinite(each)), None)
+        return "" if wrong is None else f"the set-point is {wrong}, not a finite number"
 
-    def _continue(self, reference: float) -> None:
-        """Set the controller's state so that its output continues from the current one; without integral
-        action it cannot, since the difference would stay for good."""
-        gains, error = self._gains, reference - self._output
-        integral = self.input - gains.proportional * error if gains.integral else float(self._pid.state[0])
-        self._pid.state = np.array([integral, -self._output if gains.on_measurement else error])
-        self._restart = False
+    def _continued(self, k: int, error: float) -> FloatArray:
+        """The state of a PID whose output continues from the current one; without integral action it cannot,
+        since the difference would stay for good."""
+        gains = self._gains[k]
+        integral = self.inputs[k] - gains.proportional * error if gains.integral else self._pids[k].state[0]
+        return np.array([integral, -self._outputs[k] if gains.on_measurement else error])

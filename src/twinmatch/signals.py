@@ -45,6 +45,7 @@ __all__ = [
     "point_text",
     "point_values",
     "rms",
+    "signals_of",
     "stretches",
     "unbroken",
 ]
@@ -90,6 +91,11 @@ Signals = tuple[float, ...]
 
 OperatingPoint = float | Signals
 """Set-points, or outputs, at which a plant was; of a single loop a number."""
+
+
+def signals_of(values: Iterable[float] | float) -> Signals:
+    """Values of one kind of signal; a single one may be a number."""
+    return (values,) if isinstance(values, float | int) else tuple(values)
 
 
 @dataclass(frozen=True, slots=True, init=False)

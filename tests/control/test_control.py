@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from twinmatch.control import ControlError, Loop, Profile
 from twinmatch.dynamics import Controller, PidState
-from twinmatch.plants import Peltier
+from twinmatch.plants import Peltier, TCLab, TCLabBoth
 
 
 def made(levels, holds, **rest):
@@ -241,11 +241,11 @@ def test_samples_of_a_limited_drive_have_what_passes_and_the_integral_does_not_w
     loop = Loop(Peltier)
     for k in range(20):
         tick(loop, k, 60.0, 25.0)
-    loop.limit = 40.0
+    loop.limits = [40.0]
     assert [tick(loop, k, 60.0, 25.0).input for k in range(20, 60)] == [40.0] * 40
     assert loop.input > 40.0  # what it asks for
     assert tick(loop, 60, 60.0, 62.0).input < 40.0
-    loop.limit = math.inf
+    loop.limits = [math.inf]
     assert tick(loop, 61, 60.0, 25.0).input > 40.0
 
 
@@ -313,7 +313,7 @@ def test_a_second_call_at_once_is_not_a_tick():
 def test_the_controller_continues_from_the_output_that_stands(pwm, reference, temperature):
     loop = Loop(Peltier)
     tick(loop, 0, reference, temperature)
-    loop.input = pwm
+    loop.inputs = [pwm]
     assert tick(loop, 3, reference, temperature).input == pytest.approx(pwm, abs=1e-9)
 
 
@@ -333,3 +333,35 @@ def test_a_proportional_law_keeps_nothing_of_a_limit_or_a_stop():
         sample = loop.tick(k * 10**9, lambda t: 90.0 if t < 2 else 22.0)
         given[k] = sample.input
     assert given == {0: 255.0, 1: 255.0, 2: 20.0, 3: 20.0, 9: 20.0, 10: 20.0}
+
+
+def test_two_loops_are_two_pids_on_one_grid():
+    """Through a gap, a held and a limited drive."""
+    both, alone = Loop(TCLabBoth), [Loop(TCLab), Loop(TCLab)]
+    for k in (*range(30), *range(35, 60)):
+        references, readings = (50.0, 35.0 + k % 7), (25.0 + 0.3 * k, 30.0 - 0.1 * k)
+        both.held = alone[0].held = alone[1].held = 10 <= k < 13
+        both.limits = [100.0, 12.0]
+        alone[1].limits = [12.0]
+        both.measure(readings, k * SECOND)
+        sample = both.tick(k * SECOND, lambda _, r=references: r)
+        for number, loop in enumerate(alone):
+            own = tick(loop, k, references[number], readings[number])
+            assert (own.input, own.output) == (sample.inputs[number], sample.outputs[number])
+    assert (both.missed, alone[0].missed) == (5, 5)
+    both.measure((25.0,), 60 * SECOND)
+    both.measure((25.0, math.nan), 60 * SECOND)
+    assert both.refused == 2
+    assert both.tick(63 * SECOND, lambda _: (50.0, 35.0)) is None
+    assert both.trouble == "the newest temperature and second_temperature is 4.0 s old; is the kit working?"
+    assert both.inputs == [0.0, 0.0]
+    both.measure((25.0, 30.0), 64 * SECOND)
+    assert both.tick(64 * SECOND, lambda _: 50.0) is None
+    assert both.trouble == "1 set-points are given for temperature and second_temperature"
+    assert both.tick(65 * SECOND, lambda _: (50.0, math.nan)) is None
+    assert both.trouble == "the set-point is nan, not a finite number"
+
+
+def test_a_plant_with_another_law_is_not_controlled():
+    with pytest.raises(ControlError, match="give a PID for each of its 2 outputs and 2 drives"):
+        Loop(TCLabBoth, GAINS)

@@ -19,6 +19,7 @@ from twinmatch.dynamics import (
     Linear,
     LinearLaw,
     PidGains,
+    PidLoops,
     PlantError,
     Rest,
     TwoLevel,
@@ -181,6 +182,21 @@ def test_it_gives_the_commands_of_a_pid_of_the_plant_file(seed: int) -> None:
     ours, _ = commands_of(law.code, np.array([0.5, -2.0 * previous])[-law.n_states :], r, y)
     np.testing.assert_allclose(ours, theirs, atol=1e-9)
     assert ((theirs == -4.0) | (theirs == 9.0)).any()
+
+
+def test_pids_side_by_side_are_each_for_itself_at_any_period() -> None:
+    gains = (
+        PidGains(5.0, 0.04, 10.0, 0.06, 0.0, 100.0, on_measurement=True),
+        PidGains(3.0, 0.1, 2.0, 0.3, -4.0, 9.0),
+    )
+    law = PidLoops.of(*gains).at_period(2.0)
+    r, y = np.random.default_rng(6).normal(0.0, 8.0, (2, 60, 2))
+    both, _ = commands_of(law.code, np.zeros(4), r, y)
+    for k, each in enumerate(gains):
+        alone, _ = commands_of(each.at_period(2.0).code, np.zeros(2), r[:, [k]], y[:, [k]])
+        np.testing.assert_allclose(both[:, [k]], alone, atol=1e-9)
+    with pytest.raises(PlantError, match=r"2 given, every \[1.0, 2.0\] s; give PIDs of one period"):
+        PidLoops.of(gains[0], gains[1].at_period(2.0))
 
 
 def test_the_filter_is_the_sampled_transfer_function() -> None:

@@ -37,6 +37,7 @@ from twinmatch.emulation.faults import (
     parse_now,
     tell,
 )
+from twinmatch.emulation.kit import VirtualKit
 from twinmatch.emulation.plant_time import RigPace, RigSettings, VirtualPlantTime
 from twinmatch.emulation.virtual_camera import VirtualCamera, VirtualCameraError
 from twinmatch.emulation.virtual_rig import RICH_RIG, SerialNoise, VirtualPlant, VirtualRig
@@ -60,6 +61,7 @@ def test_faults_are_read() -> None:
     [
         ("drive-last@3", "'drive-last' does not exist; did you mean drive-lost"),
         ("xyz@3", "'xyz' does not exist; choose one of drive-lost, "),
+        ("drive-lost.x@3", "'drive-lost.x' does not exist; did you mean drive-lost"),
         ("drive-lost", "no time; write drive-lost@SECONDS"),
         ("drive-lost@", "'' is not a time"),
         ("drive-lost@-1", "'-1' is not a time"),
@@ -71,6 +73,29 @@ def test_faults_are_read() -> None:
 def test_faults_that_cannot_be(text: str, message: str) -> None:
     with pytest.raises(FaultError, match=message):
         parse_faults(text)
+
+
+def test_a_fault_of_one_sensor_leaves_the_other_alone() -> None:
+    schedule = FaultSchedule(
+        parse_faults("sensor-offset.2@0,sensor-drifts@10,sensor-drifts.2@5,drive-lost.2@0")
+    )
+    schedule.due(20.0)
+    assert [schedule.told(40.0, 20.0, 20.0, number) for number in (1, 2)] == [40.0 - 8.0, 45.0 - 12.0]
+    assert [schedule.acts("drive-lost", number) for number in (1, 2)] == [False, True]
+
+
+def test_a_kit_loses_one_heater_and_a_plate_has_only_one() -> None:
+    pytest.importorskip("tclab", reason="pip install 'twinmatch[tclab]'")
+    with VirtualKit(RigSettings(faults=parse_faults("drive-lost.2@0,sensor-frozen.1@0"))) as kit:
+        kit.board.heaters = [60.0, 60.0]
+        for _ in range(12_000):
+            kit.step()
+        state, (first, second) = kit.state(), map(kit._reading, (1, 2))
+    assert state["heater"] > 40.0  # °C; what heats the second is the first alone
+    assert state["second_heater"] < 30.0
+    assert first < 22.0 < second
+    with pytest.raises(FaultError, match=r"'drive-lost\.2': not available for this plant"):
+        VirtualRig(RigSettings(faults=parse_faults("drive-lost.2@3")))
 
 
 @given(

@@ -79,9 +79,9 @@ def test_silence_switches_off_until_it_is_cleared(kit: BenchKit) -> None:
 
 def test_an_invalid_command_never_reaches_it(kit: BenchKit, link: KitLink) -> None:
     """The package itself makes 100 % of what is not a number."""
-    link.drive(50.0, 0.0)
+    link.drive(50.0, 30.0)
     with pytest.raises(KitError, match="it must be within 0 to 100 %"):
-        link.drive(math.nan, 0.0)
+        link.drive(50.0, math.nan)
     off(kit)
     assert kit.highest == 50.0
 
@@ -89,24 +89,24 @@ def test_an_invalid_command_never_reaches_it(kit: BenchKit, link: KitLink) -> No
 def test_who_holds_the_port_is_killed_and_the_next_one_begins_with_zero_and_ends_when_asked(
     kit: BenchKit, link: KitLink
 ) -> None:
-    link.drive(80.0, 0.0)
+    link.drive(80.0, 60.0)
     os.kill(keeper(link), signal.SIGKILL)
     with pytest.raises(KitError, match="process that holds its port"):
-        link.drive(80.0, 0.0)
+        link.drive(80.0, 60.0)
     link.close()
-    assert kit.heaters[0] == 80.0  # the firmware has no deadline: somebody has to say it
+    assert kit.heaters == [80.0, 60.0]  # the firmware has no deadline: somebody has to say it
     link.open()
     assert kit.heaters == [0.0, 0.0]
-    link.drive(80.0, 0.0)
+    link.drive(80.0, 60.0)
     os.kill(keeper(link), signal.SIGTERM)
     off(kit)
 
 
 def test_the_cable_is_pulled(kit: BenchKit, link: KitLink) -> None:
-    link.drive(80.0, 0.0)
+    link.drive(80.0, 60.0)
     kit.unplug()
     with pytest.raises(KitError):
-        link.drive(80.0, 0.0)
+        link.drive(80.0, 60.0)
     link.close()
     with pytest.raises(KitAbsentError, match="No such file"):
         link.open()
@@ -132,10 +132,10 @@ def test_who_holds_the_port_checks_commands_and_a_port_that_is_gone_is_an_error_
 
 
 def test_a_kit_that_answers_rubbish_is_switched_off(kit: BenchKit, link: KitLink) -> None:
-    link.drive(40.0, 0.0)
-    kit.shown[1] = math.nan
-    with pytest.raises(KitError, match="T1 reads nan"):
-        link.drive(40.0, 0.0)
+    link.drive(40.0, 30.0)
+    kit.shown[2] = math.nan
+    with pytest.raises(KitError, match="T2 reads nan"):
+        link.drive(40.0, 30.0)
     off(kit)
 
 

@@ -16,7 +16,7 @@ from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.parameter import Parameter as RosParameter
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Temperature
-from std_msgs.msg import Float64
+from std_msgs.msg import Float64, Float64MultiArray
 
 from tests.support.processes import Start
 from tests.support.rig import GAINS
@@ -24,7 +24,7 @@ from tests.support.ros import Listener
 from twinmatch.nodes.controller import ControllerNode
 from twinmatch.nodes.messages import sample_from
 from twinmatch.nodes.topics import EVERYTHING, LATCHED, RELIABLE
-from twinmatch_msgs.msg import LoopSample, PwmApplied, PwmCommand
+from twinmatch_msgs.msg import LoopSample, PlantCommand, PlantReading, PwmApplied, PwmCommand
 
 pytestmark = pytest.mark.ros
 
@@ -299,3 +299,40 @@ def test_ticks_follow_the_clock(start: Start, bench: Bench) -> None:
     heard = len(bench.commands), len(bench.samples)
     bench.pass_time(1.0)
     assert (len(bench.commands), len(bench.samples)) == heard
+
+
+def test_two_loops_have_two_set_points_and_one_message(start: Start, listener: Listener) -> None:
+    """A reading or a set-point of one heater alone, or NaN, moves nothing."""
+    samples = listener.hear(LoopSample, "plant/sample", EVERYTHING)
+    commands = listener.hear(PlantCommand, "plant/command", EVERYTHING)
+    readings = listener.node.create_publisher(PlantReading, "plant/reading", 1)
+    wishes = listener.node.create_publisher(Float64MultiArray, "plant/reference", LATCHED)
+    wishes.publish(Float64MultiArray(data=[40.0, 30.0]))
+    start("controller", *FAST, "-p", "plant:=tclab-both", "-p", "reference_source:=topic")
+    seen = [25.0, 24.0]
+
+    def fed(condition: Callable[[], Any], what: str) -> None:
+        def look() -> Any:
+            readings.publish(PlantReading(output=seen))
+            return condition()
+
+        listener.spin_until(look, what)
+
+    fed(lambda: len(samples) > 3, "samples")
+    sample = sample_from(samples[-1])
+    assert (sample.references, sample.outputs, sample.disturbances) == ((40.0, 30.0), (25.0, 24.0), ())
+    assert all(u > 0 for u in sample.inputs)
+    assert len(commands[-1].input) == 2
+    for wrong, said in (
+        ([45.0], "1 set-points refused; give one of each output: temperature, second_temperature"),
+        ([45.0, 90.0], "set-point 90 °C refused; the safe range is 0 to 75 °C"),
+        ([math.nan, 30.0], "set-point nan °C refused"),
+    ):
+        wishes.publish(Float64MultiArray(data=wrong))
+        fed(lambda said=said: listener.said(said), "the refusal")
+    assert list(samples[-1].reference) == [40.0, 30.0]
+    seen[:] = [25.0, math.nan]
+    fed(lambda: list(commands[-1].input) == [0.0, 0.0], "rest")
+    seen[:] = [25.0]
+    fed(lambda: listener.said("output has 1 values for the plant's outputs; expected 2"), "the refusal")
+    assert list(commands[-1].input) == [0.0, 0.0]

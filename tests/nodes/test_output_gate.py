@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import math
 import threading
+from collections.abc import Callable
 
 import pytest
 from rclpy.clock import ROSClock
 from rclpy.time import Time
 
+from twinmatch.nodes.fields import MessageError
 from twinmatch.nodes.gated import EVERY_MOVE, ClockTimes, OutputGate
-from twinmatch.safety import FaultKind
+from twinmatch.nodes.tclab_bridge import TCLabBridge
+from twinmatch.safety import FaultKind, GuardLimits, OutputGuard
 
 SECOND = 1_000_000_000
 DAY = 86_400 * SECOND
@@ -44,7 +48,7 @@ def armed_gate() -> tuple[Clocks, OutputGate]:
     gate.command(120.0, 7, clocks.stamp)
     gate.temperature(25.0, clocks.stamp)
     decision = gate.decide()
-    assert decision[:3] == (120.0, True, 7)
+    assert decision[:3] == ((120.0,), True, 7)
     return clocks, gate
 
 
@@ -120,10 +124,10 @@ def test_a_standing_clock_closes_the_gate_by_the_wall_clock() -> None:
     clocks.step(0.0, 0.0, 0.2)
     gate.command(120.0, 9, clocks.stamp)
     gate.temperature(25.0, clocks.stamp)
-    assert gate.decide()[:2] == (0.0, False)
+    assert gate.decide()[:2] == ((0.0,), False)
     assert kind_of(gate) is FaultKind.CLOCK
     clocks.step(0.1)
-    assert gate.decide()[:2] == (0.0, False)  # it latched
+    assert gate.decide()[:2] == ((0.0,), False)  # it latched
 
 
 def test_nothing_is_armed_before_the_clock_has_moved_and_that_is_not_a_fault() -> None:
@@ -132,7 +136,7 @@ def test_nothing_is_armed_before_the_clock_has_moved_and_that_is_not_a_fault() -
     for _ in range(30):
         gate.command(120.0, 0, clocks.stamp)
         gate.temperature(25.0, clocks.stamp)
-        assert gate.decide()[:2] == (0.0, False)
+        assert gate.decide()[:2] == ((0.0,), False)
         clocks.step(0.0, 0.0, 0.1)
     assert gate.clock_stopped
     assert gate.fault is None
@@ -165,3 +169,78 @@ def test_an_input_wakes_who_waits() -> None:
         gate.command(10.0, 8, clocks.stamp)
     thread.join(10)
     assert not thread.is_alive()
+
+
+def armed_pair() -> tuple[Clocks, OutputGate]:
+    """The gate of two drives, of which nothing is known but their names."""
+    clocks = Clocks()
+    limits = (GuardLimits(thing="left plate"), GuardLimits(thing="right plate"))
+    gate = OutputGate(clocks, [OutputGuard(each) for each in limits])
+    gate.decide()
+    clocks.step(0.1)
+    gate.command((120.0, 80.0), 7, clocks.stamp)
+    assert gate.decide()[:2] == ((0.0, 0.0), False)  # no temperature of either
+    gate.temperature((25.0, 30.0), clocks.stamp)
+    assert gate.decide()[:3] == ((120.0, 80.0), True, 7)
+    return clocks, gate
+
+
+@pytest.mark.parametrize(
+    ("spoil", "kind", "text"),
+    [
+        (lambda gate, now: gate.command((120.0, math.nan), 8, now), "command_invalid", "right plate is nan"),
+        (lambda gate, now: gate.command((900.0, 80.0), 8, now), "command_invalid", "left plate is 900"),
+        (lambda gate, now: gate.command(120.0, 8, now), "command_invalid", "1 values for 2 drives"),
+        (lambda gate, now: gate.temperature((25.0, 111.0), now), "over_temperature", "the right plate is at"),
+        (lambda gate, now: gate.temperature((math.nan, 30.0), now), "temperature_invalid", "nan"),
+        (lambda gate, _: gate.sample((90.0,) * 2, (25.0, 30.0), (255.0, 0.0)), "", ""),
+        (lambda gate, _: gate.trip(FaultKind.LINK, "gone"), "link", "gone"),
+    ],
+)
+def test_what_is_wrong_with_either_drive_puts_both_to_zero(
+    spoil: Callable[[OutputGate, int], None], kind: str, text: str
+) -> None:
+    clocks, gate = armed_pair()
+    clocks.step(0.1)
+    spoil(gate, clocks.stamp)
+    if not kind:  # a tick of the loops alone ends nothing
+        assert gate.decide().inputs == (120.0, 80.0)
+        return
+    assert gate.decide()[:2] == ((0.0, 0.0), False)
+    fault = gate.fault
+    assert fault is not None
+    assert (fault.kind.value, text in fault.message) == (kind, True)
+    gate.command((120.0, 80.0), 9, clocks.stamp)
+    gate.temperature((25.0, 30.0), clocks.stamp)
+    assert gate.decide()[:2] == ((0.0, 0.0), False)
+    assert gate.fault is fault
+    gate.clear()
+    gate.command((1.0, 2.0), 10, clocks.stamp)
+    gate.temperature((25.0, 30.0), clocks.stamp)
+    assert gate.decide().inputs == (1.0, 2.0)
+
+
+def test_a_sample_of_other_size_is_refused() -> None:
+    _, gate = armed_pair()
+    with pytest.raises(MessageError, match="it has 1 values for 2 drives"):
+        gate.sample((30.0,), (25.0,), (0.0,))
+
+
+def test_a_limit_is_that_of_its_drive() -> None:
+    """Sensor 2 stays cold while heater 2 is at full power; heater 1 keeps its command."""
+    clocks = Clocks()
+    gate = OutputGate(clocks, TCLabBridge.guards_of_both(TCLabBridge.LIMITS))
+    passed = []
+    for second in range(200):
+        gate.command((10.0, 100.0), second, clocks.stamp)
+        gate.temperature((25.0 + 0.02 * second, 25.0), clocks.stamp)
+        gate.sample((30.0, 30.0), (25.0, 25.0), (10.0, 0.0))
+        passed.append(gate.decide().inputs)
+        clocks.step(1.0)
+        if gate.fault is not None:
+            break
+    assert gate.fault is not None
+    assert gate.fault.kind is FaultKind.LIMITED
+    assert "the second heater is at" in gate.fault.message
+    assert passed[-1][0] == 10.0
+    assert 0.0 < passed[-1][1] < 100.0

@@ -14,10 +14,9 @@ from hypothesis import strategies as st
 
 from tests.support.places import PROJECT
 from tests.support.plant_files import plant_file
-from twinmatch.control import Profile
 from twinmatch.errors import TwinmatchError
 from twinmatch.nodes.camera_bridge import CameraBridge
-from twinmatch.nodes.controller import controller_table, profile_from
+from twinmatch.nodes.controller import controller_table, profiles_from
 from twinmatch.nodes.gated import gate_limits, gate_table
 from twinmatch.nodes.player import Player
 from twinmatch.nodes.pwm_bridge import PwmBridge
@@ -28,12 +27,13 @@ from twinmatch.parameters.declared import ParameterError, Setting, check, render
 from twinmatch.parameters.twin import (
     read_settings,
     recorded_values,
+    running_law,
     settings_from,
     twin_table,
     twin_values,
     values_of,
 )
-from twinmatch.plants import PLANTS, Peltier, TCLab, find_plant
+from twinmatch.plants import PLANTS, Peltier, TCLab, TCLabBoth, find_plant
 from twinmatch.safety import GuardLimits, OutputGuard, RunawayLimits
 from twinmatch.safety.limits import SafetyError
 from twinmatch.sampling.channels import parse_channel
@@ -157,8 +157,55 @@ def test_the_kits_controller_differs_in_its_profile_alone() -> None:
     table = controller_table(TCLab)
     given = yaml.safe_load((CONFIG / "tclab.yaml").read_text("utf-8"))["controller"]["ros__parameters"]
     values, usual = check("controller", table, given), check("controller", table, {})
-    assert isinstance(profile_from(values), Profile)
+    assert profiles_from(values) is not None
     assert {n for n in values if values[n] != usual[n]} == {"profile.levels", "profile.holds"}
+
+
+BOTH = (CONFIG / "tclab_both.yaml").read_text("utf-8")
+
+
+def test_the_file_of_both_heaters_says_all_of_the_controller_and_of_the_bridge_which() -> None:
+    table, given = controller_table(TCLabBoth), yaml.safe_load(BOTH)
+    profile = {
+        name: given["controller"]["ros__parameters"][name] for name in ("profile.levels", "profile.holds")
+    }
+    assert render("controller", table, profile) in BOTH
+    first, second = profiles_from(check("controller", table, profile)) or ()
+    assert [(first.reference(t), second.reference(t)) for t in (0, 450, 900)] == [
+        (35, 35),
+        (50, 35),
+        (50, 45),
+    ]
+    assert check("tclab_bridge", TCLabBridge.PARAMETERS, given["tclab_bridge"]["ros__parameters"])
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        (
+            "profile.levels",
+            [30.0, 40.0, 50.0],
+            "has 3 values for 4 times; give one of each output (temperature, s",
+        ),
+        (
+            "profile.levels",
+            [30.0, 90.0] * 4,
+            "profile of second_temperature: level 1 is 90 °C; give one in the",
+        ),
+        (
+            "profile.lowest",
+            [20.0],
+            "profile.lowest has 1 values; give one for temperature and second_temperature",
+        ),
+        ("profile.highest", [75.0, -1.0], "profile.lowest 0 must be below profile.highest -1 °C"),
+        ("pid.integral", [1.0] * 3, "pid.integral has 3 values; give one for each of 2 loops"),
+    ],
+)
+def test_what_is_not_said_of_each_heater_is_one_line(name: str, value: list[float], message: str) -> None:
+    values = check("controller", controller_table(TCLabBoth), {name: value})
+    with pytest.raises(TwinmatchError) as caught:
+        (profiles_from(values), running_law(values, TCLabBoth.loop))
+    assert message in str(caught.value)
 
 
 def test_twin_file_holds_the_defaults() -> None:
@@ -304,8 +351,7 @@ def test_the_twin_knows_the_running_pid() -> None:
 
 def test_the_defaults_make_a_profile_and_suit_the_guard() -> None:
     values = check("controller", controller_table(), {})
-    profile = profile_from(values)
-    assert profile is not None
+    (profile,) = profiles_from(values) or ()
     assert profile.reference(0.0) == 30.0
     # The controller has to switch off, and to say so, before the bridge has to latch.
     assert values["max_age"] < GuardLimits().temperature_timeout

@@ -20,7 +20,7 @@ from twinmatch.links.pwm_protocol import Flags
 from twinmatch.nodes.gated import ClockTimes, DriverPace, OutputGate
 from twinmatch.nodes.health import Level, NodeHealth
 from twinmatch.nodes.pwm_bridge import PwmDriver
-from twinmatch.safety import FaultKind, GuardLimits
+from twinmatch.safety import FaultKind, GuardLimits, OutputGuard
 
 PATIENT = LinkSettings(timeout=1.0)
 """For boards that share a busy machine with the tests."""
@@ -40,7 +40,9 @@ class Bench:
         self.board = board
         self.told: list[tuple[Applied | None, int]] = []
         self.health = NodeHealth()
-        self.gate = OutputGate(self._clocks, GuardLimits(command_timeout=3.0, temperature_timeout=10.0))
+        self.gate = OutputGate(
+            self._clocks, [OutputGuard(GuardLimits(command_timeout=3.0, temperature_timeout=10.0))]
+        )
         self.link = PwmLink(board.port, link)
         settings = DriverPace(first_pause=0.02, longest_pause=0.1)
         self.driver = PwmDriver(self.link, self.gate, self._tell, self.health, settings)

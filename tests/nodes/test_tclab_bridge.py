@@ -44,20 +44,20 @@ class Rig(HeaterRig):
         self.applied = listener.hear(PlantApplied, "plant/applied", QoSProfile(depth=100))
         self.readings = listener.hear(PlantReading, "plant/reading", qos_profile_sensor_data)
         self._commands = listener.node.create_publisher(PlantCommand, "plant/command", 10)
-        self.power: float | None = None
+        self.sent: list[float] | None = None
         self.begin()
 
-    def drive(self, power: float, kit: BenchKit) -> None:
-        self.power = power
-        self.until(lambda: kit.heaters[0] == power, f"{power} %")
+    def drive(self, kit: BenchKit, *powers: float) -> None:
+        self.sent = list(powers)
+        self.until(lambda: kit.heaters[: len(powers)] == list(powers), f"{powers} %")
 
     def faulted(self, kind: str, kit: BenchKit) -> None:
         self.until(lambda: self.fault.startswith(f"{kind}: "), kind)
         self.until(lambda: kit.heaters == [0.0, 0.0], "zero")
 
     def feed(self) -> None:
-        if self.power is not None:
-            message = PlantCommand(index=7, input=self.power)
+        if self.sent is not None:
+            message = PlantCommand(index=7, input=self.sent)
             message.header.stamp.sec, message.header.stamp.nanosec = divmod(time.time_ns(), 10**9)
             self._commands.publish(message)
 
@@ -76,52 +76,73 @@ def kit(tmp_path: Path) -> Iterator[BenchKit]:
     made.close()
 
 
+ONE, BOTH = ("-p", "plant:=tclab"), ("-p", "plant:=tclab-both")
+
+
 def bridge(start: Start, kit: BenchKit, *more: str) -> Any:
-    return start("tclab_bridge", "-p", f"port:={kit.port}", *(more or PATIENT))
+    return start("tclab_bridge", "-p", f"port:={kit.port}", *PATIENT, *more)
 
 
-def test_commands_reach_heater_one_and_readings_come_back(
-    start_process: Start, rig: Rig, kit: BenchKit
+@pytest.mark.parametrize(
+    ("words", "sent", "read"),
+    [((*ONE, "-p", "second:=15.0"), [42.0], ([33.5], [15.0])), (BOTH, [42.0, 15.0], ([33.5, 24.0], []))],
+)
+def test_commands_reach_the_heaters_and_readings_come_back(  # noqa: PLR0917
+    start_process: Start, rig: Rig, kit: BenchKit, words: Any, sent: list[float], read: Any
 ) -> None:
-    process = bridge(start_process, kit, *PATIENT, "-p", "second:=15.0")
-    rig.drive(42.0, kit)
+    process = bridge(start_process, kit, *words)
+    rig.drive(kit, *sent)
+    assert kit.heaters[1] == 15.0
     kit.shown[1] = 33.5
-    rig.until(lambda: rig.readings and rig.readings[-1].output == 33.5, "a reading")
-    assert list(rig.readings[-1].disturbances) == [15.0]
-    rig.until(lambda: rig.applied[-1].input == 42.0, "what was applied")
+    rig.until(lambda: rig.readings and list(rig.readings[-1].output) == read[0], "a reading")
+    assert list(rig.readings[-1].disturbances) == read[1]
+    rig.until(lambda: list(rig.applied[-1].input) == sent, "what was applied")
     assert (rig.applied[-1].sequence, rig.applied[-1].fault) == (7, "")
     assert Process.well(process.end(signal.SIGINT))
     assert kit.heaters == [0.0, 0.0]
 
 
-def test_faults_latch_until_they_are_cleared(start: Start, rig: Rig, kit: BenchKit) -> None:
-    bridge(start, kit)
-    rig.drive(50.0, kit)
-    kit.shown[1] = 91.0
+@pytest.mark.parametrize(
+    ("words", "sent", "hot", "name"),
+    [(ONE, [50.0], 1, "the heater"), (BOTH, [50.0, 30.0], 2, "the second heater")],
+)
+def test_faults_latch_until_they_are_cleared(  # noqa: PLR0917
+    start: Start, rig: Rig, kit: BenchKit, words: Any, sent: list[float], hot: int, name: str
+) -> None:
+    bridge(start, kit, *words)
+    rig.drive(kit, *sent)
+    kit.shown[hot] = 91.0
     rig.faulted("over_temperature", kit)
-    kit.shown[1] = 30.0
+    assert f"{name} is at 91.0 °C" in rig.fault
+    kit.shown[hot] = 30.0
     before = len(rig.applied)
     rig.until(lambda: len(rig.applied) > before + 3, "reports")
     assert kit.heaters == [0.0, 0.0]
     assert rig.call("clear_fault").success
-    rig.drive(50.0, kit)
+    rig.drive(kit, *sent)
     assert "stopped" in rig.call("stop").message
     rig.faulted("stopped", kit)
 
 
 @pytest.mark.parametrize(
-    ("kind", "spoil"),
+    ("words", "kind", "text", "spoil"),
     [
-        ("command_invalid", lambda rig, _: setattr(rig, "power", math.nan)),
-        ("command_silent", lambda rig, _: setattr(rig, "power", None)),
-        ("under_temperature", lambda _, kit: kit.shown.update({1: -50.0})),  # a wire off its sensor
+        (ONE, "command_invalid", "the heater is nan", lambda rig, _: setattr(rig, "sent", [math.nan])),
+        (ONE, "under_temperature", "", lambda _, kit: kit.shown.update({1: -50.0})),  # a wire off its sensor
+        (BOTH, "command_invalid", "second heater is nan", lambda r, _: setattr(r, "sent", [50.0, math.nan])),
+        (BOTH, "command_invalid", "1 values for 2 drives", lambda rig, _: setattr(rig, "sent", [50.0])),
+        (BOTH, "command_silent", "", lambda rig, _: setattr(rig, "sent", None)),
+        (BOTH, "under_temperature", "the first heater", lambda _, kit: kit.shown.update({1: -50.0})),
     ],
 )
-def test_doubt_is_zero(start: Start, rig: Rig, kit: BenchKit, kind: str, spoil: Any) -> None:
-    bridge(start, kit)
-    rig.drive(50.0, kit)
+def test_doubt_is_zero(  # noqa: PLR0917
+    start: Start, rig: Rig, kit: BenchKit, words: Any, kind: str, text: str, spoil: Any
+) -> None:
+    bridge(start, kit, *words)
+    rig.drive(kit, *([50.0] if words is ONE else [50.0, 30.0]))
     spoil(rig, kit)
     rig.faulted(kind, kit)
+    assert text in rig.fault
     assert kit.highest == 50.0
 
 
@@ -130,8 +151,8 @@ def test_the_node_is_killed_or_stands_still(
     start_process: Start, rig: Rig, kit: BenchKit, stopped: bool
 ) -> None:
     """The process that holds the port sees the end of its pipe, or receives nothing for its deadline."""
-    process = bridge(start_process, kit)
-    rig.drive(50.0, kit)
+    process = bridge(start_process, kit, *BOTH)
+    rig.drive(kit, 50.0, 30.0)
     if stopped:
         process.freeze()
     else:
@@ -140,15 +161,15 @@ def test_the_node_is_killed_or_stands_still(
 
 
 def test_the_cable_is_pulled_and_put_back(start: Start, rig: Rig, kit: BenchKit) -> None:
-    bridge(start, kit, *PATIENT, "-p", "command_timeout:=10.0")  # or a busy machine's fault is another
-    rig.drive(50.0, kit)
+    bridge(start, kit, *BOTH, "-p", "command_timeout:=10.0")  # or a busy machine's fault is another
+    rig.drive(kit, 50.0, 30.0)
     kit.unplug()
     rig.faulted("link", kit)
-    rig.until(lambda: math.isnan(rig.applied[-1].input), "not knowing")
+    rig.until(lambda: all(map(math.isnan, rig.applied[-1].input)), "not knowing")
     kit.plug()
-    rig.until(lambda: rig.applied[-1].input == 0.0, "a kit that is back")
+    rig.until(lambda: list(rig.applied[-1].input) == [0.0, 0.0], "a kit that is back")
     assert rig.call("clear_fault").success
-    rig.drive(30.0, kit)
+    rig.drive(kit, 30.0, 20.0)
 
 
 class PulledInAnswer(dict[int, float]):
@@ -167,11 +188,11 @@ class PulledInAnswer(dict[int, float]):
 def test_a_cable_pulled_before_the_first_answer_is_a_fault_too(start: Start, rig: Rig, kit: BenchKit) -> None:
     """The heater was on, though no answer said so: it must not come on again by itself."""
     kit.shown = PulledInAnswer(kit)
-    bridge(start, kit, *PATIENT, "-p", "command_timeout:=10.0")
-    rig.power = 50.0
+    bridge(start, kit, "-p", "command_timeout:=10.0")
+    rig.sent = [50.0]
     rig.faulted("link", kit)
     kit.plug()
-    rig.until(lambda: rig.applied[-1].input == 0.0, "a kit that is back")
+    rig.until(lambda: list(rig.applied[-1].input) == [0.0], "a kit that is back")
     assert kit.heaters == [0.0, 0.0]
 
 
@@ -182,3 +203,9 @@ def test_no_kit_is_one_line_and_exit_code_two(start: Start, port: str, words: st
     assert process.text.startswith("kit at")
     assert process.text.count("\n") == 1
     assert words in process.text
+
+
+def test_two_wishes_for_heater_two_are_one_line(start: Start) -> None:
+    process = start("tclab_bridge", *BOTH, "-p", "second:=5.0")
+    assert process.wait() == 2
+    assert process.text == "tclab_bridge: second is 5 %, but plant tclab-both drives heater 2\n"

@@ -12,7 +12,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.support.faulty_rig import profile
-from tests.support.liar import BEGINS, KIT, LIES, RIG, SLOW_LIES, Bench, Ending, lie_to
+from tests.support.liar import (
+    BEGINS,
+    KIT,
+    LIES,
+    RIG,
+    SLOW_LIES,
+    Bench,
+    Ending,
+    lie_to,
+    lie_to_both,
+    whole_kit,
+)
 from tests.support.peltier_oracle import integrated
 from twinmatch.safety import Accusations, BudgetLimits, FaultKind, HeatBudget, OutputGuard
 from twinmatch.safety.ceiling import Ceiling
@@ -51,6 +62,35 @@ def test_no_lie_of_the_sensor_overheats_the_plant(bench: Bench, name: str, set_p
     ending = lie_to(bench, bench.guard(), bench.plant(3), references, LIES[name], seed=3)
     assert ending.highest <= highest_allowed(set_point)
     assert ending.highest < bench.bridge.LIMITS.highest
+
+
+@pytest.mark.parametrize(
+    ("name", "channel", "set_points"),
+    [
+        ("drifts by -0.1 °C/s", 1, (50.0, 40.0)),
+        ("slides off within 20 s", 0, (30.0, 30.0)),
+        ("scaled by 0.7", 1, (30.0, 45.0)),
+    ],
+)
+def test_no_lie_of_either_sensor_overheats_a_kit_whose_heaters_are_both_driven(
+    name: str, channel: int, set_points: tuple[float, float]
+) -> None:
+    """And both are off in the end."""
+    references = np.tile(set_points, (BEGINS + 300, 1))
+    endings = lie_to_both(whole_kit(3), references, LIES[name], channel, seed=3)
+    fault = endings[0].fault
+    assert fault is not None
+    assert f"the {('first', 'second')[channel]} heater" in fault.message
+    for ending, set_point in zip(endings, set_points, strict=True):
+        assert ending.highest <= highest_allowed(set_point)
+
+
+def test_two_healthy_heaters_latch_nothing() -> None:
+    """Each is a load for the other."""
+    steps = np.repeat([[35.0, 30.0], [50.0, 30.0], [50.0, 42.0], [30.0, 42.0]], 300, axis=0)
+    first, second = lie_to_both(whole_kit(12), steps, seed=12)
+    assert first.fault is None
+    assert first.limited + second.limited <= 12  # 1 %
 
 
 @pytest.mark.parametrize("name", ["drifts by -0.8 °C/s", "drifts by -0.1 °C/s", "slides off within 5 s"])

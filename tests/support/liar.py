@@ -10,12 +10,13 @@ from typing import NamedTuple
 import numpy as np
 
 from tests.support.faulty_rig import CAMERA, RICH_RIG
-from twinmatch.dynamics import Controller, Law, Parameters, Sensor, advance, begin, read
-from twinmatch.nodes.gated import GatedNode
+from twinmatch.dynamics import Controller, Law, Parameters, Sensor, advance, begin, law_of, read, readings
+from twinmatch.nodes.gated import ClockTimes, GatedNode, OutputGate
 from twinmatch.nodes.pwm_bridge import PwmBridge
 from twinmatch.nodes.tclab_bridge import TCLabBridge
-from twinmatch.plants import Peltier, TCLab
+from twinmatch.plants import Peltier, TCLab, TCLabBoth
 from twinmatch.safety import GuardFault, OutputGuard
+from twinmatch.signals import KELVIN, NANOSECONDS, FloatArray
 
 BEGINS = 600
 """Sample at which the sensor begins to lie."""
@@ -154,3 +155,54 @@ def lie_to(  # noqa: PLR0917 (a case of the table)
         if ended or (lie is not None and ending.limited > LIMITED):
             break
     return ending
+
+
+def whole_kit(seed: int) -> Parameters:
+    """A whole kit, its heater 2 with half to three quarters of the power of heater 1."""
+    random, typical = np.random.default_rng(seed), TCLabBoth.model("sensor lags").typical()
+    moved = {name: typical[name] * random.uniform(0.75, 1.25) for name in ("losses", "heating", "exchange")}
+    moved["second_heating"] = moved["heating"] * random.uniform(0.5, 0.75)
+    return typical.replace(**moved, ambient=random.uniform(288.0, 301.0))
+
+
+class RunTime:
+    """The clocks of a gate: the time of a simulated run, s."""
+
+    now = 0.0
+
+    def __call__(self) -> ClockTimes:
+        return ClockTimes(*[round(self.now * NANOSECONDS) + NANOSECONDS] * 3)
+
+
+def lie_to_both(
+    plant: Parameters, references: FloatArray, lie: Lie | None = None, channel: int = 0, seed: int = 0
+) -> list[Ending]:
+    """The same of a kit whose heaters are both driven, behind their gate: the sensor of one channel lies.
+    Set-points have shape (N, 2)."""
+    clocks, random = RunTime(), np.random.default_rng(seed)
+    gate = OutputGate(clocks, TCLabBridge.guards_of_both(TCLabBridge.LIMITS))
+    controller, states = Controller(law_of(TCLabBoth, 1.0)), begin(plant, [plant["ambient"] - KELVIN] * 2)
+    true, endings = list[FloatArray](), [Ending(), Ending()]
+    for k in range(len(references)):
+        true.append(readings(plant, states))
+        seen = true[-1] + 0.12 * random.standard_normal(2)
+        if lie is not None and k >= BEGINS:
+            seen[channel] += lie(k - BEGINS, [row[channel] for row in true[-80:]]) - true[-1][channel]
+        command, passed = controller.step(references[k], seen), np.zeros(2)
+        for half in (0.0, 0.5):
+            clocks.now = k + half
+            gate.command(command, k, clocks().stamps)
+            gate.temperature(seen, clocks().stamps)
+            passed = np.array(gate.decide().inputs)
+            states = advance(plant, states, passed, 0.5)
+        gate.sample(tuple(references[k]), tuple(seen), tuple(passed))
+        for number, ending in enumerate(endings):
+            if lie is None or k >= BEGINS:
+                ending.highest = max(ending.highest, float(true[-1][number]))
+            ending.limited += gate.armed and passed[number] < command[number]
+            if ending.fault is None and gate.fault is not None and not gate.armed and k > 1:
+                ending.fault, ending.after = gate.fault, k - BEGINS
+        if endings[0].fault is not None and k > BEGINS + (endings[0].after or 0) + 60:
+            assert not passed.any()
+            break
+    return endings

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import json
+import math
+import os
 import re
+import signal
 from pathlib import Path
 
 import pytest
@@ -11,9 +15,12 @@ pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
 pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup")
 pytest.importorskip("tclab", reason="pip install 'twinmatch[tclab]'")
 
-from tests.support.places import LAUNCH_SCRIPTS
+from tests.support.places import LAUNCH_SCRIPTS, PROJECT
 from tests.support.processes import Processes, run_twinmatch
 from tests.support.waiting import PATIENCE
+from twinmatch.emulation.faults import tell
+from twinmatch.launching.plan import LivePlan, VirtualPlan
+from twinmatch.nodes.step import VARIABLE
 from twinmatch.offline.verification import verify_session
 from twinmatch.sessions import read_session
 
@@ -49,6 +56,43 @@ def test_a_heater_that_is_lost_is_reported_and_the_session_verifies(
     assert "matched on samples" in process.text
     assert "drive-lost: the drive should have moved" in process.text
     assert samples[0].disturbances == (0.0,)
+
+
+def test_both_heaters_are_driven_and_recorded_and_go_to_zero(processes: Processes, tmp_path: Path) -> None:
+    overrides = {"repeat": "false", "holds": "[25.0, 10.0, 15.0, 10.0]"}
+    plan = LivePlan(
+        config=PROJECT / "config" / "tclab_both.yaml",
+        virtual=VirtualPlan(math.inf, plant="tclab-both"),
+        overrides={f"controller:profile.{name}": value for name, value in overrides.items()}
+        | {"controller:exit_at_end": "true"},
+        plant="tclab-both",
+    )
+    assert plan.virtual is not None
+    kit = processes.python("-m", "twinmatch.cli", "virtual-rig", *plan.virtual.arguments)
+    kit.said("^ready$")
+    addresses = dict(line.split(": ", 1) for line in kit.lines if ": " in line)
+    in_step = {"environment": {**os.environ, VARIABLE: addresses["clock"]}}
+    nodes = ("-m", "twinmatch.nodes")
+    processes.python(*nodes, "plant_clock", *plan.clock_arguments(addresses))
+    recorder = processes.python(*nodes, "recorder", *plan.recorder_arguments(tmp_path / "run"), **in_step)
+    words = (*plan.rig_arguments(addresses), *plan.wait_for("recorder"))
+    rig = processes.python(*nodes, plan.wiring.program, *words, **in_step)
+    assert rig.wait() == 0, rig.text
+    state = json.loads(tell(addresses["control"], "state"))
+    assert (state["power"], state["second"]) == (0.0, 0.0)
+    assert state["second_heater"] > state["second_sensor"] > 21.0  # °C
+    assert recorder.end(signal.SIGINT) == 0, recorder.text
+    session = read_session(tmp_path / "run")
+    assert session.plant == "tclab-both"
+    assert {sample.shape for sample in session.samples} == {(2, 2, 2, 0)}
+    assert [sample.index for sample in session.samples] == list(range(60))
+    assert [session.samples[k].references for k in (0, 25, 35, 50)] == [
+        (35, 35),
+        (50, 35),
+        (50, 45),
+        (40, 45),
+    ]
+    assert all(sample.inputs[0] > 0 and sample.inputs[1] > 0 for sample in session.samples[5:])
 
 
 def test_what_a_process_of_the_run_refuses_is_one_line_and_exit_code_two(processes: Processes) -> None:

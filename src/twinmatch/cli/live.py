@@ -10,7 +10,11 @@ from twinmatch.launching.forking import fork_server
 from twinmatch.launching.processes import add_page_options, page_of
 from twinmatch.shipped import shipped
 
-CONFIGS = {"peltier": ("rig.yaml", None), "tclab": ("tclab.yaml", "tclab_twin.yaml")}
+CONFIGS = {
+    "peltier": ("rig.yaml", None),
+    "tclab": ("tclab.yaml", "tclab_twin.yaml"),
+    "tclab-both": ("tclab_both.yaml", "tclab_both_twin.yaml"),
+}
 """Files in config/ for the nodes of a plant and for those of its twin; None: defaults."""
 
 

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 EXIT_LOST = 1
 """Exit code after a part of the rig has ended unexpectedly."""
+KITS = ("tclab", "tclab-both")
+"""Plants whose virtual one is the kit; who commands it decides on its heaters."""
 _STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
@@ -29,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     width = max(map(len, KINDS))
     parser.epilog = "faults:\n" + "\n".join(f"  {kind:{width}}  {text}" for kind, text in KINDS.items())
     parser.add_argument(
-        "--plant", default="peltier", choices=("peltier", "tclab"), help="plant to emulate (default: peltier)"
+        "--plant", default="peltier", choices=("peltier", *KITS), help="plant to emulate (default: peltier)"
     )
     add_options(parser, "--speed", "--fault", "--board", "--seed")
     parser.add_argument(
@@ -68,7 +70,7 @@ def run(options: argparse.Namespace) -> int:
     stopping: list[int] = []
     before = {number: signal.signal(number, lambda n, _: stopping.append(n)) for number in _STOPS}
     try:
-        with (VirtualKit if options.plant == "tclab" else VirtualRig)(settings) as rig:
+        with (VirtualKit if options.plant in KITS else VirtualRig)(settings) as rig:
             for number in _STOPS:
                 signal.signal(number, lambda *_: rig.request_stop())
             return 0 if stopping else _run(rig)

@@ -18,12 +18,12 @@ from twinmatch.controllers.answer import (
 from twinmatch.controllers.guarantee import Guarantee
 from twinmatch.controllers.law_document import law_from, pid_document, suited
 from twinmatch.controllers.members import Holding, TriedTwin
-from twinmatch.controllers.pids import FilteredPid, as_linear, pid_law
 from twinmatch.controllers.responses import CourseFigure
 from twinmatch.controllers.retuning import AIMS, Retuned, retune
 from twinmatch.controllers.stability import MemberStability
 from twinmatch.controllers.track_record import LawComparison, compared, widened
 from twinmatch.controllers.whole_loop import WholeLoop
+from twinmatch.dynamics.pids import FilteredPid, as_linear, pid_law
 
 __all__ = [
     "AIMS",

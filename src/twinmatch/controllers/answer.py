@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from twinmatch.comparing import DiscriminationError
 from twinmatch.controllers.guarantee import Guarantee, guarantee_of
 from twinmatch.controllers.members import Holding, TriedTwin
-from twinmatch.controllers.pids import as_linear
 from twinmatch.controllers.responses import (
     LOAD,
     CourseFigure,
@@ -34,6 +33,7 @@ from twinmatch.controllers.stability import (
     stability_of,
 )
 from twinmatch.dynamics import Law, Parameters, Plant, PlantError, Rest, TwoLevel
+from twinmatch.dynamics.pids import as_linear
 from twinmatch.errors import TwinmatchError
 from twinmatch.signals import FloatArray
 

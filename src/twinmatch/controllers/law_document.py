@@ -15,9 +15,9 @@ import numpy as np
 from scipy.linalg import solve_discrete_are
 
 from twinmatch.controllers.answer import ControllerError
-from twinmatch.controllers.pids import FilteredPid, pid_law
 from twinmatch.decoding import decoded, document_type, given_keys
 from twinmatch.dynamics import Law, LinearLaw, PidGains, Plant, TwoLevel
+from twinmatch.dynamics.pids import FilteredPid, pid_law
 from twinmatch.signals import FloatArray
 
 _Numbers = float | list[float | list[float]]

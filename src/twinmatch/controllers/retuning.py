@@ -18,10 +18,10 @@ from scipy.optimize import Bounds, NonlinearConstraint, approx_fprime, minimize
 
 from twinmatch.controllers.answer import ControllerError
 from twinmatch.controllers.members import Holding, TriedTwin
-from twinmatch.controllers.pids import as_linear
 from twinmatch.controllers.responses import LOAD
 from twinmatch.controllers.whole_loop import WholeLoop
 from twinmatch.dynamics import SKIPPED, Experiment, Linear, PidGains, PlantError, read
+from twinmatch.dynamics.pids import as_linear
 from twinmatch.errors import TwinmatchError
 from twinmatch.signals import FloatArray, Window
 

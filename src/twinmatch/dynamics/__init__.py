@@ -6,8 +6,8 @@ equations once and kept on disk. `Parameters` are the values for a model, and al
 `begin`, `advance` and `read` step a plant; `simulate_closed_loop`, `simulate_driven` and `simulate_window`
 run it; `Experiment` is a recorded window as a function of the unknowns, with exact tangents; `linearised`
 gives the response to small deviations; `Observer` estimates unmeasured states; `Foresight` forecasts
-the loop from there, with variances. `PidGains`, `TwoLevel` and `LinearLaw` are controllers, and `Sensor` is
-the model from output to reading.
+the loop from there, with variances. `PidGains`, `TwoLevel`, `LinearLaw` and `PidLoops` are
+controllers, and `Sensor` is the model from output to reading.
 """
 
 from twinmatch.dynamics.declarations import (
@@ -37,6 +37,7 @@ from twinmatch.dynamics.loop import (
     controller_state,
 )
 from twinmatch.dynamics.observer import Observer, ObserverBank, RandomWalk
+from twinmatch.dynamics.pids import PidLoops, pids_of
 from twinmatch.dynamics.plant import Model, Parameters, Plant
 from twinmatch.dynamics.runs import Tangents
 from twinmatch.dynamics.sensor import Sensor, SensorRealisation
@@ -88,6 +89,7 @@ __all__ = [
     "Parameter",
     "Parameters",
     "PidGains",
+    "PidLoops",
     "PidState",
     "Plant",
     "PlantError",
@@ -120,6 +122,7 @@ __all__ = [
     "minimum",
     "noise_scores",
     "pid_of",
+    "pids_of",
     "quantities",
     "read",
     "readings",

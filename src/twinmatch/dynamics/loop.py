@@ -350,7 +350,7 @@ class LinearLaw(Law):
     they take all. Simulations count with them, derivatives do not."""
 
     def __post_init__(self) -> None:
-        for each in fields(self)[:-2]:
+        for each in fields(LinearLaw)[:-2]:
             object.__setattr__(self, each.name, np.array(getattr(self, each.name), dtype=np.float64))
         if self.C.ndim != 2 or self.D.ndim != 2 or self.E.ndim != 2:
             raise PlantError("linear law: C, D and E must be matrices with a row for each command")

@@ -1,6 +1,7 @@
 """The faults of a virtual plant, their schedule, and the socket on which they are commanded.
 
-A fault is written `KIND@SECONDS`, which lasts to the end, or `KIND@SECONDS+DURATION`. Times are in seconds of
+A fault is written `KIND@SECONDS`, which lasts to the end, or `KIND@SECONDS+DURATION`. Of a plant with several
+drives and sensors, `KIND.2` is that of the second. Times are in seconds of
 plant time from the start of the rig. Commands are lines on a socket in the rig's private folder, with one
 answer each:
 
@@ -31,6 +32,7 @@ KINDS: Final = {
     "garbage-camera": "another program at the camera's address sends noise",
     "sensor-frozen": "the camera repeats its last image and frame counter",
     "sensor-drifts": "the readings fall by 0.8 °C each second",
+    "sensor-offset": "the readings are 5 °C too high",
     "sensor-slips": "the sensor slips off within 20 s, and then reads the room",
     "fan-failed": "the fan stops: the heat sink keeps a tenth of its convection",
     "ambient-step": "the surroundings become 10 °C warmer",
@@ -38,6 +40,8 @@ KINDS: Final = {
 """Every fault and its effect."""
 _DRIFTS = 0.8
 """Rate at which the readings of `sensor-drifts` fall, °C/s."""
+_OFFSET = 5.0
+"""What `sensor-offset` adds to the readings, °C."""
 _SLIPS = 20.0
 """Time constant of `sensor-slips`, s."""
 _PATIENCE = 5.0
@@ -97,8 +101,9 @@ def _parse_fault(text: str) -> RigFault:
 
 
 def _check_kind(kind: str) -> None:
-    if kind not in KINDS:
-        near = difflib.get_close_matches(kind, KINDS, n=1)
+    name, dot, number = kind.partition(".")
+    if name not in KINDS or (dot and not number.isdigit()):
+        near = difflib.get_close_matches(name, KINDS, n=1)
         hint = f"did you mean {near[0]}?" if near else f"choose one of {', '.join(KINDS)}"
         raise FaultError(f"fault {kind!r} does not exist; {hint}")
 
@@ -132,14 +137,22 @@ class FaultSchedule:
         """Active kinds, in the order in which they started."""
         return tuple(self._on)
 
-    def lasted(self, kind: str, now: float) -> float:
-        """For how long a kind has been active, s; 0 if it is not."""
-        return now - self._since[kind] if kind in self._on else 0.0
+    def acts(self, kind: str, number: int) -> bool:
+        """Whether a kind is active of the drive or sensor of this number."""
+        return kind in self._on or f"{kind}.{number}" in self._on
 
-    def told(self, true: float, room: float, now: float) -> float:
-        """What a sensor tells of a temperature that may drift or slip off, °C."""
-        kept = math.exp(-self.lasted("sensor-slips", now) / _SLIPS)
-        return room + (true - room) * kept - _DRIFTS * self.lasted("sensor-drifts", now)
+    def lasted(self, kind: str, now: float, number: int = 1) -> float:
+        """For how long a kind has been active of the sensor of this number, s; 0 if it is not."""
+        since = [self._since[name] for name in (kind, f"{kind}.{number}") if name in self._on]
+        return now - min(since, default=now)
+
+    def told(self, true: float, room: float, now: float, number: int = 1) -> float:
+        """What the sensor of this number tells of a temperature, °C: it may be off, drift or slip off."""
+        kept = math.exp(-self.lasted("sensor-slips", now, number) / _SLIPS)
+        off = _OFFSET * self.acts("sensor-offset", number) - _DRIFTS * self.lasted(
+            "sensor-drifts", now, number
+        )
+        return room + (true - room) * kept + off
 
     def add(self, fault: RigFault) -> None:
         """Put a fault on the schedule."""

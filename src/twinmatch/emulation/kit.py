@@ -115,17 +115,11 @@ class VirtualKit(VirtualPlantTime):
     """
 
     STANDING = 0.002  # its host waits for answers meanwhile
-    KINDS: ClassVar = frozenset(
-        {
-            "drive-lost",
-            "sensor-frozen",
-            "sensor-drifts",
-            "sensor-slips",
-            "cable-pulled",
-            "garbage-serial",
-            "ambient-step",
-            "board-hung",
-        }
+    EACH: ClassVar = ("drive-lost", "sensor-frozen", "sensor-drifts", "sensor-offset", "sensor-slips")
+    """Faults of one heater or sensor; without a number, of heater 1 or of both sensors."""
+    KINDS: ClassVar = frozenset(EACH).union(
+        ("cable-pulled", "garbage-serial", "ambient-step", "board-hung"),
+        (f"{kind}.{number}" for kind in EACH for number in (1, 2)),
     )
 
     def make(self, stack: ExitStack) -> dict[str, str]:
@@ -161,8 +155,8 @@ class VirtualKit(VirtualPlantTime):
         if "garbage-serial" in self.schedule.active and random.random() < 0.05:  # noqa: S311
             self.board.say(_NOISE)
         q1, q2 = self.board.heaters
-        self._model.Q1(0.0 if "drive-lost" in self.schedule.active else q1)
-        self._model.Q2(q2)
+        self._model.Q1(0.0 if self.schedule.acts("drive-lost", 1) else q1)
+        self._model.Q2(0.0 if "drive-lost.2" in self.schedule.active else q2)
         self.ms += self.slice
         self._model.update(self.elapsed)
 
@@ -171,7 +165,9 @@ class VirtualKit(VirtualPlantTime):
         return {
             "time": self.elapsed,
             "heater": self._model._H1,
+            "second_heater": self._model._H2,
             "sensor": self._model._T1,
+            "second_sensor": self._model._T2,
             "power": self.board.heaters[0],
             "second": self.board.heaters[1],
             "speed": self.pace.achieved(),
@@ -188,7 +184,7 @@ class VirtualKit(VirtualPlantTime):
             self.board.hung = on
 
     def _reading(self, number: int) -> float:
-        if "sensor-frozen" not in self.schedule.active:
+        if not self.schedule.acts("sensor-frozen", number):
             true = float(self._model.T1 if number == 1 else self._model.T2)
-            self._shown[number] = self.schedule.told(true, float(self._model.Ta), self.elapsed)
+            self._shown[number] = self.schedule.told(true, float(self._model.Ta), self.elapsed, number)
         return self._shown[number]

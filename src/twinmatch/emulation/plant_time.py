@@ -23,6 +23,7 @@ from typing import ClassVar, TypeVar
 
 from twinmatch.emulation.clock import ClockServer
 from twinmatch.emulation.faults import (
+    KINDS,
     Change,
     ControlServer,
     FaultError,
@@ -105,8 +106,8 @@ class VirtualPlantTime(ABC):
     """Remark on its board."""
     STANDING: ClassVar = 0.01
     """Longest wait for the readers of the clock, wall s; one that speaks ends it."""
-    KINDS: ClassVar[frozenset[str] | None] = None
-    """Faults of this plant; None: all."""
+    KINDS: ClassVar = frozenset(KINDS)
+    """Faults of this plant."""
 
     def __init__(self, settings: RigSettings | None = None) -> None:
         self.settings = settings or RigSettings()
@@ -266,7 +267,7 @@ class VirtualPlantTime(ABC):
         self._told, self._clock_sent = self.stamp, now
 
     def _require(self, fault: RigFault) -> RigFault:
-        if self.KINDS is not None and fault.kind not in self.KINDS:
+        if fault.kind not in self.KINDS:
             raise FaultError(
                 f"fault {fault.kind!r}: not available for this plant; choose one of "
                 f"{', '.join(sorted(self.KINDS))}"

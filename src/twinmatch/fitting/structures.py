@@ -172,11 +172,11 @@ def fit_session(
     session: Window | Sequence[Window],
     *,
     noise: Noise | None = None,
-    law: LoopLaw = FROM_PLANT_FILE,
     informed: bool = True,
     stretch: float = STRETCH,
 ) -> StructureFit:
-    """Fit a structure to a whole session, over all outputs: its parameters with their covariance.
+    """Fit a structure to a whole session, over all outputs, under its inputs: its parameters with their
+    covariance.
 
     Over an hour, slow disturbances that no equation has move a simulation further from the plant than its
     parameters do. So the session is fitted in stretches of some time constants, each from its own readings.
@@ -184,7 +184,7 @@ def fit_session(
     Args:
         model: the plant in the structure to fit.
         session: its samples; of one with gaps, the windows between them.
-        noise, law, informed: as for `fit_structure`.
+        noise, informed: as for `fit_structure`.
         stretch: length of the stretches, time constants of the plant.
 
     Raises:
@@ -192,7 +192,7 @@ def fit_session(
     """
     windows = [session] if isinstance(session, Window) else session
     parts = [part for window in windows for part in in_parts(model.plant, window, stretch)]
-    return fit_structure(parts, model, noise=noise, law=law, informed=informed)
+    return fit_structure(parts, model, noise=noise, law=None, informed=informed)
 
 
 def in_parts(

@@ -66,10 +66,12 @@ class Wiring:
     """Name of the node that holds the serial port."""
     check: Callable[[str], None] = lambda _: None
     """Checks the port (empty: not given) before anything is started; raises if it cannot be used."""
+    more: Mapping[str, str] = field(default_factory=dict)
+    """More parameters of its nodes."""
 
     def settings(self, addresses: Mapping[str, str]) -> dict[str, str]:
         """Address parameters of its nodes."""
-        values: dict[str, str] = {}
+        values = dict(self.more)
         if "camera" in addresses:
             host, port = addresses["camera"].rsplit(":", 1)
             values |= {"camera_bridge:host": host, "camera_bridge:port": port}
@@ -87,6 +89,7 @@ def _check_kit(port: str) -> None:
 WIRINGS: Final = {
     "peltier": Wiring("rig", "pwm_bridge"),
     "tclab": Wiring("tclab_rig", "tclab_bridge", _check_kit),
+    "tclab-both": Wiring("tclab_rig", "tclab_bridge", _check_kit, {"tclab_bridge:plant": "tclab-both"}),
 }
 """By plant name."""
 

@@ -73,6 +73,7 @@ class Kit(tclab.TCLab):
             raise KitAbsentError(
                 f"kit at {port}: the device reports {self.version[:40]!r}, which is not TCLab firmware"
             )
+        self.off()  # the package does so with heater 1 only
 
     def drive(self, power: float, other: float) -> KitReading:
         """Set both heaters, %, and read both sensors.

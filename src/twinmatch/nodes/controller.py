@@ -11,18 +11,19 @@ from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.time import Time
 from sensor_msgs.msg import Temperature
-from std_msgs.msg import Float64
+from std_msgs.msg import Float64, Float64MultiArray
 
 from twinmatch.control import ControlError, Loop, Profile
-from twinmatch.dynamics import Controller, Plant, PlantError
+from twinmatch.dynamics import Controller, Output, Plant, PlantError, pids_of
 from twinmatch.nodes.health import Level, Report
 from twinmatch.nodes.messages import sample_message, time_message
 from twinmatch.nodes.node import READERS, Missed, Readers, TwinmatchNode
 from twinmatch.nodes.topics import LATCHED, NEWEST, RELIABLE
-from twinmatch.parameters.declared import ParameterError, Setting, Values, group
-from twinmatch.parameters.twin import loop_parameters, pid_gains
+from twinmatch.parameters.declared import ParameterError, Setting, Values
+from twinmatch.parameters.twin import joined_units, loop_parameters, one_or_each, running_law
 from twinmatch.plants import Peltier, find_plant, written_name
 from twinmatch.safety import is_limit
+from twinmatch.signals import Signals, signals_of
 from twinmatch_msgs.msg import LoopSample, PlantApplied, PlantCommand, PlantReading, PwmApplied, PwmCommand
 
 _SOURCE = "Where the set-point comes from: the profile below, or the topic plant/reference."
@@ -32,6 +33,14 @@ _RAMP = "Rate at which the set-point changes; 0: in steps."
 _REPEATED = "Interval at which the command is repeated; the bridge treats silence as a fault."
 _LEVELS = (1 / 7, 3 / 7, 5 / 7, 3 / 7)
 """Levels of the default profile, as fractions of the range of sensible set-points."""
+_LEVEL = ("Set-points, one after the other.", "Set-points: one of each output, then the next of each.")
+"""Of one output, and of several."""
+
+
+def _level(output: Output, number: int) -> float:
+    """A level of the default profile; each output is one ahead of the one before, so that they move apart."""
+    first, last = output.set_points or output.span
+    return first + (last - first) * _LEVELS[number % len(_LEVELS)]
 
 
 def controller_table(plant: type[Plant] = Peltier) -> tuple[Setting, ...]:
@@ -44,21 +53,24 @@ def controller_table(plant: type[Plant] = Peltier) -> tuple[Setting, ...]:
         raise PlantError(
             f"plant {plant.name}: its file has no `loop`; only a plant with one can be controlled"
         )
-    y, (low, high) = plant.output, plant.output.span
-    first, last = y.set_points or y.span
-    levels = [first + (last - first) * share for share in _LEVELS]
-    sources = ("profile", "topic")
+    outputs = tuple(plant.outputs.values())
+    low, high = min(y.span[0] for y in outputs), max(y.span[1] for y in outputs)
+    unit, sources = joined_units(y.unit for y in outputs), ("profile", "topic")
+    levels = [_level(y, k + n) for k in range(len(_LEVELS)) for n, y in enumerate(outputs)]
+    lowest = one_or_each([max(y.span[0], y.safe[0]) for y in outputs])
+    highest = one_or_each([min(y.span[1], y.safe[1]) for y in outputs])
+    ramp = one_or_each([0.0 for _ in outputs])
     changing = partial(Setting, changeable=True)
     return (
         Setting("plant", written_name(plant), "The plant: its name, or the file that defines it."),
         *loop_parameters(plant),
         Setting("reference_source", sources[0], _SOURCE, choices=sources),
-        changing("profile.levels", levels, "Set-points, one after the other.", y.unit, low, high),
+        changing("profile.levels", levels, _LEVEL[len(outputs) > 1], unit, low, high),
         changing("profile.holds", [300.0] * 4, "How long each of them is held.", "s", 0.1, 1e6),
         changing("profile.repeat", True, "Repeat the profile; otherwise the last level is held."),
-        changing("profile.ramp", 0.0, _RAMP, f"{y.unit}/s", 0.0, high - low),
-        changing("profile.lowest", max(low, y.safe[0]), _LOWEST, y.unit, low, high),
-        changing("profile.highest", min(high, y.safe[1]), _HIGHEST, y.unit, low, high),
+        changing("profile.ramp", ramp, _RAMP, f"{unit}/s", 0.0, high - low),
+        changing("profile.lowest", lowest, _LOWEST, unit, low, high),
+        changing("profile.highest", highest, _HIGHEST, unit, low, high),
         Setting("exit_at_end", False, "Exit at the end of a profile that is not repeated."),
         Setting("max_age", 2.0, "A reading older than this switches the output off.", "s", 0.05, 10.0),
         Setting("command_period", 0.25, _REPEATED, "s", 0.01, 1.0),
@@ -68,17 +80,19 @@ def controller_table(plant: type[Plant] = Peltier) -> tuple[Setting, ...]:
     )
 
 
-def profile_from(values: Mapping[str, Any]) -> Profile | None:
-    """The profile from checked parameter values; None if the set-point comes from the topic.
+def profiles_from(values: Mapping[str, Any]) -> tuple[Profile, ...] | None:
+    """The profile of each output from checked parameter values; None if the set-points come from the topic.
 
     Raises:
-        ControlError: the profile cannot be run, a range is empty, or `exit_at_end` would never take effect.
+        ControlError: a profile cannot be run, a range is empty, values are missing, or `exit_at_end` would
+            never take effect.
     """
-    low, high = values["profile.lowest"], values["profile.highest"]
-    unit = find_plant(values["plant"]).output.unit
-    if not low < high:
-        msg = f"controller: profile.lowest {low:g} must be below profile.highest {high:g} {unit}"
-        raise ControlError(msg)
+    outputs = find_plant(values["plant"]).outputs
+    ranges = list(zip(*(_each(values, name) for name in ("lowest", "highest", "ramp")), strict=True))
+    for (low, high, _), output in zip(ranges, outputs.values(), strict=True):
+        if not low < high:
+            msg = f"controller: profile.lowest {low:g} must be below profile.highest {high:g} {output.unit}"
+            raise ControlError(msg)
     if values["reference_source"] == "topic":
         if values["exit_at_end"]:
             raise ControlError("controller: exit_at_end needs a profile; a topic has no end")
@@ -87,27 +101,52 @@ def profile_from(values: Mapping[str, Any]) -> Profile | None:
         raise ControlError(
             "controller: with profile.repeat, exit_at_end would never take effect; set one of them to false"
         )
-    given = group(values, "profile.")
-    given |= {name: tuple(given[name]) for name in ("levels", "holds")}
-    return Profile(**given, unit=unit)
+    levels, holds, several = values["profile.levels"], tuple(values["profile.holds"]), len(outputs) > 1
+    if several and len(levels) != len(outputs) * len(holds):
+        raise ControlError(
+            f"controller: profile.levels has {len(levels)} values for {len(holds)} times; give one of "
+            f"each output ({', '.join(outputs)}) for each time"
+        )
+    return tuple(
+        Profile(
+            tuple(levels[k :: len(outputs)]), holds, values["profile.repeat"], ramp, lowest=low, highest=high,
+            unit=output.unit, name=f"profile of {name}" if several else "profile",
+        )
+        for k, ((name, output), (low, high, ramp)) in enumerate(zip(outputs.items(), ranges, strict=True))
+    )  # fmt: skip
 
 
-def changed_profile(before: Mapping[str, Any], values: Mapping[str, Any]) -> Profile | None:
-    """The profile from values some of which were changed while the controller runs.
+def _each(values: Mapping[str, Any], name: str) -> list[float]:
+    """What a parameter of the profile says of each output.
+
+    Raises:
+        ControlError: it does not have a value of each.
+    """
+    given, outputs = values[f"profile.{name}"], find_plant(values["plant"]).outputs
+    each: list[float] = given if isinstance(given, list) else [given]
+    if len(each) != len(outputs):
+        raise ControlError(
+            f"controller: profile.{name} has {len(each)} values; give one for {' and '.join(outputs)}"
+        )
+    return each
+
+
+def changed_profiles(before: Mapping[str, Any], values: Mapping[str, Any]) -> tuple[Profile, ...] | None:
+    """The profiles from values some of which were changed while the controller runs.
 
     The range of set-points was chosen for this rig when the controller started, so it can only shrink.
 
     Raises:
-        ControlError: as for `profile_from`, or the range would grow.
+        ControlError: as for `profiles_from`, or a range would grow.
     """
     for name, outside in (("lowest", float.__lt__), ("highest", float.__gt__)):
-        was, wanted = before[f"profile.{name}"], values[f"profile.{name}"]
-        if outside(wanted, was):
-            raise ControlError(
-                f"controller: profile.{name} can only narrow the range while it runs; {wanted:g} "
-                f"is outside {was:g}; restart the controller with it"
-            )
-    return profile_from(values)
+        for was, wanted in zip(_each(before, name), _each(values, name), strict=True):
+            if outside(wanted, was):
+                raise ControlError(
+                    f"controller: profile.{name} can only narrow the range while it runs; {wanted:g} "
+                    f"is outside {was:g}; restart the controller with it"
+                )
+    return profiles_from(values)
 
 
 class PlantTopics(NamedTuple):
@@ -141,11 +180,11 @@ RESEND = 0.2
 
 
 class ControllerNode(TwinmatchNode):
-    """Runs the loop on the ROS clock.
+    """Runs the loops of a plant on the ROS clock.
 
-    Between ticks the current command is repeated, because the bridge treats silence as a fault. Without a
-    usable reading the drive is at rest and there are no samples. However the node ends, its last command
-    puts the drive at rest.
+    Between ticks the current commands are repeated, because the bridge treats silence as a fault. Without
+    usable readings the drives are at rest and there are no samples. However the node ends, its last command
+    puts the drives at rest.
     """
 
     NAME = "controller"
@@ -162,13 +201,16 @@ class ControllerNode(TwinmatchNode):
         """Create profile and loop."""
         values = self.values
         self._plant: type[Plant] = find_plant(values["plant"])
-        self._profile: Profile | None = profile_from(values)
+        self.entrance.plant = self._plant
+        self._profiles = profiles_from(values)
         self._begun = 0.0
-        """Start of the profile, s since sample 0."""
-        self._gains = pid_gains(values)
-        self._loop = Loop(self._plant, self._gains, max_age=values["max_age"])
-        self._set_point: float | None = None
-        """Set-point published or received last."""
+        """Start of the profiles, s since sample 0."""
+        law = running_law(values, self._plant.loop)
+        self._loop = Loop(self._plant, law, max_age=values["max_age"])
+        self._pids = pids_of(law)
+        self._set_points: Signals | None = None
+        """Set-points published or received last."""
+        self._single = len(self._plant.outputs) == 1
         self._missed = Missed(self.health)
         self._wiring = PELTIER if self._plant is Peltier else GENERAL
         self._commands: Any = None
@@ -176,7 +218,7 @@ class ControllerNode(TwinmatchNode):
     def open(self) -> None:
         """Subscribe to readings and start to tick."""
         # Loading the compiled step takes a quarter of a second: too long for the first tick.
-        Controller(self._gains).step(0.0, 0.0)
+        Controller(self._pids[0]).step(0.0, 0.0)
         wiring = self._wiring
         self.create_subscription(wiring.reading_type, wiring.reading, self._on_reading, NEWEST)
         self.create_subscription(wiring.applied_type, wiring.applied, self._on_applied, RELIABLE)
@@ -184,18 +226,19 @@ class ControllerNode(TwinmatchNode):
         self._samples = self.create_publisher(LoopSample, "plant/sample", RELIABLE)
         timeout, number = self.values["wait_timeout"], self.values["wait_for"]
         self._readers = Readers(self, self._samples.topic_name, timeout, number)
-        if self._profile is None:
+        kind = Float64 if self._single else Float64MultiArray
+        if self._profiles is None:
             # A latched reader gets the set-point published before it started, but nothing from publishers
             # that do not latch.
             quiet = SubscriptionEventCallbacks(use_default_callbacks=False)
             for qos in (LATCHED, RELIABLE):
                 self.create_subscription(
-                    Float64, "plant/reference", self._on_reference, qos, event_callbacks=quiet
+                    kind, "plant/reference", self._on_reference, qos, event_callbacks=quiet
                 )
         else:
-            self._references = self.create_publisher(Float64, "plant/reference", LATCHED)
+            self._references = self.create_publisher(kind, "plant/reference", LATCHED)
         every = self.create_timer if self.step is None else self.step.every
-        every(self._gains.period, self._on_tick)
+        every(self._loop.period, self._on_tick)
         every(self.values["command_period"], self._on_repeat)
         if self.step is not None:  # while the plant waits for a command, none may be lost
             self.wall_timer(RESEND, self._on_repeat)
@@ -204,18 +247,20 @@ class ControllerNode(TwinmatchNode):
 
     def change(self, values: Values) -> None:
         """Adopt a new profile or a narrower range; new levels start now, with the first of them."""
-        self._profile = changed_profile(self.values, values)
+        self._profiles = changed_profiles(self.values, values)
         if any(values[name] != self.values[name] for name in ("profile.levels", "profile.holds")):
             self._begun = self._loop.time
-        if self._profile is None and self._set_point is not None:
-            low, high = values["profile.lowest"], values["profile.highest"]
-            self._set_point = min(max(self._set_point, low), high)
+        if self._profiles is None and self._set_points is not None:
+            ranges = _each(values, "lowest"), _each(values, "highest")
+            each = zip(self._set_points, *ranges, strict=True)
+            self._set_points = tuple(min(max(one, low), high) for one, low, high in each)
 
     def report(self) -> Report:
         """Ticks, lateness, and the reason if there are no samples."""
         loop = self._loop
-        self.health.set("output", loop.input)
-        self.health.set("set-point", "none" if self._set_point is None else f"{self._set_point:g}")
+        self.health.set("output", ", ".join(map(str, loop.inputs)))
+        set_points = ["none"] if self._set_points is None else [f"{one:g}" for one in self._set_points]
+        self.health.set("set-point", ", ".join(set_points))
         self.health.set("tick late by", f"{1000 * loop.jitter:.1f} ms")
         self.health.set("missed ticks", loop.missed)
         self.health.set("ticks without sample", loop.idle)
@@ -223,40 +268,49 @@ class ControllerNode(TwinmatchNode):
         return super().report()
 
     def close(self) -> bool:
-        """Put the drive at rest."""
+        """Put the drives at rest."""
         if self._commands is not None:
-            self._command(self._plant.drive.rest)
+            self._command(self._rest)
             self._commands.wait_for_all_acked(Duration(seconds=0.2))
             self._commands = None
         return True
 
     def _on_reading(self, message: Any) -> None:
         now, stamp = self._now(), Time.from_msg(message.header.stamp).nanoseconds
-        output = getattr(message, self._wiring.output)
+        outputs = getattr(message, self._wiring.output)
         disturbances = tuple(getattr(message, "disturbances", ()))
         # A reading stamped in the future would never become stale; one without a stamp counts as new.
-        self._loop.measure(output, min(stamp, now) if stamp else now, disturbances)
+        self._loop.measure(outputs, min(stamp, now) if stamp else now, disturbances)
 
     def _on_applied(self, message: Any) -> None:
         """While a fault holds or limits the drive, a sample with another input would blame the drive."""
-        applied, loop, limited = getattr(message, self._wiring.input), self._loop, is_limit(message.fault)
+        loop, limited = self._loop, is_limit(message.fault)
         loop.held = bool(message.fault) and not limited
         if not limited:
-            loop.limit = math.inf
-        elif message.sequence == self._index:  # boards round to whole counts
-            loop.limit = applied if loop.input - applied > ROUNDED else math.inf
+            loop.limits = [math.inf] * len(loop.inputs)
+        elif message.sequence == self._index:
+            applied = signals_of(getattr(message, self._wiring.input))
+            # Boards round to whole counts.
+            loop.limits = [
+                a if u - a > ROUNDED else math.inf for u, a in zip(loop.inputs, applied, strict=True)
+            ]
         self.health.flag_if(loop.held, "held", Level.WARN, f"the drive is held at rest: {message.fault}")
         self.health.flag_if(limited, "limited", Level.WARN, f"the drive is {message.fault}")
 
-    def _on_reference(self, message: Float64) -> None:
-        low, high = self.values["profile.lowest"], self.values["profile.highest"]
-        if not low <= message.data <= high:
-            unit = self._plant.output.unit
-            text = f"set-point {message.data:g} {unit} refused; the safe range is {low:g} to {high:g} {unit}"
+    def _on_reference(self, message: Any) -> None:
+        given, outputs = signals_of(message.data), self._plant.outputs
+        if len(given) != len(outputs):
+            text = f"{len(given)} set-points refused; give one of each output: {', '.join(outputs)}"
             self.health.flag("set-point", Level.ERROR, text)
             return
+        ranges = _each(self.values, "lowest"), _each(self.values, "highest")
+        for one, low, high, output in zip(given, *ranges, outputs.values(), strict=True):
+            if not low <= one <= high:
+                safe = f"the safe range is {low:g} to {high:g} {output.unit}"
+                self.health.flag("set-point", Level.ERROR, f"set-point {one:g} {output.unit} refused; {safe}")
+                return
         self.health.withdraw("set-point")
-        self._set_point = message.data
+        self._set_points = given
 
     def _on_tick(self) -> None:
         if not self._readers.there():
@@ -267,13 +321,13 @@ class ControllerNode(TwinmatchNode):
         if self.exit_code is not None:
             return
         if sample is not None:
-            self._command(self._loop.input)
+            self._command(self._loop.inputs)
             self._samples.publish(sample_message(sample))
             self.health.set("sample", sample.index)
             self.health.say("ticking")
             self.health.withdraw("idle")
         elif not self._loop.running:
-            self._command(self._plant.drive.rest)
+            self._command(self._rest)
             # Before sample 0 this is how every run begins.
             level = Level.ERROR if self._loop.idle else Level.WARN
             self.health.flag("idle", level, f"the output is off: {self._loop.trouble}")
@@ -281,36 +335,43 @@ class ControllerNode(TwinmatchNode):
 
     def _on_repeat(self) -> None:
         if not self._readers.awaited and self.exit_code is None:
-            self._command(self._loop.input)
+            self._command(self._loop.inputs)
 
-    def _reference(self, at: float) -> float | None:
-        """The set-point at a time since sample 0 (s); published when it changes."""
-        if self._profile is None:
-            return self._set_point
+    def _reference(self, at: float) -> Signals | None:
+        """The set-points at a time since sample 0 (s); published when they change."""
+        if self._profiles is None:
+            return self._set_points
         at -= self._begun
-        if self.values["exit_at_end"] and self._profile.ended(at):
+        if self.values["exit_at_end"] and self._profiles[0].ended(at):
             self.get_logger().info("the profile has ended")
             self.exit_code = 0
             return None
-        reference = self._profile.reference(at)
-        if reference != self._set_point:
-            self._set_point = reference
-            self._references.publish(Float64(data=reference))
-        return reference
+        references = tuple(profile.reference(at) for profile in self._profiles)
+        if references != self._set_points:
+            self._set_points = references
+            data = Float64(data=references[0]) if self._single else Float64MultiArray(data=references)
+            self._references.publish(data)
+        return references
 
-    def _command(self, value: float) -> None:
+    def _command(self, values: Sequence[float]) -> None:
         if self._commands is not None:
-            now = self._now()
-            message = self._wiring.command_type(index=self._index, **{self._wiring.input: value})
+            now, wiring = self._now(), self._wiring
+            sent = values[0] if wiring is PELTIER else list(values)
+            message = wiring.command_type(index=self._index, **{wiring.input: sent})
             message.header.stamp = time_message(now)
             self._commands.publish(message)
             if self.step is not None:
                 self.step.sent(now)
 
     @property
+    def _rest(self) -> list[float]:
+        """Commands that put the drives at rest."""
+        return [drive.rest for drive in self._plant.drives.values()]
+
+    @property
     def _index(self) -> int:
         """Index of the newest tick."""
-        return round(self._loop.time / self._gains.period)
+        return round(self._loop.time / self._loop.period)
 
     def _now(self) -> int:
         return int(self.get_clock().now().nanoseconds) if self.step is None else self.step.now

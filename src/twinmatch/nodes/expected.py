@@ -17,7 +17,7 @@ from rcl_interfaces.msg import ParameterType
 from rcl_interfaces.srv import GetParameters, ListParameters, SetParameters, SetParametersAtomically
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Image, Temperature
-from std_msgs.msg import Float64
+from std_msgs.msg import Float64, Float64MultiArray
 
 from twinmatch.comparing import ADMITTED, BASELINES, REFUSED, TrustLevel
 from twinmatch.dynamics import Plant
@@ -47,6 +47,10 @@ def check(message: Any, plant: Expected = None) -> None:
         kind.check(message)
     if plant is not None and isinstance(message, ours.LoopSample):
         _check_signals(message, plant)
+    elif plant is not None and isinstance(message, ours.PlantReading):
+        _check_size(message, len(plant.outputs), "output", of="the plant's outputs")
+    elif plant is not None and isinstance(message, ours.PlantApplied):
+        _check_size(message, len(plant.drives), "input", of="the plant's drives")
 
 
 def check_readable(message: Any) -> None:
@@ -413,7 +417,7 @@ MESSAGES: Final[dict[Any, MessageRules]] = {
     # A value that is out of range is a fault of the plant's, which the guard latches: it must see it.
     **dict.fromkeys((ours.PlantReading, ours.PlantCommand, ours.PwmCommand, Temperature), MessageRules()),
     # Ranges are judged where the plant is known.
-    **dict.fromkeys((ours.PlantApplied, ours.PwmApplied, Float64), MessageRules()),
+    **dict.fromkeys((ours.PlantApplied, ours.PwmApplied, Float64, Float64MultiArray), MessageRules()),
     **dict.fromkeys((Past.Request, WhatIf.Request, ListParameters.Request), MessageRules()),
 }
 """All types that a node reads; others pass."""

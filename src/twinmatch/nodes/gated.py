@@ -13,20 +13,22 @@ import itertools
 import threading
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Final, Generic, NamedTuple, TypeVar
 
+import numpy as np
 from rclpy.clock import JumpThreshold
 from rclpy.duration import Duration
 from std_srvs.srv import Trigger
 
 from twinmatch.comparing import TrustLevel, Verdict
-from twinmatch.dynamics import Plant
+from twinmatch.dynamics import Parameters, Plant
 from twinmatch.errors import TwinmatchError
 from twinmatch.links import Background
 from twinmatch.links.kit_link import KitLink
 from twinmatch.links.pwm_link import PwmLink
+from twinmatch.nodes.fields import MessageError
 from twinmatch.nodes.health import Level, NodeHealth, Report
 from twinmatch.nodes.node import TwinmatchNode
 from twinmatch.nodes.senders import Senders
@@ -44,7 +46,7 @@ from twinmatch.safety import (
     OutputGuard,
     SafetyClock,
 )
-from twinmatch.signals import FloatArray, Sample
+from twinmatch.signals import Sample, Signals, signals_of
 from twinmatch_msgs.msg import LoopSample, ModelScore
 
 
@@ -62,10 +64,10 @@ class ClockTimes(NamedTuple):
 class Decision(NamedTuple):
     """What may be sent to the driver."""
 
-    input: float
-    """Command u, in the drive's unit."""
+    inputs: Signals
+    """Commands u, in the drives' units."""
     armed: bool
-    """Whether commands pass and the driver's deadline may be kept alive."""
+    """Whether commands pass and the drivers' deadline may be kept alive."""
     sample: int
     """Sample at which the command was computed."""
     time: float
@@ -73,21 +75,24 @@ class Decision(NamedTuple):
 
 
 class OutputGate:
-    """An `OutputGuard` with its clocks and a lock."""
+    """The `OutputGuard`s of all drives with their clocks and a lock: all commands pass, or none.
+
+    A fault of one is latched by all; a limit is that of its drive.
+    """
 
     def __init__(
         self,
         read_clocks: Callable[[], ClockTimes],
-        limits: GuardLimits | None = None,
+        guards: Sequence[OutputGuard] = (),
         clock_limits: ClockLimits | None = None,
-        observer: DriveObserver | None = None,
     ) -> None:
-        """Start with the output at zero, waiting for inputs."""
+        """Start with the outputs at zero, waiting for inputs; the default is one drive with the usual
+        limits."""
         self._read_clocks = read_clocks
-        self._guard = OutputGuard(limits, observer)
+        self._guards = tuple(guards) or (OutputGuard(),)
         self._safety_clock = SafetyClock(clock_limits)
-        self.beside: FloatArray | None = None
-        """The plant's disturbances while commands pass; None: none."""
+        self.beside: Signals = ()
+        """What else acts on the plant while commands pass: the last of its disturbances."""
         self._index = 0
         self.commanded = 0
         """Stamp of the newest command, ns."""
@@ -95,15 +100,16 @@ class OutputGate:
 
     @property
     def fault(self) -> GuardFault | None:
-        """The latched fault, or what limits the output, if any."""
+        """The latched fault, or what limits an output, if any."""
         with self._news:
-            return self._guard.fault or self._guard.limited
+            faults = (*(guard.fault for guard in self._guards), *(guard.limited for guard in self._guards))
+            return next(filter(None, faults), None)
 
     @property
     def armed(self) -> bool:
         """Whether commands passed at the last decision."""
         with self._news:
-            return self._guard.armed
+            return all(guard.armed for guard in self._guards)
 
     @property
     def clock_stopped(self) -> bool:
@@ -111,45 +117,60 @@ class OutputGate:
         with self._news:
             return self._safety_clock.stopped
 
-    def command(self, value: float, index: int, stamp: int) -> None:
-        """Take a command sent at `stamp` (ns), computed at sample `index`."""
+    def command(self, values: Iterable[float] | float, index: int, stamp: int) -> None:
+        """Take the commands sent at `stamp` (ns), computed at sample `index`."""
         with self._news:
-            self._take(self._guard.command, value, stamp=stamp)
+            try:
+                self._take(OutputGuard.command, values, stamp=stamp)
+            except MessageError as error:
+                self.trip(FaultKind.COMMAND_INVALID, f"the command cannot be used: {error}")
             self._index, self.commanded = index, stamp
 
-    def temperature(self, celsius: float, stamp: int) -> None:
-        """Take a temperature measured at `stamp` (ns)."""
-        self._take(self._guard.temperature, celsius, stamp=stamp)
+    def temperature(self, celsius: Iterable[float] | float, stamp: int) -> None:
+        """Take the temperatures measured at `stamp` (ns)."""
+        self._take(OutputGuard.temperature, celsius, stamp=stamp)
 
-    def sample(self, reference: float, temperature: float, drive: float) -> None:
-        """Take one tick of the control loop."""
-        self._take(self._guard.loop, reference, temperature, drive)
+    def sample(self, references: Signals, temperatures: Signals, drives: Signals) -> None:
+        """Take one tick of the control loops."""
+        self._take(OutputGuard.loop, references, temperatures, drives)
 
     def hold(self, why: str) -> None:
         """Pass nothing for this reason; empty: none."""
-        self._take(self._guard.hold, why)
+        self._take(OutputGuard.hold, [why] * len(self._guards))
 
     def trip(self, kind: FaultKind, message: str) -> None:
         """Latch a fault."""
-        self._take(self._guard.trip, kind, message)
+        count = len(self._guards)
+        self._take(OutputGuard.trip, [kind] * count, [message] * count)
 
     def clear(self) -> None:
-        """Clear the fault; the output waits for new inputs."""
+        """Clear the fault; the outputs wait for new inputs."""
         with self._news:
-            self._guard.clear()
+            for guard in self._guards:
+                guard.clear()
 
     def decide(self) -> Decision:
         """What may be sent now. Nothing is armed while the plant's clock stands still."""
         with self._news:
             now, _ = self._now()
-            clock = self._safety_clock
+            clock, guards = self._safety_clock, self._guards
             if clock.stopped:
-                if self._guard.armed:
+                if self.armed:
                     message = f"/clock has stood still for {clock.standing:.1f} s; is the simulator running?"
-                    self._guard.trip(FaultKind.CLOCK, message, now)
-                return Decision(0.0, False, self._index, now)
-            value = self._guard.output(now, self.beside)
-            return Decision(value, self._guard.armed, self._index, now)
+                    self.trip(FaultKind.CLOCK, message)
+                return Decision((0.0,) * len(guards), False, self._index, now)
+            passed = [guard.passed for guard in guards]
+            for k, guard in enumerate(guards):
+                beside = (*passed[:k], *passed[k + 1 :], *self.beside)
+                guard.output(now, np.array(beside) if beside else None)
+            fault = next(filter(None, (guard.fault for guard in guards)), None)
+            for guard in guards:
+                if fault is not None:
+                    guard.latch(fault)
+            if not self.armed:
+                for guard in guards:
+                    guard.passed = 0.0
+            return Decision(tuple(guard.passed for guard in guards), self.armed, self._index, now)
 
     def wait(self, timeout: float) -> None:
         """Sleep until there is a new input, `timeout` seconds of the wall clock at most."""
@@ -161,11 +182,16 @@ class OutputGate:
         with self._news:
             self._news.notify_all()
 
-    def _take(self, take: Callable[..., None], *values: object, stamp: int | None = None) -> None:
-        """Hand values to the guard with the time now, and with their age if they have a stamp (ns)."""
+    def _take(self, take: Callable[..., None], *signals: Any, stamp: int | None = None) -> None:
+        """Hand each guard its values with the time now, and with their age if they have a stamp (ns)."""
         with self._news:
             now, times = self._now()
-            take(*values, now, *(() if stamp is None else ((times.stamps - stamp) / 1e9,)))
+            age = () if stamp is None else ((times.stamps - stamp) / 1e9,)
+            rows = list(map(signals_of, signals))
+            if wrong := [len(row) for row in rows if len(row) != len(self._guards)]:
+                raise MessageError(f"it has {wrong[0]} values for {len(self._guards)} drives")
+            for guard, values in zip(self._guards, zip(*rows, strict=True), strict=True):
+                take(guard, *values, now, *age)
             self._news.notify_all()
 
     def _now(self) -> tuple[float, ClockTimes]:
@@ -352,16 +378,20 @@ class GatedNode(TwinmatchNode):
     def read_parameters(self) -> None:
         """Create the gate."""
         limits, clock = gate_limits(self.LIMITS, self.values), ClockLimits(self.values["clock_timeout"])
-        self.gate = OutputGate(self._read_clocks, limits, clock, self.observer(limits))
+        self.gate = OutputGate(self._read_clocks, self.output_guards(limits), clock)
         self._accusations = Accusations(self.values["act_on"])
         self._reported_fault: GuardFault | None = None
         self._sampled_at = 0.0
 
+    def output_guards(self, limits: GuardLimits) -> list[OutputGuard]:
+        """The guard of each drive."""
+        return [OutputGuard(limits, self.observer(limits))]
+
     @classmethod
-    def observer(cls, limits: GuardLimits) -> DriveObserver:
-        """What follows the drive without the sensor."""
+    def observer(cls, limits: GuardLimits, typical: Parameters | None = None) -> DriveObserver:
+        """What follows the drive without the sensor, on the `typical` plant."""
         return DriveObserver(
-            cls.PLANT.model(cls.STRUCTURE).typical(),
+            typical or cls.PLANT.model(cls.STRUCTURE).typical(),
             limits.observer,
             thing=limits.thing,
             sensor=limits.sensor,
@@ -423,7 +453,7 @@ class GatedNode(TwinmatchNode):
 
     def _on_sample(self, sample: Sample) -> None:
         self._sampled_at = time.monotonic()
-        self.gate.sample(sample.reference, sample.output, sample.input)
+        self.gate.sample(sample.references, sample.outputs, sample.inputs)
 
     def _on_verdict(self, verdict: Verdict) -> None:
         said = self._accusations.take(

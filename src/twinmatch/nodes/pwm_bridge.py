@@ -88,7 +88,7 @@ class PwmDriver(DriverThread[PwmLink]):
     def _serve(self, decision: Decision) -> None:
         if decision.armed:
             due = decision.time - self._sent_at >= self._pace.repeat
-            if due or not self._driving or decision.input != self._sent:
+            if due or not self._driving or decision.inputs[0] != self._sent:
                 self._drive(decision)
                 return
         elif self._driving:
@@ -108,15 +108,12 @@ class PwmDriver(DriverThread[PwmLink]):
             if not decision.armed:
                 return
         self._driving = True
-        self._sent, self._sent_at = decision.input, decision.time
-        applied = self.link.command(decision.input)
+        self._sent, self._sent_at = decision.inputs[0], decision.time
+        applied = self.link.command(decision.inputs[0])
         self._tell(applied, decision.sample)
-        if applied.pwm != round(decision.input):
-            message = (
-                f"the board applies {applied.pwm}, but {round(decision.input)} was sent; is another program "
-                "using it?"
-            )
-            self._gate.trip(FaultKind.BOARD, message)
+        if applied.pwm != round(decision.inputs[0]):
+            message = f"the board applies {applied.pwm}, but {round(decision.inputs[0])} was sent"
+            self._gate.trip(FaultKind.BOARD, f"{message}; is another program using it?")
 
     def _wake(self) -> None:
         """Clear a board that tripped on its deadline, which was intended; nothing else.

@@ -3,25 +3,28 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from typing import ClassVar
 
-import numpy as np
 from rclpy.qos import qos_profile_sensor_data
 
 from twinmatch.links.kit_link import KitAbsentError, KitError, KitLink, KitReading, KitSilentError
 from twinmatch.nodes.gated import NAN, Decision, DriverPace, DriverThread, GatedNode, fault_text, gate_table
 from twinmatch.nodes.messages import nanoseconds
 from twinmatch.nodes.topics import RELIABLE
-from twinmatch.parameters.declared import Setting
+from twinmatch.parameters.declared import ParameterError, Setting
 from twinmatch.parameters.twin import unit_of
-from twinmatch.plants import TCLab
-from twinmatch.safety import BudgetLimits, FaultKind, GuardLimits, RunawayLimits
+from twinmatch.plants import PLANTS, TCLab, TCLabBoth
+from twinmatch.safety import BudgetLimits, FaultKind, GuardLimits, OutputGuard, RunawayLimits
 from twinmatch_msgs.msg import PlantApplied, PlantCommand, PlantReading
 
 _PORT = "Serial port of the kit, such as /dev/ttyACM0; empty: the first on the USB bus."
+_PLANT = "Whether heater 1 is driven or both."
 _DEADLINE = "Zero after this time without a command from this node, by the wall clock."
 
 
+SECOND = 0.6
+"""Power of heater 2 by that of heater 1: 0.75 as published, 0.55 of a recorded kit, 0.5 by the firmware."""
 MAX_SILENCE = 0.3
 """Longest time between two commands to a kit, wall s: well within the deadline of the process at its port."""
 
@@ -36,8 +39,6 @@ class KitDriver(DriverThread[KitLink]):
     CLOSING = 5.0
     ERRORS = KitError
 
-    other = 0.0
-    """Power of the second heater while commands pass, %."""
     _sent = (0.0, 0.0)
     _said_at = 0.0
 
@@ -55,7 +56,8 @@ class KitDriver(DriverThread[KitLink]):
         self._tell(self.link.drive(0.0, 0.0), 0)
 
     def _serve(self, decision: Decision) -> None:
-        wanted = (decision.input, self.other) if decision.armed else (0.0, 0.0)
+        power, other = (*decision.inputs, *self._gate.beside) if decision.armed else (0.0, 0.0)
+        wanted = power, other
         # By the wall clock too: a slow or stopped plant clock must not look like the end of this process.
         due = decision.time - self._sent_at >= self._pace.repeat or not self.connected
         if due or wanted != self._sent or time.monotonic() - self._said_at >= MAX_SILENCE:
@@ -69,9 +71,10 @@ class KitDriver(DriverThread[KitLink]):
 
 
 class TCLabBridge(GatedNode):
-    """Passes commands to heater 1 while command, temperature, kit and clock are sound.
+    """Passes commands to the heaters while command, temperatures, kit and clock are sound.
 
-    Heater 2 has the constant power of its parameter while commands pass; it is the plant's disturbance.
+    Of plant tclab heater 1 is driven; heater 2 has the constant power of its parameter while commands pass,
+    and is the plant's disturbance. Of tclab-both each heater is a disturbance for the guard of the other.
     """
 
     NAME = "tclab_bridge"
@@ -94,7 +97,8 @@ class TCLabBridge(GatedNode):
     STRUCTURE: ClassVar = "sensor lag, neighbour"
     PARAMETERS: ClassVar = (
         Setting("port", "", _PORT),
-        Setting("second", 0.0, "Power of heater 2 while heater 1 is driven.", "%", 0.0, 100.0),
+        Setting("plant", TCLab.name, _PLANT, choices=(TCLab.name, TCLabBoth.name)),
+        Setting("second", 0.0, "Power of heater 2 while heater 1 alone is driven.", "%", 0.0, 100.0),
         Setting("repeat", 0.25, "Interval between two exchanges with the kit.", "s", 0.05, 0.5),
         Setting("deadline", 1.0, _DEADLINE, "s", 0.6, 60.0),
         Setting("frame_id", "kit", "Frame of plant/reading and plant/applied."),
@@ -104,8 +108,38 @@ class TCLabBridge(GatedNode):
 
     def read_parameters(self) -> None:
         """Create the link and the gate."""
+        self._plant = PLANTS[self.values["plant"]]
         super().read_parameters()
+        second, both = self.values["second"], self._plant is TCLabBoth
+        if both and second:
+            raise ParameterError(f"{self.NAME}: second is {second:g} %, but plant tclab-both drives heater 2")
+        self.gate.beside = () if both else (second,)
         self._link = KitLink(self.values["port"], self.values["deadline"])
+
+    def output_guards(self, limits: GuardLimits) -> list[OutputGuard]:
+        """The guard of each drive."""
+        return super().output_guards(limits) if self._plant is TCLab else self.guards_of_both(limits)
+
+    @classmethod
+    def guards_of_both(cls, limits: GuardLimits) -> list[OutputGuard]:
+        """The guards of both heaters; that of heater 2 sees the kit from there.
+
+        Where one cools, it is a load on the other, which may need twice the time to get nearer.
+        """
+        kit, budget = cls.PLANT.model(cls.STRUCTURE).typical(), limits.budget
+        weaker = {name: getattr(budget, name) / SECOND for name in ("hold", "least", "each")}
+        power, second = kit["heating"], SECOND * kit["heating"]
+        runaway, made = replace(limits.runaway, gain_time=2.0 * limits.runaway.gain_time), []
+        for which, own, other, spent in (
+            ("first", power, second, budget),
+            ("second", second, power, replace(budget, **weaker)),
+        ):
+            named = replace(
+                limits, thing=f"{which} heater", sensor=f"{which} sensor", budget=spent, runaway=runaway
+            )
+            seen = kit.replace(heating=own, second_heating=other)
+            made.append(OutputGuard(named, cls.observer(named, seen)))
+        return made
 
     def open(self) -> None:
         """Subscribe, and connect to the kit."""
@@ -113,8 +147,6 @@ class TCLabBridge(GatedNode):
         self._readings = self.create_publisher(PlantReading, "plant/reading", qos_profile_sensor_data)
         self._applied = self.create_publisher(PlantApplied, "plant/applied", RELIABLE)
         driver = KitDriver(self._link, self.gate, self._tell, self.health, DriverPace(self.values["repeat"]))
-        driver.other = self.values["second"]
-        self.gate.beside = np.array([driver.other])
         self.drive(driver, "plant/command", "plant/reading")
 
     def _on_command(self, message: PlantCommand) -> None:
@@ -122,21 +154,21 @@ class TCLabBridge(GatedNode):
 
     def _tell(self, reading: KitReading | None, index: int) -> None:
         """Publish the kit's readings; called in the driver's thread."""
-        stamp = self.get_clock().now()
-        applied = PlantApplied(sequence=index, input=NAN)
+        stamp, drives = self.get_clock().now(), len(self._plant.drives)
+        applied = PlantApplied(sequence=index, input=[NAN] * drives)
         applied.header.stamp, applied.header.frame_id = stamp.to_msg(), self.values["frame_id"]
         if reading is None:
             self.health.set("applied", "unknown")
         else:
-            first, second, power, other = reading
-            self.gate.temperature(first, stamp.nanoseconds)
-            message = PlantReading(output=first, disturbances=[other])
+            temperatures, powers = reading[:2], reading[2:]
+            self.gate.temperature(temperatures[:drives], stamp.nanoseconds)
+            message = PlantReading(output=temperatures[:drives], disturbances=powers[drives:])
             message.header = applied.header
             self._readings.publish(message)
-            applied.input = power
-            self.health.set("applied", power)
-            self.health.set("T1", f"{first:.2f} °C")
-            self.health.set("T2", f"{second:.2f} °C")
+            applied.input = powers[:drives]
+            self.health.set("applied", ", ".join(map(str, powers[:drives])))
+            for name, celsius in zip(("T1", "T2"), temperatures, strict=True):
+                self.health.set(name, f"{celsius:.2f} °C")
         self.note_fault()
         applied.fault = fault_text(self.gate.fault)
         self._applied.publish(applied)

@@ -177,7 +177,7 @@ def _fitted(ground: Ground, watch: Watch | None) -> tuple[TriedTwin, ...]:
     session, plant = ground.session, ground.plant
     whole = stretches(session.samples, session.period)
     models = [plant.model(name) for name, structure in plant.structures.items() if structure.watched]
-    fits = [fit_session(model, whole, law=None) for model in models]
+    fits = [fit_session(model, whole) for model in models]
     best = min(fits, key=lambda fit: fit.charge)
     if not best.fit[0] >= MIN_FIT:
         raise ControllerError(
@@ -189,7 +189,7 @@ def _fitted(ground: Ground, watch: Watch | None) -> tuple[TriedTwin, ...]:
     windows = [part for part in parts if len(part) >= MIN_WINDOW]
     members, total = [], len(windows) * len(kept)
     for k, (model, window) in enumerate((model, window) for model in kept for window in windows):
-        fit = fit_session(model, window, law=None)
+        fit = fit_session(model, window)
         if watch is not None:
             watch(k + 1, total)
         if fit.converged:

@@ -7,7 +7,8 @@ ranges, are those of the selected `plant` and `structure`.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+import math
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -20,14 +21,17 @@ from twinmatch.dynamics import (
     FROM_PLANT_FILE,
     Drive,
     FromPlantFile,
+    Law,
     LoopLaw,
     Model,
     Output,
     PidGains,
+    PidLoops,
     Plant,
     PlantError,
     Sensor,
     law_for,
+    pids_of,
 )
 from twinmatch.dynamics.pace import time_scale
 from twinmatch.errors import TwinmatchError
@@ -65,39 +69,60 @@ def closing_of(values: Mapping[str, Any]) -> LoopLaw:
 
 
 def loop_parameters(plant: type[Plant], closing: LoopLaw = FROM_PLANT_FILE) -> tuple[Setting, ...]:
-    """The sampling period, and the gains of the plant's controller if it is known."""
+    """The sampling period, and the gains of the plant's controller if it is known: of several PIDs, lists."""
     usual = plant.loop.period if plant.loop else 1.0
-    has = law_for(plant, usual, closing)
+    pids = pids_of(law_for(plant, usual, closing))
     period = Setting("period", usual, "Sampling period of the loop.", "s", 1e-3, 1e5)
-    if not isinstance(has, PidGains):
+    if not pids:
         return (period,)
-    u, y = unit_of(plant.drive), plant.output.unit
-    low, high = plant.drive.limits
-    gains = (
-        ("proportional", "Proportional gain of the running PID.", f"{u}/{y}"),
-        ("integral", "Integral gain.", f"{u}/({y}·s)"),
-        ("derivative", "Derivative gain.", f"{u}·s/{y}"),
-    )
+    drives = plant.drives.values()
+    u, y = (joined_units(map(unit_of, drives)), joined_units(each.unit for each in plant.outputs.values()))
+    lows, highs = zip(*(drive.limits for drive in drives), strict=True)
+
+    def gain(name: str, text: str, unit: str = "", span: tuple[float, float] | None = None) -> Setting:
+        values = [getattr(pid, name) for pid in pids]
+        low, high = span or (min(_span(v)[0] for v in values), max(_span(v)[1] for v in values))
+        return Setting(f"pid.{name}", one_or_each(values), text, unit, low, high)
+
+    flag = "Derivative of the measurement instead of the error: no kick at set-point steps."
     return (
         period,
-        *(
-            Setting(f"pid.{name}", getattr(has, name), text, unit, *_span(getattr(has, name)))
-            for name, text, unit in gains
-        ),
-        Setting("pid.back_calculation", has.back_calculation, "Anti-windup gain.", "1/s", 0.0, 1e3),
-        Setting("pid.low", has.low, "Lower output limit.", u, low, high),
-        Setting("pid.high", has.high, "Upper output limit.", u, low, high),
-        Setting(
-            "pid.on_measurement",
-            has.on_measurement,
-            "Derivative of the measurement instead of the error: no kick at set-point steps.",
-        ),
+        gain("proportional", "Proportional gain of the running PID.", f"{u}/{y}"),
+        gain("integral", "Integral gain.", f"{u}/({y}·s)"),
+        gain("derivative", "Derivative gain.", f"{u}·s/{y}"),
+        gain("back_calculation", "Anti-windup gain.", "1/s", (0.0, 1e3)),
+        gain("low", "Lower output limit.", u, (min(lows), max(highs))),
+        gain("high", "Upper output limit.", u, (min(lows), max(highs))),
+        gain("on_measurement", flag, span=(-math.inf, math.inf)),
     )
 
 
-def pid_gains(values: Mapping[str, Any]) -> PidGains:
-    """The controller from checked parameter values that include the gains."""
-    return PidGains(period=values["period"], **group(values, "pid."))
+def one_or_each(values: Sequence[Any]) -> Any:
+    """The value of a single signal; of several, the list."""
+    return values[0] if len(values) == 1 else list(values)
+
+
+def joined_units(units: Iterable[str]) -> str:
+    """The unit of signals; if they have several, all of them."""
+    return ", ".join(dict.fromkeys(units))
+
+
+def running_law(values: Mapping[str, Any], usual: Law | None) -> Law | None:
+    """The controller from checked parameter values; `usual` is that of the plant file.
+
+    Raises:
+        ParameterError: a list of gains does not have one for each loop.
+    """
+    gains, count = group(values, "pid."), len(pids_of(usual))
+    if count == 0:
+        return usual
+    if count == 1:
+        return PidGains(period=values["period"], **gains)
+    for name, given in gains.items():
+        if len(given) != count:
+            raise ParameterError(f"pid.{name} has {len(given)} values; give one for each of {count} loops")
+    each = [{name: given[k] for name, given in gains.items()} for k in range(count)]
+    return PidLoops.of(*(PidGains(period=values["period"], **one) for one in each))
 
 
 def _span(default: float) -> tuple[float, float]:
@@ -232,7 +257,7 @@ def settings_from(values: Mapping[str, Any]) -> TwinSettings:
         free=tuple(values["free"]),
         start=usual.start.replace(**group(values, "start.")),
         noise=Noise(values["noise.output"], values["noise.input"]),
-        law=pid_gains(values) if isinstance(usual.law, PidGains) else usual.law,
+        law=running_law(values, usual.law),
         sensor=Sensor(**sensor),
         seed=values["seed"],
         decimals=values["decimals"],
@@ -253,15 +278,18 @@ def values_of(settings: TwinSettings) -> Values:
         "free": list(settings.free),
         "loop": FromPlantFile.LOOP.value if settings.law is not None else UNKNOWN,
     }
+    pids = pids_of(settings.law)
     noise = {
         "output": point_of(np.atleast_1d(settings.noise.outputs)),
         "input": point_of(np.atleast_1d(settings.noise.inputs)),
     }
-    groups: dict[str, Any] = {"pid": settings.law, "noise": SimpleNamespace(**noise)}
+    groups = {"noise": SimpleNamespace(**noise)}
     for parameter in table_of(settings):
         owner, _, name = parameter.name.partition(".")
         if owner == "start":
             values[parameter.name] = settings.start[name]
+        elif owner == "pid":
+            values[parameter.name] = one_or_each([getattr(pid, name) for pid in pids])
         elif name:
             held = groups.get(owner) or getattr(settings, owner)
             value = getattr(held, name) or type(parameter.default)()
@@ -366,9 +394,8 @@ def _plant(model: Model) -> tuple[Setting, ...]:
 
 def _noise(name: str, text: str, signals: Collection[Output | Drive]) -> Setting:
     """The noise of outputs or drives: a number, or one each of several."""
-    each = [signal.noise for signal in signals]
-    units = ", ".join(dict.fromkeys(map(unit_of, signals)))
-    return Setting(name, each if len(each) > 1 else each[0], text, units, 1e-6, 1e6)
+    each = one_or_each([signal.noise for signal in signals])
+    return Setting(name, each, text, joined_units(map(unit_of, signals)), 1e-6, 1e6)
 
 
 def _numbers(has: TwinSettings) -> tuple[Setting, ...]:

@@ -32,6 +32,7 @@ from twinmatch.dynamics import (
     Output,
     Parameter,
     PidGains,
+    PidLoops,
     Plant,
     Sensor,
     State,
@@ -212,13 +213,13 @@ def _whole(*parts: str, watched: bool = True, text: str = "") -> Structure:
 
 
 class TCLabBoth(TCLab, name="tclab-both"):
-    """Both heaters of a Temperature Control Lab, driven by the recorded commands: two inputs, two outputs."""
+    """Both heaters of a Temperature Control Lab, each held by a PID: two inputs, two outputs."""
 
     title = "Temperature Control Lab, both heaters"
     surroundings = "room and draught"
     parts = (_LAG, _RADIATION, _DEAD)
     followed = "sensor lags, radiation"
-    loop = None  # type: ignore[assignment]  # no one-loop law fits
+    loop = PidLoops.of(TCLab.loop, TCLab.loop)  # type: ignore[assignment]
 
     second = Drive(unit="%", limits=(0.0, 100.0), noise=2.0, text="heater 2", symbol="Q₂")
     second_temperature = Output(

@@ -118,6 +118,8 @@ class OutputGuard:
     """The latched fault, if any."""
     limited: GuardFault | None
     """Why less than the command passes; None: all of it does."""
+    passed: float
+    """What passed at the last decision; a gate of several drives may let pass less."""
 
     def __init__(self, limits: GuardLimits | None = None, observer: DriveObserver | None = None) -> None:
         """Start waiting, with the output at zero; an `observer` follows what passes."""
@@ -127,7 +129,7 @@ class OutputGuard:
         self._observer = observer
         self.fault = self.limited = None
         self._reference = self.limits.highest  # before anybody says what is wanted
-        self._passed, self._passed_at = 0.0, math.nan
+        self.passed, self._passed_at = 0.0, math.nan
         self._held = False
         self.clear()
 
@@ -142,8 +144,8 @@ class OutputGuard:
             return
         low, high = self.limits.commands
         if not low <= value <= high:  # true for NaN too
-            message = f"the command is {value}, outside {low:g} to {high:g}; check its publisher"
-            self.trip(FaultKind.COMMAND_INVALID, message, now)
+            message = f"the command of the {self.limits.thing} is {value}, outside {low:g} to {high:g}"
+            self.trip(FaultKind.COMMAND_INVALID, f"{message}; check its publisher", now)
             return
         self._command.take(value, now - max(0.0, age))
 
@@ -189,8 +191,11 @@ class OutputGuard:
 
     def trip(self, kind: FaultKind, message: str, now: float) -> None:
         """Latch a fault, unless one is latched already: the first one shows the cause."""
-        if self.fault is None:
-            self.fault = GuardFault(kind, message, now)
+        self.latch(GuardFault(kind, message, now))
+
+    def latch(self, fault: GuardFault) -> None:
+        """Latch a fault that may be another drive's, unless one is latched already."""
+        self.fault = self.fault or fault
         self._armed = False
 
     def output(self, now: float, beside: FloatArray | None = None) -> float:
@@ -199,8 +204,8 @@ class OutputGuard:
         `beside` are the disturbances, shape (d,), that go with commands that pass, such as a second heater.
         """
         self._judge_heat(now, beside if self._armed else None)
-        self._passed, self._passed_at = self._limit(self._decide(now), now), now
-        return self._passed
+        self.passed, self._passed_at = self._limit(self._decide(now), now), now
+        return self.passed
 
     def _limit(self, value: float, now: float) -> float:
         """What of a command may pass. Once it was limited it is called so until all drive may pass."""
@@ -225,7 +230,7 @@ class OutputGuard:
             return
         # Without a new decision the board has gone to zero.
         drove = min(elapsed, self.limits.command_timeout)
-        for drive, span in ((self._passed, drove), (0.0, elapsed - drove)):
+        for drive, span in ((self.passed, drove), (0.0, elapsed - drove)):
             if span <= 0.0:
                 continue
             spent = self._budget.take(span, drive, self._reference, reading)

@@ -93,7 +93,8 @@ class Runaway:
         if self._unexplained < limits.patience:
             return None
         word = "heating" if self._heating else "cooling"
+        far, closer = f"{distance:.1f} {self._unit}", f"{limits.gain:g} {self._unit}"
         return (
-            f"{word} makes no progress: {distance:.1f} {self._unit} from the set-point, less than "
-            f"{limits.gain:g} {self._unit} closer in {limits.gain_time:g} s; check drive, fan and sensor"
+            f"{word} the {self._thing} makes no progress: {far} from the set-point, and less than {closer} "
+            f"closer in {limits.gain_time:g} s; check drive, fan and sensor"
         )

@@ -28,7 +28,7 @@ from rclpy.serialization import deserialize_message
 from rclpy.signals import SignalHandlerOptions
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Image
-from std_msgs.msg import Float64
+from std_msgs.msg import Float64, Float64MultiArray
 
 from tests.support.places import SHIPPED
 from tests.support.plants import Motor
@@ -51,13 +51,13 @@ SENSOR = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
 class Graph:
     """Publishers as the graph has them, under one namespace."""
 
-    def __init__(self, namespace: str = "") -> None:
+    def __init__(self, namespace: str = "", reference: Any = Float64) -> None:
         self.context = Context()
         rclpy.init(context=self.context, signal_handler_options=SignalHandlerOptions.NO)
         self.node = rclpy.create_node("graph", namespace=namespace, context=self.context)
         make = self.node.create_publisher
         self.samples = make(LoopSample, "plant/sample", RELIABLE)
-        self.references = make(Float64, "plant/reference", LATCHED)
+        self.references = make(reference, "plant/reference", LATCHED)
         self.scores = make(ModelScore, "twin/model_score", RELIABLE)
         self.images = make(Image, "thermal/image", SENSOR)
         self.clocks: Any = None
@@ -87,8 +87,8 @@ class Graph:
 def graph(ros: None) -> Iterator[Callable[..., Graph]]:  # noqa: ARG001
     started: list[Graph] = []
 
-    def start(namespace: str = "") -> Graph:
-        started.append(Graph(namespace))
+    def start(namespace: str = "", **more: Any) -> Graph:
+        started.append(Graph(namespace, **more))
         return started[-1]
 
     yield start
@@ -205,6 +205,20 @@ def test_it_survives_the_graph_and_shows_the_next_one(
     late.subscribe("/plant/reference")
     late.wait(lambda: late.heard("/plant/reference"), "what was said before it came")
     assert late.heard("/plant/reference")[0].data == viewer.heard("/plant/reference")[1].data
+
+
+def test_set_points_of_several_loops_are_shown(
+    serve: Callable[..., Any], view: Callable[[str], Any], graph: Callable[..., Graph]
+) -> None:
+    """They have another type than those of one, which is advertised before the graph is there."""
+    viewer = view(serve().url)
+    viewer.wait(lambda: "/plant/reference" in viewer.channels, "what is advertised")
+    graph(reference=Float64MultiArray).references.publish(Float64MultiArray(data=[50.0, 35.0]))
+    viewer.wait(lambda: "MultiArray" in viewer.channels["/plant/reference"]["schemaName"], "the new type")
+    viewer.subscribe("/plant/reference")
+    viewer.wait(lambda: viewer.heard("/plant/reference"), "the set-points")
+    (heard,) = viewer.heard("/plant/reference")
+    assert list(decode(viewer.channels["/plant/reference"], heard.data).data) == [50.0, 35.0]
 
 
 def test_time_is_that_of_the_plant(

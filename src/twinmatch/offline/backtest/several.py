@@ -177,7 +177,7 @@ def _fitted(plant: type[Plant], past: list[Window]) -> list[Candidate]:
     candidates = []
     for name, structure in plant.structures.items():
         if structure.watched and structure.external is None:
-            fit = fit_session(plant.model(name), past, law=None)
+            fit = fit_session(plant.model(name), past)
             point = float(past[-1].outputs[-1, 0])
             candidates.append(
                 Candidate(name, point, fit.parameters, past[-1], structure.free, fit.covariance)

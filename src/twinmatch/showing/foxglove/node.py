@@ -76,12 +76,14 @@ class GraphServer(ServerListener):
         """Number of viewers with a subscription."""
         return sum(bool(topics) for topics in tuple(self._viewers.values()))
 
-    def offers(self, topic: str) -> bool:
-        """Whether a topic is advertised."""
-        return topic in self._channels
+    def offers(self, topic: str, kind: str) -> bool:
+        """Whether a topic is advertised with this type."""
+        return topic in self._channels and self._channels[topic].schema_name() == kind
 
     def advertise(self, topic: str, kind: str, schema: str) -> None:
         """Advertise a topic: full name, `package/msg/Type`, and its definition with those of nested types."""
+        if topic in self._channels:
+            self._channels.pop(topic).close()
         made = Schema(name=kind, encoding="ros2msg", data=schema.encode())
         self._channels[topic] = Channel(topic, schema=made, message_encoding="cdr", context=self._context)
 
@@ -198,6 +200,7 @@ class Foxglove(TwinmatchNode):
         rig = self.get_namespace().rstrip("/")
         for name, kind in ({f"{rig}/{name}": kind for name, kind in TOPICS.items()} | OUTSIDE).items():
             self._advertise(name, kind)
+        self._types.clear()  # publishers decide: set-points of several loops have another one
         self._has_clock = self._to_repeat = False
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._described: Description | None = None
@@ -266,7 +269,7 @@ class Foxglove(TwinmatchNode):
         try:
             if before != kind:
                 raise SessionError(f"its type changed from {before} to {kind}; restart twinmatch foxglove")
-            if not self._server.offers(name):
+            if not self._server.offers(name, kind):
                 self._server.advertise(name, kind, schema_of(kind))
         except SessionError as error:
             self._unknown.add(name)

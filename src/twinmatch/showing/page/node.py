@@ -96,7 +96,12 @@ class Dashboard(TwinmatchNode):
             (Forecast, "twin/forecast", state.push_forecast, ALL),
             (ModelScore, "twin/model_score", state.push_verdict, ALL),
             (PwmApplied, "plant/pwm_applied", lambda m: drive(m, m.pwm, m.current), ALL),
-            (PlantApplied, "plant/applied", lambda m: drive(m, m.input, math.nan), ALL),
+            (
+                PlantApplied,
+                "plant/applied",
+                lambda m: drive(m, m.input[0] if len(m.input) == 1 else math.nan, math.nan),
+                ALL,
+            ),
             (DiagnosticArray, "/diagnostics", self._on_health, ALL),
             (Image, "thermal/image", self._on_image, qos_profile_sensor_data),
         ):

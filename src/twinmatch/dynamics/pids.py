@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from scipy.linalg import block_diag
 
-from twinmatch.dynamics import Law, LinearLaw, PidGains, PlantError
+from twinmatch.dynamics.declarations import PlantError
+from twinmatch.dynamics.loop import Law, LinearLaw, PidGains
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,6 +89,42 @@ def pid_law(pids: Sequence[FilteredPid], period: float) -> LinearLaw:
     windup = -g @ offset
     low, high = ([getattr(each, end) for each in pids] for end in ("low", "high"))
     return LinearLaw(a, b, c, d, e, f, g, offset, windup, np.array(low), np.array(high), period)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PidLoops(LinearLaw):
+    """The PIDs of several loops as one law, which has another sample time if they have."""
+
+    pids: tuple[PidGains, ...] = ()
+    """The k-th takes reading and set-point k and gives command k."""
+
+    @classmethod
+    def of(cls, *pids: PidGains) -> PidLoops:
+        """These PIDs side by side.
+
+        Raises:
+            PlantError: there is none, or they have several sample times.
+        """
+        periods = {each.period for each in pids}
+        if len(periods) != 1:
+            raise PlantError(f"pid: {len(pids)} given, every {sorted(periods)} s; give PIDs of one period")
+        law = pid_law([FilteredPid.of(each) for each in pids], periods.pop())
+        return cls(**{each.name: getattr(law, each.name) for each in fields(law)}, pids=pids)
+
+    def at_period(self, period: float) -> PidLoops:
+        """The same PIDs at another sample time, s."""
+        return (
+            self
+            if period == self.period
+            else PidLoops.of(*(replace(each, period=period) for each in self.pids))
+        )
+
+
+def pids_of(law: Law | None) -> tuple[PidGains, ...]:
+    """The PIDs of which a law consists; of another law, or none, no PIDs."""
+    if isinstance(law, PidGains):
+        return (law,)
+    return law.pids if isinstance(law, PidLoops) else ()
 
 
 def _matrices(pid: FilteredPid, period: float) -> tuple[np.ndarray, ...]:
