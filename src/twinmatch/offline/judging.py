@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from twinmatch import __version__
 from twinmatch.comparing import Candidate, Verdict
-from twinmatch.dynamics import Plant, Sensor, begin, simulate_closed_loop
+from twinmatch.dynamics import SKIPPED, Plant, Sensor, begin, commands_of, simulate_closed_loop
 from twinmatch.dynamics.store import cache_folder
 from twinmatch.errors import TwinmatchError
 from twinmatch.offline.processes import held_interrupts
@@ -20,7 +20,7 @@ from twinmatch.parameters.candidates import parse_candidates, read_candidates
 from twinmatch.parameters.twin import at_period, read_settings, recorded_values, settings_from
 from twinmatch.sessions import Session, samples_of
 from twinmatch.sessions.metadata import CANDIDATES, parameters_of
-from twinmatch.signals import Sample, Window, stretches
+from twinmatch.signals import Sample, Window, rms, stretches
 from twinmatch.twin import MatchReport, Outcome, Twin, TwinSettings
 
 SAMPLE = "plant/sample"
@@ -52,7 +52,26 @@ def terms_from_files(session: Session, config: Path | None = None, candidates: P
     source = f"the file {config.name}" if config else "the defaults of this version"
     held = read_settings(config, session.plant, driven=not session.has_reference)
     settings = at_period(held, session.period, config)
+    if config is None and not settings.plant.single and not _gives(settings, session):
+        settings = at_period(read_settings(None, session.plant, driven=True), session.period, None)
+        source += ", driven by the recorded inputs, which are not those of the loop in the plant file"
     return Terms(settings, tuple(read_candidates(candidates)) if candidates else (), source=source)
+
+
+def _gives(settings: TwinSettings, session: Session) -> bool:
+    """Whether their law gives the recorded inputs of the first minutes, within the noise of the drives."""
+    law, (samples, *_) = settings.law, stretches(session.samples, session.period)
+    if law is None or len(samples) <= _BEGINS:
+        return True
+    window = samples.part(samples.first, samples.first + min(len(samples), _SEEN) - 1)
+    state, off = law.state(window.part(window.first, window.first + _BEGINS - 1)), []
+    for k in range(SKIPPED, len(window)):
+        references, outputs, inputs = (each[k] for each in (window.references, window.outputs, window.inputs))
+        commands, _ = commands_of(law.code, state, references[None], outputs[None])
+        off.append(commands[0] - inputs)
+        state = law.follow(state, references, outputs, inputs)
+    noise = [drive.noise for drive in settings.plant.drives.values()]
+    return bool((rms(np.array(off).T) <= noise).all())
 
 
 def recorded_terms(session: Session, config: Path | None = None, candidates: Path | None = None) -> Terms:
@@ -94,6 +113,10 @@ def _given(session: Session, path: str) -> tuple[Candidate, ...]:
     return tuple(parse_candidates(text, f"session {session.name}: candidates"))
 
 
+_BEGINS: Final = 60
+"""Samples from which the state of a law is found …"""
+_SEEN: Final = 900
+"""… and on which its commands are compared with the recorded ones."""
 Watch = Callable[[int, int], None]
 """Called with (samples done, total) every `EVERY` samples."""
 
