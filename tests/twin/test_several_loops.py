@@ -1,0 +1,118 @@
+"""The engine on plants with several loops: on a simulated pair of heaters, and on a real kit."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from tests.support.exchanging import Heaters
+from tests.support.laws import kit_session
+from twinmatch.comparing import Verdict
+from twinmatch.comparing.matrix_gap import matrix_nu_gap
+from twinmatch.comparing.plant_gap import LoopConditions, plant_gaps, spans_of
+from twinmatch.comparing.state_space import StateSpace
+from twinmatch.dynamics import PidGains, PidLoops, begin, linearised, simulate_closed_loop
+from twinmatch.offline.judging import terms_from_files
+from twinmatch.plants import TCLabBoth
+from twinmatch.signals import Sample, Window
+from twinmatch.twin import Twin, TwinSettings
+
+TRUTH = Heaters.model().parameters()
+LAW = PidLoops.of(*(PidGains(8.0, 0.06, 0.0, 0.05, low=0.0, high=100.0) for _ in range(2)))
+LEVELS = [(40.0, 40.0), (50.0, 40.0), (50.0, 55.0), (40.0, 45.0)]
+
+
+def looped(hold: int = 300) -> list[Sample]:
+    references = np.repeat(np.array(LEVELS), hold, axis=0)
+    run = simulate_closed_loop(TRUTH, references, states=begin(TRUTH, [25.0, 25.0]), law=LAW)
+    y = run.outputs + 0.1 * np.random.default_rng(7).standard_normal(references.shape)
+    return Window(references, y, run.inputs).samples(0)
+
+
+def verdicts_of(settings: TwinSettings, samples: Sequence[Sample]) -> list[Verdict]:
+    twin = Twin(settings)
+    return [verdict for sample in samples for verdict in twin.push(sample).verdicts]
+
+
+@pytest.fixture(scope="module")
+def in_loop() -> list[Verdict]:
+    return verdicts_of(TwinSettings.of(Heaters, law=LAW), looped())
+
+
+def test_a_family_of_several_loops_is_compared_by_gaps_of_matrices(in_loop: list[Verdict]) -> None:
+    last = [verdict for verdict in in_loop if not verdict.stands][-1]
+    points = {candidate.operating_point for candidate in last.candidates}
+    assert points <= {*LEVELS}
+    assert len(points) >= 2
+    assert last.order is None
+    assert all(not candidate.orders for candidate in last.candidates)
+    assert "orders and code lengths are for plants with one loop" in last.certainty
+    assert np.array(last.nu_gap_points).reshape(-1, 2).min() == 40.0
+    chosen = last.chosen
+    assert chosen is not None
+    assert chosen.margin is not None
+    assert 0.05 < chosen.margin <= 1.0
+    assert math.isnan(chosen.nominal_probability)
+    assert chosen.name in {f"{a:g} °C, {b:g} °C" for a, b in LEVELS}
+    for name, value in TRUTH.items():
+        assert chosen.parameters[name] == pytest.approx(value, rel=0.1)
+
+
+def test_the_gap_of_two_twins_is_that_of_their_plants(in_loop: list[Verdict]) -> None:
+    other = TRUTH.replace(exchange=0.03)
+    loop = LoopConditions(None, spans_of(Heaters), 240, 1.0)
+    found = plant_gaps((TRUTH, other), [(40.0, 40.0)], loop)
+    systems = [StateSpace.of(linearised(each, [40.0, 40.0], 1.0)) for each in (TRUTH, other)]
+    scaled = [system.scaled(loop.scales.output, loop.scales.input) for system in systems]
+    assert found.matrix[0, 1] == pytest.approx(matrix_nu_gap(*scaled), rel=1e-8)
+    assert found.matrix[0, 1] > 0.01
+    assert in_loop[-1].nu_gap[0][0] == 0.0
+
+
+def test_trust_is_said_of_each_signal(in_loop: list[Verdict]) -> None:
+    last = in_loop[-1]
+    assert [each.signal for each in last.signals] == ["first", "second", "first_power", "second_power"]
+    assert last.trusted
+    outputs = last.signals[:2]
+    assert {*last.trusted} <= set.intersection(*({*each.trusted} for each in outputs))
+    assert last.miss_y == max(each.miss for each in outputs)
+    assert last.inside_y == min(each.inside for each in outputs)
+    least = np.min([each.coverage for each in last.signals], axis=0)
+    assert last.leading is not None
+    np.testing.assert_allclose(last.leading.coverage, least, atol=0.2)
+
+
+def test_an_impossible_reading_is_a_fault_of_its_channel() -> None:
+    samples, right = looped(100), looped(100)
+    for k in range(200, 240):
+        y, u = samples[k].outputs, samples[k].inputs
+        samples[k] = Sample(k, samples[k].stamp, samples[k].references, (y[0], math.nan), u)
+    twin = Twin(TwinSettings.of(Heaters, law=None))
+    outcomes = [twin.push(sample) for sample in samples]
+    told = [v for outcome in outcomes for v in outcome.verdicts if v.fault]
+    assert {(v.fault, v.fault_signal) for v in told} == {("sensor-implausible", "second")}
+    assert told[0].sample <= 205
+    estimates = [one for outcome in outcomes[:240] for one in outcome.estimates]
+    assert {one.signal for one in estimates} == {"second"}
+    assert max(abs(one.value - right[one.sample].outputs[1]) for one in estimates) < 3.0
+    (alarm,) = twin.discriminator.monitor.alarms
+    assert alarm.last is not None
+    assert alarm.last <= 241
+
+
+def test_a_real_kit_is_trusted_in_a_loop_of_another_law(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Two set-points, stepped by ± 5 °C. Twenty minutes are put aside; the plant file's PIDs are not its law."""
+    session = kit_session("closed_loop_lqg", tmp_path_factory.mktemp("kit"))
+    terms = terms_from_files(session)
+    assert terms.settings.plant is TCLabBoth
+    assert terms.settings.law is None
+    assert "not those of the loop in the plant file" in terms.source
+    verdicts = verdicts_of(terms.settings, session.samples[:2400])
+    assert not any(verdict.fault for verdict in verdicts)
+    later = [verdict.level.value for verdict in verdicts if verdict.sample >= 1200]
+    assert later.count("trusted") >= 0.8 * len(later)
+    inside = np.array([each.inside for each in verdicts[-1].signals])
+    assert inside.shape == (2,)
