@@ -66,6 +66,11 @@ class Description:
         return tuple(tuple(kind[min(k, len(kind) - 1)] for kind in kinds) for k in range(size))  # type: ignore[misc]
 
     @property
+    def shape(self) -> tuple[int, int, int]:
+        """Numbers of references, outputs and inputs."""
+        return len(self.references), len(self.outputs), len(self.inputs)
+
+    @property
     def reference(self) -> Quantity:
         """The reference of a single loop."""
         return one_of_each("reference", self.references)

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from tests.showing.test_terminal import last_screen, shown
 from twinmatch.cli import main
 from twinmatch.comparing import TrustLevel
+from twinmatch.description import Quantity
 from twinmatch.health import EstimatedReading
 from twinmatch.offline.judging import Judgement
 from twinmatch.sessions import read_session, write_session
@@ -22,6 +23,7 @@ from twinmatch.showing.summary import document, sentence
 from twinmatch.showing.verdicts import estimate_words, missed, trust_by_signal
 
 T1, T2 = "temperature T1", "temperature T2"
+QUANTITY = Quantity("second", T2, "°C")
 
 
 def test_the_summary_names_every_output(two: Judgement) -> None:
@@ -69,8 +71,8 @@ def test_lines_name_the_signal_of_a_fault(two: Judgement) -> None:
 def test_an_estimate_says_for_how_long_yet_it_is_good(sample: int, words: str) -> None:
     estimate = EstimatedReading(sample, "second", 41.27, 0.94, 46.3, since=500, wide=1.2, good=600.0)
     said = f"the twin reads through {T2}: 41.3 ± 0.9 °C instead of 46.3, to ± 1.2 {words}"
-    assert estimate_words(estimate, T2, "°C", 1.0) == said
-    assert estimate_words(replace(estimate, good=4200.0, sample=500), T2, "°C", 1.0).endswith("an hour")
+    assert estimate_words(estimate, QUANTITY, 1.0) == said
+    assert estimate_words(replace(estimate, good=4200.0, sample=500), QUANTITY, 1.0).endswith("an hour")
 
 
 def test_four_signals_are_side_by_side_and_more_below() -> None:

@@ -18,6 +18,7 @@ from twinmatch.comparing import (
     Verdict,
     number_list,
 )
+from twinmatch.description import Quantity
 from twinmatch.fitting import Status
 from twinmatch.health import EstimatedReading
 from twinmatch.health.channels import HOUR
@@ -105,7 +106,7 @@ def fault_words(verdict: Verdict, period: float) -> str:
     return named if since is None else f"{named} since {number(since * period, 0)} s"
 
 
-def estimate_words(estimate: EstimatedReading, called: str, unit: str, period: float) -> str:
+def estimate_words(estimate: EstimatedReading, of: Quantity, period: float) -> str:
     """What a sensor that is not believed should read, and for how long yet that is known well enough.
 
     `period` is the sample time, s.
@@ -116,7 +117,7 @@ def estimate_words(estimate: EstimatedReading, called: str, unit: str, period: f
     value, band, wide, reading = (
         number(figure, 1) for figure in (estimate.value, estimate.band, estimate.wide, estimate.reading)
     )
-    said = f"the twin reads through {called}: {value} ± {band} {unit}".rstrip()
+    said = f"the twin reads through {of.text or of.name}: {value} ± {band} {of.unit}".rstrip()
     return f"{said} instead of {reading}, to ± {wide} {good}"
 
 

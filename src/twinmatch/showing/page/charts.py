@@ -164,12 +164,7 @@ class LoopCharts:
         self.figures = [self.output, self.control, self.residual, self.control_residual]
 
     def _of(self, column: str) -> str:
-        """The column of this loop; of fewer signals than loops, the last."""
-        return next(nth(column, k) for k in range(self._k, -1, -1) if nth(column, k) in self._held)
-
-    @property
-    def _held(self) -> set[str]:
-        return {*self._plant.data, *self._twin.data}
+        return nth(column, self._k)
 
     def _figure(self, name: str, height: int, label: str) -> Any:
         return _figure(nth(name, self._k), height, label, self._time)

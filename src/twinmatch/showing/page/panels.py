@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from html import escape
 from itertools import islice
 
-from twinmatch.comparing import CandidateScore, TrustLevel, Verdict
+from twinmatch.comparing import TrustLevel, Verdict
 from twinmatch.description import nth
 from twinmatch.offline.summary import trust_range
 from twinmatch.safety import is_limit
@@ -15,7 +15,7 @@ from twinmatch.showing.family import FIGURES, computed, criterion_rows, for_both
 from twinmatch.showing.page.health import NodeReports
 from twinmatch.showing.page.state import DashboardState, WhatIfAnswer, drive_fault
 from twinmatch.showing.page.style import DARK, MARK_INKS, MARK_SIGNS, SIGNS
-from twinmatch.showing.quantities import ParameterFormat, number, parameter_format, with_unit
+from twinmatch.showing.quantities import number, parameter_format, with_unit
 from twinmatch.showing.style import LEVELS
 from twinmatch.showing.verdicts import (
     Event,
@@ -132,21 +132,15 @@ def _health(state: DashboardState) -> str:
     verdict = state.verdict
     if verdict is None:
         return _answer("plant health", "not known yet", "no verdict yet")
+    of = {output.name: output for output in state.described.outputs}
+    estimates = (estimate_words(one, of[one.signal], state.period) for one in state.read_through)
+    through = "".join(f"<br>{escape(words)}" for words in estimates)
     if not verdict.fault:
-        return _answer("plant health", "✓ no fault found", "drive and sensor behave as expected")
+        return _answer("plant health", "✓ no fault found", f"drive and sensor behave as expected{through}")
     name, _, since = fault_words(verdict, state.period).partition(" since ")
     at = f"since {since}: " if since else ""
     name = f"{SIGNS[TrustLevel.FAULT]} {name.replace('-', ' ')}"
-    through = "".join(f"<br>{escape(words)}" for words in estimates(state))
     return _answer("plant health", name, escape(f"{at}{verdict.reason}") + through)
-
-
-def estimates(state: DashboardState) -> list[str]:
-    """What sensors that are not believed should read now, in words."""
-    of = {y.name: (y.text or y.name, y.unit) for y in state.described.outputs}
-    return [
-        estimate_words(one, *of.get(one.signal, (one.signal, "")), state.period) for one in state.read_through
-    ]
 
 
 def reasons(verdict: Verdict | None, period: float, sentence: str = "") -> str:
@@ -239,36 +233,28 @@ def family_table(verdict: Verdict | None, *, every: bool) -> str:
     columns = [*(for_both(verdict.candidates[0], criteria) if orders else ()), *FIGURES]
     head = [("candidate", "", ""), *orders, *((c.name, c.unit, c.meaning) for c in columns)]
     head += [(q.symbol, q.unit, q.words) for q in matched]
-    lines = [] if orders else [_unmodelled(candidate, verdict, matched) for candidate in verdict.family]
-    for candidate in verdict.modelled:
+    lines = []
+    for candidate in verdict.family:
         nominal = candidate.name == verdict.nominal
         tag = '<span class="tag">nominal</span>' if nominal else ""
         rest = [column.text(candidate) for column in FIGURES]
         rest += [q.text(candidate.parameters.get(q.name, math.nan)) for q in matched]
         both, _ = outputs_of(candidate.orders)[-1]  # in open loop the output alone
-        for line in criterion_rows(candidate, criteria):
-            if line.output != both or not (every or line.chosen):
+        shown = [line for line in criterion_rows(candidate, criteria) if line.output == both]
+        for line in shown or (None,):
+            chosen = line is None or line.chosen
+            if not (every or chosen):
                 continue
-            cells = [f"<td>{escape(candidate.name)}{tag}</td>" if line.chosen else "<td></td>"]
-            cells.append(f'<td class="left">{escape(line.order)}{" ✓" if line.chosen else ""}</td>')
-            cells += [
-                f'<td class="best">{c.text}</td>' if c.best else f"<td>{c.text}</td>" for c in line.cells
-            ]
-            cells += [f"<td>{escape(value) if line.chosen else ''}</td>" for value in rest]
-            kind = "nominal-row" if nominal and line.chosen else "" if line.chosen else "faded"
+            cells = [f"<td>{escape(candidate.name)}{tag}</td>" if chosen else "<td></td>"]
+            if line is not None:
+                cells.append(f'<td class="left">{escape(line.order)}{" ✓" if chosen else ""}</td>')
+                cells += [
+                    f'<td class="best">{c.text}</td>' if c.best else f"<td>{c.text}</td>" for c in line.cells
+                ]
+            cells += [f"<td>{escape(value) if chosen else ''}</td>" for value in rest]
+            kind = "nominal-row" if nominal and chosen else "" if chosen else "faded"
             lines.append(f'<tr class="{kind}">{"".join(cells)}</tr>')
     return _table(head, lines)
-
-
-def _unmodelled(candidate: CandidateScore, verdict: Verdict, matched: Sequence[ParameterFormat]) -> str:
-    """The row of a candidate without Box–Jenkins models: of a plant with several loops."""
-    nominal = candidate.name == verdict.nominal
-    tag = '<span class="tag">nominal</span>' if nominal else ""
-    cells = [column.text(candidate) for column in FIGURES]
-    cells += [q.text(candidate.parameters.get(q.name, math.nan)) for q in matched]
-    rest = "".join(f"<td>{escape(cell)}</td>" for cell in cells)
-    kind = "nominal-row" if nominal else ""
-    return f'<tr class="{kind}"><td>{escape(candidate.name)}{tag}</td>{rest}</tr>'
 
 
 def events_table(events: Iterable[Event], session: int, period: float) -> str:

@@ -71,14 +71,8 @@ class DriveReport(NamedTuple):
     """When it was made, ns by the clock of the samples' stamps; None: not known."""
 
 
-_OF_INPUTS: Final = frozenset({"closed_input", "closed_residual_u", "closed_rms_u"})
 LATE: Final = 5
 """Samples after which an estimate is not shown any longer."""
-
-
-def _several(named: Iterable[tuple[str, int]]) -> list[str]:
-    """Names of columns for so many signals of each kind."""
-    return [nth(name, k) for name, size in named for k in range(size)]
 
 
 def drive_fault(fault: str) -> tuple[str, str]:
@@ -252,12 +246,13 @@ class DashboardState:
         with self.lock:
             self.described = described
             """Names and units of the plant and its signals."""
-            sizes = [len(of) for of in (described.references, described.outputs, described.inputs)]
-            if getattr(self, "sizes", None) != sizes:
-                self.sizes, (_, y, u) = sizes, sizes
-                self.plant = RollingTable(_several(zip(LOOP, sizes, strict=True)), self._capacity)
-                of = ((name, u if name in _OF_INPUTS else y) for name in TwinRow._fields)
-                self.twin = RollingTable(_several(of), self._capacity)
+            loops = len(described.loops)
+            if getattr(self, "_loops", 0) != loops:
+                self._loops, capacity = loops, self._capacity
+                self.plant, self.twin = (
+                    RollingTable([nth(name, k) for name in names for k in range(loops)], capacity)
+                    for names in (LOOP, TwinRow._fields)
+                )
 
     @property
     def read_through(self) -> list[EstimatedReading]:
@@ -268,7 +263,7 @@ class DashboardState:
     def push_sample(self, sample: Sample, now: float) -> None:
         """Take a sample received at `now` (s), once the plant it is of has been described."""
         with self.lock:
-            if list(sample.shape[:3]) != self.sizes:
+            if sample.shape[:3] != self.described.shape:
                 return
             previous = self._previous
             self.nodes.begin(now)
@@ -277,20 +272,21 @@ class DashboardState:
             elif previous is not None:
                 self._note_interval(sample, previous)
             first = self.sample is None
-            self.plant.push(sample.index, (*sample.references, *sample.outputs, *sample.inputs))
+            self.plant.push(sample.index, self._spread((sample.references, sample.outputs, sample.inputs)))
             self._previous, self.received_at = sample, now
             if first:
                 self._date(sample)
 
     def push_twin(self, index: int, row: TwinRow) -> None:
         """Take the twins' state at a sample."""
-        values = [value for field in row for value in point_values(field)]
         with self.lock:
-            if len(values) + 1 != len(self.twin.columns):
-                return
             if self.twin.last is not None and index <= self.twin.last:
                 self.twin.clear()
-            self.twin.push(index, values)
+            self.twin.push(index, self._spread(map(point_values, row)))
+
+    def _spread(self, kinds: Iterable[Sequence[float]]) -> list[float]:
+        """Values of each kind, of fewer than loops the last again."""
+        return [of[min(k, len(of) - 1)] for of in kinds for k in range(self._loops)]
 
     def push_estimate(self, estimate: EstimatedReading) -> None:
         """Take what a sensor should read."""
@@ -399,7 +395,8 @@ def update_sentence(state: DashboardState, settings: TwinSettings) -> None:
     with state.lock:
         verdict, period, tally, taught = state.verdict, state.period, copy(state.tally), list(state.taught)
         columns, _ = state.plant.since(0)
-        names = [_several([(name, size)]) for name, size in zip(LOOP, state.sizes, strict=True)]
+        kinds = zip(LOOP, state.described.shape, strict=True)
+    names = ([nth(name, k) for k in range(size)] for name, size in kinds)
     signals = (zip(*(columns[name].tolist() for name in of), strict=True) for of in names)
     rows = zip(columns["index"].tolist(), *signals, strict=True)
     samples = [Sample(int(k), int(k), *of) for k, *of in rows if not math.isnan(of[0][0])]  # NaN: a gap
