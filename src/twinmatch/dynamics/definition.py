@@ -78,7 +78,7 @@ class PlantType(type):
 
     def called(cls, name: str) -> str:
         """One of several quantities as it is shown: as its text says."""
-        return cls.declarations[name].text or name
+        return (cls.declarations[name].text or name).replace("_", " ")
 
     def _only(cls, what: str, declared: Mapping[str, _Declared]) -> _Declared:
         if len(declared) != 1:

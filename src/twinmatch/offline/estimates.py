@@ -8,7 +8,7 @@ from typing import Any
 
 from twinmatch.dynamics import Plant
 from twinmatch.health import EstimatedReading
-from twinmatch.health.channels import HOUR
+from twinmatch.health.faults import HOUR
 from twinmatch.record import finite
 
 

@@ -21,7 +21,7 @@ from twinmatch.comparing import (
 from twinmatch.description import Quantity
 from twinmatch.fitting import Status
 from twinmatch.health import EstimatedReading
-from twinmatch.health.channels import HOUR
+from twinmatch.health.faults import HOUR
 from twinmatch.offline.summary import nominal_score
 from twinmatch.showing.family import GAIN, GAP_NOW, GAP_SUM, chosen_score
 from twinmatch.showing.quantities import number, percent, signal_names

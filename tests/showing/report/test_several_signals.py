@@ -7,9 +7,16 @@ import re
 import pytest
 
 from tests.showing.report.conftest import Element, grid, parse, tables_of
-from twinmatch.offline.judging import Judgement
+from tests.support.exchanging import Heaters
+from tests.twin.test_several_signals import LAW, closed
+from twinmatch.offline.judging import Judgement, judge_samples
+from twinmatch.sessions import samples_of
+from twinmatch.showing.figures.session import draw_health, draw_session
 from twinmatch.showing.quantities import number, percent
 from twinmatch.showing.report.report import SessionReport
+from twinmatch.showing.report.words import plain_words, session_facts
+from twinmatch.showing.verdicts import trust_by_signal
+from twinmatch.twin import TwinSettings
 
 T1, T2 = "temperature T1", "temperature T2"
 
@@ -86,3 +93,28 @@ def test_a_sensor_that_is_read_through_is_said_and_drawn(document: Element, two:
     assert f"fault: sensor-drift of {T2}" in document.text
     off = [value - (reading - 5.0) for value, reading in zip(course.values, course.readings, strict=True)]
     assert max(map(abs, off)) < 2.5  # the sensor that lies is 5 °C off
+
+
+def test_in_a_known_loop_its_commands_are_shown_likewise() -> None:
+    judged = judge_samples(
+        "loops", samples_of(closed().part(0, 260)), TwinSettings.of(Heaters, period=2.0, law=LAW)
+    )
+    four = ["first", "second", "first power", "second power"]
+    assert [row["signal"] for row in trust_by_signal(judged.verdicts[-1])] == four
+    health = draw_health(judged.samples, judged.matches, judged.verdicts, judged.settings)
+    assert [axes.get_ylabel().split("\n")[0] for axes in health.axes[1:-1]] == four
+    session = draw_session(judged.samples, judged.verdicts, judged.settings)
+    labels = [axes.get_ylabel() for axes in session.axes]
+    off = ["plant − twin / °C", "plant − twin / %"]
+    assert labels == ["first / °C", "first power / %", *off, "second / °C", "second power / %", *off]
+    facts, fits = dict(session_facts(judged)), judged.summary.fits
+    assert fits is not None
+    for name, share in zip(four, (*fits.outputs, *fits.inputs), strict=True):
+        (said,) = (
+            fact for of, fact in facts.items() if of.startswith("closed-loop") and of.endswith(f", {name}")
+        )
+        assert said.startswith(f"fit {percent(share)} %")
+    assert {"set-point of first", "set-point of second"} <= set(facts)
+    words = " ".join(plain_words(judged))
+    assert "was controlled to set-points from" in words
+    assert "its first and second and the control (first_power and second_power) were recorded" in words

@@ -11,6 +11,7 @@ import numpy as np
 
 from twinmatch.comparing import CandidateScore, TrustLevel, Verdict
 from twinmatch.dynamics import Plant, channels
+from twinmatch.offline.estimates import EstimatedCourse
 from twinmatch.offline.summary import ShownTwin, Tally, nominal_score, shown_twin
 from twinmatch.showing.figures.drawing import (
     cells_for,
@@ -29,7 +30,7 @@ from twinmatch.showing.figures.drawing import (
 from twinmatch.showing.figures.family import draw_gains, fill_matrix
 from twinmatch.showing.quantities import outputs_unit, signal_names
 from twinmatch.showing.series import Comparison, compare, rolling_rms
-from twinmatch.showing.style import CLOSED, DRIVEN, LEVELS, PLANT, SET_POINT, TEXT
+from twinmatch.showing.style import CLOSED, DRIVEN, LEVELS, MODEL, PLANT, SET_POINT, TEXT
 from twinmatch.showing.verdicts import admitted, last_verdict
 from twinmatch.signals import FloatArray, Sample, Window, point_text, stretches
 from twinmatch.twin import MatchReport, TwinSettings, filled_stretches
@@ -190,7 +191,7 @@ def _draw_misses(axes: Axes, misses: Mapping[int, float], period: float, limit: 
         empty(axes, "no residual: there is no candidate")
         return
     axes.plot(list(known), list(known.values()), color=PLANT, marker=".", ms=4, lw=1)
-    top = 1.15 * max(known.values())
+    top = 1.15 * max(known.values()) or 1.0  # a command at its limit is missed by nothing
     if limit <= _DRAWN * top:
         axes.axhline(limit, color=LEVELS[TrustLevel.DOUBTFUL], lw=1.2, ls="--")
         place: dict[str, Any] = {"xycoords": axes.get_yaxis_transform(), "textcoords": "offset points"}
@@ -215,6 +216,29 @@ def _draw_matches(
     axes.set_ylim(-0.6, 2.0)
     axes.set_yticks([0, 1], ["refused", "admitted"])
     axes.set_ylabel(f"matches\n({unit})" if unit else "matches")
+
+
+@styled
+def draw_estimates(courses: Sequence[EstimatedCourse], period: float, samples: int) -> Figure:
+    """What each sensor read that was not believed, and what it should have, below one another."""
+    figure = new_figure(10, 2.4 * len(courses))
+    all_axes = figure.subplots(len(courses), squeeze=False)[:, 0]
+    for axes, one in zip(all_axes, courses, strict=True):
+        draw_estimate(axes, one, period, samples)
+    all_axes[-1].set_xlabel("time since the session began / s")
+    return figure
+
+
+def draw_estimate(axes: Axes, one: EstimatedCourse, period: float, samples: int) -> None:
+    """What a sensor read, and what it should have."""
+    time = np.arange(one.first, one.last + 1) * period
+    values, bands = np.array(one.values), np.array(one.bands)
+    axes.plot(time, one.readings, color=SET_POINT, label="read")
+    axes.plot(time, values, color=MODEL, label="should have been read, 90 %")
+    axes.fill_between(time, values - bands, values + bands, color=MODEL, alpha=0.2, lw=0)
+    axes.set_xlim(0.0, samples * period)
+    axes.set_ylabel(f"{one.text} / {one.unit}")
+    legend_above(axes, 2)
 
 
 @styled

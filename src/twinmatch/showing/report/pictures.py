@@ -19,7 +19,6 @@ from twinmatch.offline.judging import Judgement
 from twinmatch.offline.processes import Beside
 from twinmatch.offline.summary import shown_twin
 from twinmatch.showing.family import Member, chosen_score
-from twinmatch.showing.figures.channels import draw_estimates
 from twinmatch.showing.figures.drawing import save, svg
 from twinmatch.showing.figures.family import (
     draw_criteria,
@@ -29,7 +28,7 @@ from twinmatch.showing.figures.family import (
     draw_uncertainty,
 )
 from twinmatch.showing.figures.forecasts import draw_backtest, draw_forecasts
-from twinmatch.showing.figures.session import draw_health, draw_session
+from twinmatch.showing.figures.session import draw_estimates, draw_health, draw_session
 from twinmatch.showing.forecasts import asked, backtest_words
 from twinmatch.showing.quantities import shown_inputs, shown_outputs, signal_names
 from twinmatch.showing.series import Fan, fan
