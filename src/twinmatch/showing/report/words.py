@@ -201,15 +201,10 @@ def _trust(judgement: Judgement) -> str:
 
 
 def _health(judgement: Judgement) -> str:
-    stretches = judgement.summary.stretches
-    faults, doubts = (
-        ", ".join(
-            f"t = {stretch.times(judgement.settings.period)}"
-            for stretch in stretches
-            if stretch.level is level
-        )
-        for level in (TrustLevel.FAULT, TrustLevel.DOUBTFUL)
-    )
+    period, stretches = judgement.settings.period, judgement.summary.stretches
+    faulty = [s for s in stretches if s.fault or s.level is TrustLevel.FAULT]
+    doubtful = [s for s in stretches if s.level is TrustLevel.DOUBTFUL]
+    faults, doubts = (", ".join(f"t = {s.times(period)}" for s in those) for those in (faulty, doubtful))
     if faults:
         named = sorted({v.named_fault for v in judgement.verdicts} - {""})
         what = f" ({', '.join(named)})" if named else ""
