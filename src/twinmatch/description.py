@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from twinmatch.signals import one_of_each
 
@@ -35,6 +35,11 @@ class Quantity:
         return f"{self.name} / {self.unit}" if self.unit else self.name
 
 
+def _by_text(several: tuple[Quantity, ...]) -> tuple[Quantity, ...]:
+    """Quantities of one kind, called as their texts say where there are more than one."""
+    return several if len(several) == 1 else tuple(replace(q, name=q.text or q.name) for q in several)
+
+
 @dataclass(frozen=True, slots=True)
 class Description:
     """A plant; its references have the units of the outputs."""
@@ -53,6 +58,19 @@ class Description:
     """Names of the plant's structures."""
 
     @property
+    def loops(self) -> tuple[Loop, ...]:
+        """Its set-points, outputs and inputs, in one place what belongs together (of fewer the last); several
+        have their texts as names."""
+        kinds = [_by_text(kind) for kind in (self.references, self.outputs, self.inputs)]
+        size = max(len(self.outputs), len(self.inputs))
+        return tuple(tuple(kind[min(k, len(kind) - 1)] for kind in kinds) for k in range(size))  # type: ignore[misc]
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Numbers of references, outputs and inputs."""
+        return len(self.references), len(self.outputs), len(self.inputs)
+
+    @property
     def reference(self) -> Quantity:
         """The reference of a single loop."""
         return one_of_each("reference", self.references)
@@ -66,6 +84,15 @@ class Description:
     def input(self) -> Quantity:
         """The input of a single loop."""
         return one_of_each("input", self.inputs)
+
+
+Loop = tuple[Quantity, Quantity, Quantity]
+"""Set-point, output and input."""
+
+
+def nth(name: str, k: int) -> str:
+    """Name of a column for the k-th of several signals, counted from 0."""
+    return f"{name}_{k + 1}" if k else name
 
 
 UNDESCRIBED = Description(

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import chain
 from operator import attrgetter
 from typing import Final, TypeVar
@@ -35,6 +35,7 @@ __all__ = [
     "SignalError",
     "Signals",
     "Window",
+    "column_of",
     "counted",
     "finite",
     "incomplete",
@@ -330,6 +331,11 @@ class Window:
             seen=None if self.seen is None else self.seen[span],
         )
 
+    def alone(self, k: int) -> Window:
+        """Its k-th reference, output and input; of fewer the last."""
+        references, outputs, inputs = (column_of(getattr(self, name), k) for name in SIGNALS[:3])
+        return replace(self, references=references, outputs=outputs, inputs=inputs)
+
     def joined(self, newer: Window) -> Window:
         """This window, continued by the later samples of another one.
 
@@ -383,6 +389,11 @@ class Window:
     def share_seen(self) -> float:
         """Share of its samples that were received."""
         return 1.0 if self.seen is None else float(np.mean(self.seen))
+
+
+def column_of(signals: FloatArray, k: int) -> FloatArray:
+    """The k-th of some signals, shape (N, 1); of fewer the last."""
+    return signals[:, [min(k, signals.shape[1] - 1)]]
 
 
 def only(name: str, signal: FloatArray) -> FloatArray:

@@ -13,6 +13,7 @@ import pytest
 pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
 pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup")
 
+from benchmarks.bank.kits import run
 from tests.support.places import SHIPPED
 from tests.support.recorded import Change, write_judged
 from tests.support.steps import quarter_of_an_hour
@@ -22,7 +23,7 @@ from twinmatch.offline.summary import summarise
 from twinmatch.offline.verification import VerifyError, verify_session
 from twinmatch.parameters.candidates import parse_candidates
 from twinmatch.parameters.twin import read_settings, settings_from, twin_values, values_of
-from twinmatch.plants import Peltier
+from twinmatch.plants import Peltier, TCLabBoth
 from twinmatch.sessions import SessionError, write_session
 from twinmatch.sessions.metadata import parameters_of, parameters_record
 from twinmatch.signals import Sample, stretches
@@ -74,6 +75,15 @@ def test_a_recorded_session_is_identical(
     request.getfixturevalue("judged")
     assert main(["verify", str(folder)]) == 0
     assert "identical, bit for bit" in capsys.readouterr().out
+
+
+def test_a_session_of_a_plant_with_two_loops_is_identical(tmp_path: Path) -> None:
+    steps, twin = list(run(21, "nothing", 450)), Twin(TwinSettings.of(TCLabBoth, law=None))
+    values = twin_values("twin", {"plant": TCLabBoth.name, "loop": "unknown"})
+    folder = write_judged(tmp_path / "run", steps, [twin.push(sample) for sample in steps], values)
+    found = verify_session(folder)
+    assert found.identical
+    assert (found.verdicts > 5, found.matches, found.notes) == (True, 2, ())
 
 
 def test_a_verdict_may_be_due_at_a_lost_sample(

@@ -104,7 +104,7 @@ def test_an_impossible_reading_is_a_fault_of_its_channel() -> None:
 
 
 def test_a_real_kit_is_trusted_in_a_loop_of_another_law(tmp_path_factory: pytest.TempPathFactory) -> None:
-    """Two set-points, stepped by ± 5 °C. Twenty minutes are put aside; the plant file's PIDs are not its law."""
+    """Two set-points, stepped by ± 5 °C; twenty minutes are put aside. Its law is not the file's."""
     session = kit_session("closed_loop_lqg", tmp_path_factory.mktemp("kit"))
     terms = terms_from_files(session)
     assert terms.settings.plant is TCLabBoth

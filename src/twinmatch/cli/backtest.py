@@ -75,12 +75,8 @@ def run(options: argparse.Namespace) -> int:
         from twinmatch.showing.figures.forecasts import draw_backtest  # noqa: PLC0415
 
         for number, total in enumerate(totals):
-            place = (
-                options.figure
-                if not number
-                else options.figure.with_stem(f"{options.figure.stem}_{total.plant.output.name}")
-            )
-            save(draw_backtest(total), place)
+            ending = f"_{next(iter(total.plant.outputs))}" if number else ""
+            save(draw_backtest(total), options.figure.with_stem(options.figure.stem + ending))
         for number, one in enumerate(health):
             ending = f"_health_{number + 1}" if health[1:] else "_health"
             save(draw_channels(one), options.figure.with_stem(options.figure.stem + ending))

@@ -5,10 +5,10 @@ from __future__ import annotations
 import argparse
 import math
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from twinmatch.cli.shared import (
     TERMS,
@@ -29,7 +29,7 @@ from twinmatch.plants import plant_named
 from twinmatch.sessions import Session
 from twinmatch.showing.family import GAIN, GAP_NOW, GAP_SUM
 from twinmatch.showing.lines import Lines, redraws
-from twinmatch.showing.quantities import number, parameter_format, percent
+from twinmatch.showing.quantities import number, parameter_format, percent, shown_inputs, shown_outputs
 from twinmatch.showing.summary import closing_lines, document
 from twinmatch.signals import Sample, point_text
 from twinmatch.twin import Outcome, Twin
@@ -168,11 +168,14 @@ def _table(archive: Archive) -> Table:
         ("at", lambda row: point_text(row["operating_point"])),
         ("candidate", lambda row: f"{row['name']}{' *' if row['nominal'] else ''}"),
         *((q.label, lambda row, q=q: q.text(row["parameters"].get(q.name, math.nan))) for q in matched),
-        ("order", lambda row: row["chosen_order"]),
-        (GAIN.name, lambda row: GAIN.text(row["criteria"])),
+        *(_OF_MODELS if plant.single else ()),
         *((c.name, lambda row, c=c: c.text(row)) for c in (GAP_SUM, GAP_NOW)),
-        ("fit y", lambda row: _fit(row["fit"]["y"])),
-        ("fit u", lambda row: _fit(row["fit"]["u"])),
+        *(
+            (f"fit {kind if plant.single else signal}", lambda row, kind=kind, k=k: _fit(row["fit"][kind], k))
+            for kind, signals in (("y", shown_outputs(plant)), ("u", shown_inputs(plant)))
+            for k, signal in enumerate(signals)
+            if plant.single or any(_fit(row["fit"][kind], k) != number(None) for row in archive.candidates)
+        ),
     ]
     shown = Table(title="Candidates over all sessions (* nominal)", box=None, pad_edge=False)
     for name, _ in columns:
@@ -186,5 +189,13 @@ def _table(archive: Archive) -> Table:
     return shown
 
 
-def _fit(share: float | None) -> str:
+_OF_MODELS: Final[tuple[tuple[str, Callable[[dict[str, Any]], str]], ...]] = (
+    ("order", lambda row: row["chosen_order"]),
+    (GAIN.name, lambda row: GAIN.text(row["criteria"])),
+)
+"""Columns of Box–Jenkins models."""
+
+
+def _fit(shares: float | Sequence[float | None] | None, k: int) -> str:
+    share = shares[k] if isinstance(shares, Sequence) else shares
     return number(None) if share is None else f"{percent(share)}%"

@@ -22,7 +22,7 @@ from twinmatch.comparing.plant_gap import LoopConditions, PlantGaps, spans_of
 from twinmatch.comparing.scaling import best_scaling
 from twinmatch.comparing.state_space import StateSpace
 from twinmatch.comparing.uncertainty import CONFIDENCE, SEED, FamilyUncertainty, family_uncertainty
-from twinmatch.dynamics import Law, LinearLaw, Parameters, PidGains, linearised
+from twinmatch.dynamics import Law, LinearLaw, Parameters, PidGains, Plant, linearised
 from twinmatch.errors import TwinmatchError
 from twinmatch.signals import OperatingPoint, one_of_each, point_values
 
@@ -337,6 +337,27 @@ class Verdict:
         """The paper's family: the candidates with Box–Jenkins models, which come first, in the order of
         `identified_gap`. The ones after them are other structures of the plant."""
         return tuple(candidate for candidate in self.candidates if candidate.orders)
+
+    @property
+    def family(self) -> tuple[CandidateScore, ...]:
+        """The candidates that displays list: the paper's family; of a plant with several loops, which has no
+        such models, all."""
+        several = any(not candidate.parameters.model.plant.single for candidate in self.candidates)
+        return self.candidates if several else self.modelled
+
+    @property
+    def named_fault(self) -> str:
+        """The name of the fault; on a plant with several loops with what it concerns."""
+        plant, signal = self.plant, self.fault_signal
+        return (
+            f"{self.fault} of {plant.called(signal)}" if signal and plant and not plant.single else self.fault
+        )
+
+    @property
+    def plant(self) -> type[Plant] | None:
+        """The plant that was judged; None while nothing was fitted."""
+        known = [*(f.parameters for f in self.forecasts), *(c.parameters for c in self.candidates)]
+        return known[0].model.plant if known else None
 
 
 def nominal_of(candidates: tuple[CandidateScore, ...]) -> str | None:

@@ -38,7 +38,7 @@ from twinmatch.dynamics.loop import (
 )
 from twinmatch.dynamics.observer import Observer, ObserverBank, RandomWalk
 from twinmatch.dynamics.pids import PidLoops, pids_of
-from twinmatch.dynamics.plant import Model, Parameters, Plant
+from twinmatch.dynamics.plant import Model, Parameters, Plant, channel, channels
 from twinmatch.dynamics.runs import Tangents
 from twinmatch.dynamics.sensor import Sensor, SensorRealisation
 from twinmatch.dynamics.simulation import (
@@ -107,6 +107,8 @@ __all__ = [
     "begin",
     "begin_window",
     "box_step",
+    "channel",
+    "channels",
     "commands_of",
     "controller_state",
     "dead_zone",

@@ -57,6 +57,7 @@ class PlantType(type):
     process; and what is asked of a plant with one input and one output only."""
 
     name: str
+    declarations: Mapping[str, Declaration]
     drives: Mapping[str, Drive]
     outputs: Mapping[str, Output]
 
@@ -74,6 +75,10 @@ class PlantType(type):
     def single(cls) -> bool:
         """Whether it has one input and one output."""
         return len(cls.drives) == len(cls.outputs) == 1
+
+    def called(cls, name: str) -> str:
+        """One of several quantities as it is shown: as its text says."""
+        return (cls.declarations[name].text or name).replace("_", " ")
 
     def _only(cls, what: str, declared: Mapping[str, _Declared]) -> _Declared:
         if len(declared) != 1:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from functools import cached_property
-from typing import Any
+from dataclasses import replace
+from functools import cache, cached_property
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,6 +26,8 @@ from twinmatch.dynamics.definition import PlantDefinition, require_consistent, r
 from twinmatch.dynamics.store import kernels_of
 from twinmatch.signals import FloatArray, finite
 
+_Declared = TypeVar("_Declared", bound=Declaration)
+
 
 class Plant(PlantDefinition):
     """One kind of plant. A subclass declares its quantities, its structures and its `equations`.
@@ -35,6 +38,9 @@ class Plant(PlantDefinition):
     Raises:
         PlantError: the declarations contradict each other.
     """
+
+    channel_of: ClassVar[tuple[type[Plant], int] | None] = None
+    """The plant of several signals of which it is one channel, and which."""
 
     def __init_subclass__(cls, *, name: str | None = None, **rest: Any) -> None:
         super().__init_subclass__(**rest)
@@ -95,6 +101,35 @@ class Plant(PlantDefinition):
 _ALL_CORNERS = 8
 """States up to which all corners of their range are looked at; their number doubles with each."""
 _SOME_CORNERS = 64
+
+
+@cache
+def channels(plant: type[Plant]) -> tuple[type[Plant], ...]:
+    """Its outputs, each with the input in the same place (of fewer the last): what shows a single loop shows
+    each. A plant with one input and one output is its only channel."""
+    if plant.single:
+        return (plant,)
+    found = []
+    for k in range(max(len(plant.outputs), len(plant.drives))):
+        alone: type[Plant] = type(plant.__name__, (plant,), {"title": plant.title}, name=plant.name)
+        alone.channel_of = (plant, k)
+        alone.outputs, alone.drives = _one_of(plant.outputs, k), _one_of(plant.drives, k)
+        found.append(alone)
+    return tuple(found)
+
+
+def channel(plant: type[Plant], k: int) -> type[Plant]:
+    """The k-th of these."""
+    return channels(plant)[k]
+
+
+def _one_of(declared: Mapping[str, _Declared], k: int) -> dict[str, _Declared]:
+    """The k-th of several, called as its text says; of one that."""
+    name, one = list(declared.items())[min(k, len(declared) - 1)]
+    if len(declared) > 1:
+        one = replace(one)
+        one.__set_name__(type, one.text or name)
+    return {name: one}
 
 
 def corners_of(spans: Sequence[tuple[float, float]]) -> FloatArray:

@@ -7,7 +7,7 @@ to the last bit.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Final
 
@@ -19,7 +19,7 @@ from twinmatch.dynamics.laws import NO_LAW, LawCode
 from twinmatch.dynamics.loop import Law, PidGains, state_of
 from twinmatch.dynamics.plant import Parameters, Plant
 from twinmatch.dynamics.sensor import Sensor, SensorRealisation
-from twinmatch.signals import FloatArray, Window, finite, only
+from twinmatch.signals import FloatArray, Window, column_of, finite, only
 
 SKIPPED = 2
 """A closed-loop twin starts at a window's third sample, where the controller's state is known."""
@@ -119,6 +119,10 @@ class Response:
     """States at every sample and one period after the last, shape (N + 1, n)."""
     steps: int
     """Runge–Kutta steps per sample."""
+
+    def alone(self, k: int) -> Response:
+        """Its k-th output and input; of fewer the last."""
+        return replace(self, outputs=column_of(self.outputs, k), inputs=column_of(self.inputs, k))
 
     @property
     def output(self) -> FloatArray:

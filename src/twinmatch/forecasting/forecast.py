@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
 from twinmatch.errors import TwinmatchError
-from twinmatch.signals import FloatArray, one_of_each, only
+from twinmatch.signals import FloatArray, column_of, one_of_each, only
 
 
 class ForecastError(TwinmatchError):
@@ -59,6 +59,11 @@ class Forecast:
     def closed(self) -> bool:
         """Whether it is made for set-points; otherwise for inputs."""
         return bool(np.isfinite(self.references).any())
+
+    def alone(self, k: int) -> Forecast:
+        """Its k-th output and input, with the set-point of that output; of fewer the last."""
+        outputs, inputs = (bands[min(k, len(bands) - 1)] for bands in (self.outputs, self.inputs))
+        return replace(self, references=column_of(self.references, k), outputs=(outputs,), inputs=(inputs,))
 
     @property
     def reference(self) -> FloatArray:

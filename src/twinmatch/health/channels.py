@@ -12,7 +12,16 @@ import numpy as np
 from twinmatch.dynamics import Parameters
 from twinmatch.health.channel_sentences import ChannelSentences
 from twinmatch.health.evidence import Competition, Suspect
-from twinmatch.health.faults import SLOW, Alarm, EstimatedReading, Fault, Health, HealthState, touching
+from twinmatch.health.faults import (
+    HOUR,
+    SLOW,
+    Alarm,
+    EstimatedReading,
+    Fault,
+    Health,
+    HealthState,
+    touching,
+)
 from twinmatch.health.hypotheses import ChangeRow
 from twinmatch.health.reading_through import ReadThrough
 from twinmatch.signals import Sample
@@ -45,8 +54,6 @@ _CONFIRM: Final = 3
 """Samples in a row with a reading that the sensor cannot give."""
 _BY_ITSELF: Final = (Fault.SENSOR_FROZEN, Fault.SENSOR_IMPLAUSIBLE)
 """Faults that a sensor's own readings show."""
-HOUR: Final = 3600.0
-"""How far an estimate is looked ahead, s."""
 _WIDE: Final = 10.0
 """Width of a band up to which an estimate is good, ± so many standard deviations of the sensor's noise."""
 _KEPT: Final = 1000

@@ -111,6 +111,10 @@ class Health:
     """What the fault concerns, as in `Alarm`."""
 
 
+HOUR: Final = 3600.0
+"""How far an estimate is looked ahead, s."""
+
+
 @dataclass(frozen=True)
 class EstimatedReading:
     """What a sensor should read at a sample at which it is not believed."""

@@ -3,55 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, Final
 
 from twinmatch.dynamics import Plant
-from twinmatch.health.channels import HOUR, ChannelAlarm, ChannelMonitor
+from twinmatch.health import EstimatedReading
+from twinmatch.health.channels import ChannelAlarm, ChannelMonitor
+from twinmatch.offline.estimates import EstimatedCourse, courses_of
 from twinmatch.offline.judging import EVERY, Watch
 from twinmatch.record import finite
 from twinmatch.sessions import Session
 
 _WRITTEN: Final = ("signal", "size", "first", "flagged", "last", "reason", "rivals")
 """Fields of an alarm in a document."""
-
-
-@dataclass(eq=False)
-class EstimatedCourse:
-    """What a sensor should have read while it was not believed; values in its unit."""
-
-    signal: str
-    text: str
-    unit: str
-    first: int
-    """First sample."""
-    wide: float
-    """Half width of a band up to which the estimate is good …"""
-    good: float
-    """… and for how long it was to be that, s; at most an hour is looked ahead."""
-    values: list[float] = field(default_factory=list)
-    bands: list[float] = field(default_factory=list)
-    """Half of the width that holds 90 % of what it would have read."""
-    readings: list[float] = field(default_factory=list)
-
-    @property
-    def last(self) -> int:
-        """Last sample."""
-        return self.first + len(self.values) - 1
-
-    def document(self) -> dict[str, Any]:
-        """All of it, for JSON."""
-        own = ("signal", "unit", "first", "wide", "good", "values", "bands")
-        return {name: finite(getattr(self, name)) for name in own}
-
-    def line(self, period: float) -> str:
-        """When it was read through, what it should read in the end, and for how long that was good."""
-        long = "at least an hour" if self.good >= HOUR else f"{self.good / 60.0:.2g} min"
-        return (
-            f"the twin reads through {self.text} from {self.first * period:g} to {self.last * period:g} s: "
-            f"at the end it should read {self.values[-1]:.1f} ± {self.bands[-1]:.1f} {self.unit}, not "
-            f"{self.readings[-1]:.1f}; good to ± {self.wide:.1f} {self.unit} for {long}"
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +79,7 @@ def channel_health(
         return None
     monitor = ChannelMonitor(plant.model(name).typical(), session.period)
     course: dict[str, list[tuple[int, float]]] = {}
-    unjudged, through = 0, dict[tuple[str, int], EstimatedCourse]()
+    unjudged, estimates = 0, list[EstimatedReading]()
     for done, sample in enumerate(session.samples):
         monitor.push(sample)
         unjudged += monitor.competition.blind
@@ -123,17 +87,10 @@ def channel_health(
             if each.evidence > 0.0 and monitor.shows(each):
                 called = monitor.sentences.called(each.cause)
                 course.setdefault(called, []).append((sample.index, each.evidence))
-        for one in monitor.estimates:
-            declared = plant.outputs[one.signal]
-            text = declared.text or one.signal
-            own = EstimatedCourse(one.signal, text, declared.unit, one.since, one.wide, one.good)
-            own = through.setdefault((one.signal, one.since), own)
-            own.values.append(one.value)
-            own.bands.append(one.band)
-            own.readings.append(one.reading)
+        estimates += monitor.estimates
         if watch is not None and done % EVERY == 0:
             watch(done, len(session.samples))
     return ChannelHealth(
         session.name, plant, session.period, len(session.samples), unjudged, tuple(monitor.alarms), course,
-        tuple(through.values()),
+        courses_of(estimates, plant),
     )  # fmt: skip

@@ -14,6 +14,8 @@ from twinmatch.comparing import Candidate, Verdict
 from twinmatch.dynamics import SKIPPED, Plant, Sensor, begin, commands_of, simulate_closed_loop
 from twinmatch.dynamics.store import cache_folder
 from twinmatch.errors import TwinmatchError
+from twinmatch.health import EstimatedReading
+from twinmatch.offline.estimates import EstimatedCourse, courses_of
 from twinmatch.offline.processes import held_interrupts
 from twinmatch.offline.summary import SessionSummary, summarise
 from twinmatch.parameters.candidates import parse_candidates, read_candidates
@@ -138,6 +140,8 @@ class Judgement:
     """The samples as the twin took them, with stand-ins, in the stretches that longer gaps leave."""
     stamps: Mapping[int, int]
     """Stamps of the samples and stand-ins, ns, by index."""
+    estimates: tuple[EstimatedCourse, ...] = ()
+    """What sensors should have read that were not believed."""
 
 
 def judge(
@@ -180,6 +184,7 @@ def judge_samples(
     matches: list[MatchReport] = []
     verdicts: list[Verdict] = []
     settled: list[Sample] = []
+    estimates: list[EstimatedReading] = []
     with held_interrupts() as check_interrupt:
         for done, sample in enumerate(samples):
             outcome = twin.push(sample)
@@ -187,6 +192,7 @@ def judge_samples(
                 matches.append(outcome.match)
             verdicts += outcome.verdicts
             settled += outcome.settled
+            estimates += outcome.estimates
             if beside is not None:
                 beside(twin, sample, outcome)
             if watch is not None and done % EVERY == 0:
@@ -195,7 +201,8 @@ def judge_samples(
         held = stretches([one for one in settled if one.usable], settings.period)
         summary = summarise(held, verdicts, settings.law, notes)
     stamps = {one.index: one.stamp for one in settled}
-    return Judgement(name, samples, settings, tuple(matches), tuple(verdicts), summary, held, stamps)
+    courses = courses_of(estimates, settings.plant)
+    return Judgement(name, samples, settings, tuple(matches), tuple(verdicts), summary, held, stamps, courses)
 
 
 LEVELS = (0.2, 0.6, 0.3)

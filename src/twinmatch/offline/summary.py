@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 from twinmatch.comparing import REFUSED, CandidateScore, TrustLevel, Verdict, number_list
 from twinmatch.dynamics import Law, Parameters
 from twinmatch.signals import Window
-from twinmatch.twin import window_fit
+from twinmatch.twin import Fits, window_fits
 from twinmatch.twin.trust import merged
 
 MAX_RANGES: Final = 3
@@ -32,8 +32,10 @@ class ShownTwin(NamedTuple):
     @property
     def is_match(self) -> bool:
         """Whether it is named after an operating point; others were given, and have names of their own."""
-        point, _, unit = self.name.partition(" ")
-        return unit == self.parameters.model.plant.output.unit and point.lstrip("-")[:1].isdecimal()
+        points = [point.partition(" ") for point in self.name.split(", ")]
+        numbers = all(point.lstrip("-")[:1].isdecimal() for point, _, _ in points)
+        units = [output.unit for output in self.parameters.model.plant.outputs.values()]
+        return numbers and [unit for _, _, unit in points] == units
 
 
 def nominal_score(verdict: Verdict | None) -> CandidateScore | None:
@@ -101,7 +103,8 @@ class SessionSummary:
     parameters: Parameters | None
     """Of the leader; of the nominal candidate in old recordings without leaders."""
     fit_y: float
-    """NRMSE fit of that twin's output over the whole session, 1 at best; NaN without candidates."""
+    """NRMSE fit of that twin's output (of several the worst) over the whole session, 1 at best; NaN without
+    candidates."""
     fit_u: float
     verdicts: int
     identified: int
@@ -131,6 +134,8 @@ class SessionSummary:
     """The trust level over time, oldest first."""
     period: float = 1.0
     """Sample time, s."""
+    fits: Fits | None = None
+    """Fits of each output and input; None without candidates."""
 
 
 MAX_STRETCHES: Final = 400
@@ -177,7 +182,7 @@ class Tally:
         """
         if self._first is None:
             self._first = max(0, min(verdict.first, verdict.sample))
-        sample, since, fault = max(verdict.sample, self._first), verdict.fault_since, verdict.fault
+        sample, since, fault = max(verdict.sample, self._first), verdict.fault_since, verdict.named_fault
         now = LevelStretch(self._first, sample, verdict.level, fault)
         if not self.stretches:
             self.stretches.append(now)
@@ -220,8 +225,7 @@ def conclude(
     number of stretches, and is called only if there is a twin to compare it with."""
     last = tally.last
     nominal, shown = nominal_score(last), shown_twin(last)
-    output = shown.parameters.model.plant.output if shown else None
-    fit = (math.nan, math.nan)
+    fits = None
     remarks = list(notes)
     if shown is not None:
         window, stretches = longest()
@@ -230,7 +234,8 @@ def conclude(
                 f"the fit is over samples {window.first} to {window.last}, "
                 f"the longest of {stretches} unbroken stretches"
             )
-        fit = window_fit(shown.parameters, window, law)
+        fits = window_fits(shown.parameters, window, law)
+    fit = fits.worst if fits else (math.nan, math.nan)
     return SessionSummary(
         nominal=last.nominal if last else None,
         level=last.level if last else TrustLevel.UNKNOWN,
@@ -242,7 +247,7 @@ def conclude(
         matches=dict(tally.matches),
         notes=tuple(remarks),
         order=nominal.chosen_order if nominal else None,
-        range=trust_range(tally.held, output.unit, output.decimals) if output else None,
+        range=_range(shown.parameters, tally.held) if shown else None,
         why=last.level_reason if last else "",
         trusted=last.trusted if last else (),
         doubts=last.doubts if last else "",
@@ -252,4 +257,13 @@ def conclude(
         closed=law is not None,
         stretches=tuple(tally.stretches),
         period=period,
+        fits=fits,
     )
+
+
+def _range(parameters: Parameters, held: Sequence[tuple[float, float]]) -> TrustRange | None:
+    """Where forecasts have held; of several outputs the levels of the first."""
+    plant = parameters.model.plant
+    first, *others = plant.outputs.values()
+    unit = f"{first.unit} of {first.text or first.name}" if others else first.unit
+    return trust_range(held, unit, first.decimals)

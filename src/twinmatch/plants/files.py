@@ -23,7 +23,7 @@ from pathlib import Path
 from types import CodeType, ModuleType
 from typing import Final
 
-from twinmatch.dynamics import Law, Plant, PlantError
+from twinmatch.dynamics import Law, Plant, PlantError, channel
 from twinmatch.dynamics.definition import PlantType
 from twinmatch.dynamics.equations import PATIENCE, TooLongError, at_most, error_words
 
@@ -198,6 +198,8 @@ def _words(error: BaseException) -> str:
 
 def _reduced(plant: type[Plant]) -> str | tuple[object, ...]:
     """Pickle a plant by the path of its file, or, like any class, by its name."""
+    if plant.channel_of is not None:
+        return channel, plant.channel_of
     if plant.__module__.startswith(_MODULES):
         path = next((path for path, known in _BY_FILE.items() if known is plant), None)
         if path is not None:

@@ -49,6 +49,16 @@ class Member:
             return identify(self.response, scale=self.settings.model_scale, lead=self.settings.schedule.lead)
 
     @property
+    def fitted(self) -> bool:
+        """Whether it was fitted to samples, and not given."""
+        return self.match is not None or self.score.parameters.model.structure_name == self.score.name
+
+    @property
+    def modelled(self) -> bool:
+        """Whether it has Box–Jenkins models: candidates of plants with several loops have none."""
+        return bool(self.score.orders)
+
+    @property
     def measured(self) -> Window:
         """The measured samples on which the models were scored."""
         return self.window.part(self.response.first, self.response.last)
@@ -86,7 +96,7 @@ def family(
     members = []
     # A candidate from a file has an empty window and no match.
     accepted = {m.match.samples: m.match for m in reversed(matches) if m.match.accepted}
-    for score in verdict.modelled:
+    for score in verdict.family:
         window = _window_of(score, matches, samples, settings.period)
         if window is not None:
             match = accepted.get((score.first, score.last))

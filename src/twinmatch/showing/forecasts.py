@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from twinmatch.comparing import Verdict, number_list
+from twinmatch.comparing import number_list
 from twinmatch.dynamics import Plant
 from twinmatch.forecasting import (
     NEAR,
@@ -239,12 +239,16 @@ def backtest_words(backtest: Backtest) -> list[str]:
             f"{100 * own.coverage_output:.0f} % of the readings ({100 * backtest.confidence:.0f} % expected)"
         )
         sentences.append(f"{text}.")
-    return [*sentences, *_trust(backtest.last)]
+    return [*sentences, *_trust(backtest)]
 
 
-def _trust(last: Verdict | None) -> Iterator[str]:
-    """What the last verdict says of the leader's forecasts, horizon by horizon."""
+def _trust(backtest: Backtest) -> Iterator[str]:
+    """What the last verdict says of the leader's forecasts, of several outputs of this one, by horizon."""
+    last, (name, *_) = backtest.last, backtest.plant.outputs
     if last is not None and last.leader is not None:
-        ahead = f"{number_list(last.trusted)} s ahead" if last.trusted else "at no horizon"
-        why = f": {last.doubts}" if last.doubts else ""
-        yield f"At the end they pass the test of trust {ahead}{why}."
+        trusted, whose, doubts = last.trusted, "they", last.doubts
+        if backtest.plant.channel_of is not None:
+            trusted = next(score.trusted for score in last.signals if score.signal == name)
+            whose, doubts = f"the forecasts of {signal_names(backtest.plant).output}", ""
+        ahead = f"{number_list(trusted)} s ahead" if trusted else "at no horizon"
+        yield f"At the end {whose} pass the test of trust {ahead}{f': {doubts}' if doubts else ''}."

@@ -34,7 +34,7 @@ def line_text(verdict: Verdict, period: float = 1.0) -> str:
     `period` is the sample time, s. Gains are in characters, misses in half widths of the leader's bands.
     """
     *cells, why = row(verdict, period).values()
-    named = f"{verdict.fault}: " if verdict.fault else ""
+    named = f"{verdict.named_fault}: " if verdict.fault else ""
     reason = " ".join(f"{named}{why}".split())
     return f"{_columns(cells)}\n{'':{_INDENT}}{reason}"
 

@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterable
 from typing import Final, NamedTuple
 
-from twinmatch.dynamics import Parameter, Plant, State
+from twinmatch.dynamics import Parameter, Plant, State, channels
 from twinmatch.signals import KELVIN, OperatingPoint, point_values
 
 _TAKE_PREFIXES: Final = frozenset({"V", "A", "W", "J", "N", "Ω", "m", "s", "F", "H", "Pa", "Hz", "rad"})
@@ -150,12 +150,22 @@ class ShownSignals(NamedTuple):
 
 
 def signal_names(plant: type[Plant]) -> ShownSignals:
-    """Names and units from the plant's declarations."""
+    """Names and units of a single loop from the plant's declarations; see `channels`."""
     y, u = plant.output, plant.drive
     driven = "control" if u.name.lower() == u.unit.lower() else u.name.replace("_", " ")
     return ShownSignals(
         ShownSignal(y.name.replace("_", " "), y.unit, y.decimals), ShownSignal(driven, u.unit, u.decimals)
     )
+
+
+def shown_outputs(plant: type[Plant]) -> list[ShownSignal]:
+    """The outputs of a plant; several are called as the texts in the plant file say."""
+    return list(dict.fromkeys(signal_names(alone).output for alone in channels(plant)))
+
+
+def shown_inputs(plant: type[Plant]) -> list[ShownSignal]:
+    """The inputs, likewise."""
+    return list(dict.fromkeys(signal_names(alone).input for alone in channels(plant)))
 
 
 def with_unit(name: str, unit: str) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 from twinmatch.dynamics import Parameters, Response, begin_window, simulate_driven
 from twinmatch.dynamics.simulation import SKIPPED
 from twinmatch.forecasting import Band, Forecast
-from twinmatch.signals import FloatArray, Window, rms
+from twinmatch.signals import FloatArray, Window, column_of, rms
 from twinmatch.twin import TwinSettings, response_on
 
 
@@ -22,7 +22,12 @@ class Comparison:
     closed: Response | None
     """Output and input of the closed-loop twin, driven by the set-point; None where the loop is not known."""
     driven: FloatArray
-    """Output of the driven twin, driven by the measured input."""
+    """Outputs of the driven twin, driven by the measured input, shape (N, o)."""
+
+    def alone(self, k: int) -> Comparison:
+        """Of the k-th output and input; of fewer the last."""
+        closed = self.closed and self.closed.alone(k)
+        return Comparison(self.window.alone(k), closed, column_of(self.driven, k))
 
     @property
     def time(self) -> FloatArray:
@@ -47,7 +52,7 @@ class Comparison:
     @property
     def driven_residual_y(self) -> FloatArray:
         """Measured minus driven-twin output."""
-        return self._off(self.window.output, self.driven)
+        return self._off(self.window.output, self.driven[:, 0])
 
     def _off(self, measured: FloatArray, twin: FloatArray) -> FloatArray:
         return self.window.received(measured[SKIPPED:] - twin)
@@ -63,12 +68,12 @@ def compare(
         if len(window) < SKIPPED + 2:
             continue
         if law is None:
-            comparisons.append(Comparison(window, None, response_on(parameters, window, None).output))
+            comparisons.append(Comparison(window, None, response_on(parameters, window, None).outputs))
             continue
         states, measured = begin_window(parameters, window), window.disturbances[SKIPPED:]
-        inputs, step = window.input[SKIPPED:], window.period
+        inputs, step = window.inputs[SKIPPED:], window.period
         driven = simulate_driven(parameters, inputs, states=states, period=step, disturbances=measured)
-        comparisons.append(Comparison(window, response_on(parameters, window, law), driven.output))
+        comparisons.append(Comparison(window, response_on(parameters, window, law), driven.outputs))
     return tuple(comparisons)
 
 

@@ -40,6 +40,9 @@ FAMILY_MAP: Final = "cividis"
 MATRIX_MAP: Final = "cividis_r"
 """Colour map of the ν-gap matrix: light is close, dark is far."""
 
+SIDE_BY_SIDE: Final = 4
+"""Most signals of one kind beside one another; more are below them."""
+
 
 def rc() -> dict[str, Any]:
     """Settings for `matplotlib.rc_context`: dark text on white, quiet axes, the same file on every run."""

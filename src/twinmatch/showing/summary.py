@@ -9,7 +9,7 @@ from typing import Any, Final
 from twinmatch.comparing import LEVEL_WORDS, TrustLevel, Verdict, number_list
 from twinmatch.offline.summary import SessionSummary, ShownTwin
 from twinmatch.record import document_of, finite
-from twinmatch.showing.quantities import parameter_format, percent, signal_names
+from twinmatch.showing.quantities import parameter_format, percent, shown_outputs
 from twinmatch.twin import MatchReport
 
 MAX_FAULTS: Final = 5
@@ -30,8 +30,9 @@ def _judgement(summary: SessionSummary) -> str:
     parts = [f"{'Leader' if summary.leader else 'Nominal'}: {_named(summary, shown)}"]
     parts.append(_trust(summary))
     if math.isfinite(summary.fit_y) and summary.level is not TrustLevel.FAULT:
-        output = signal_names(summary.parameters.model.plant).output.name if summary.parameters else "output"
-        fit = f"{output} fit {percent(summary.fit_y)} %"
+        outputs = shown_outputs(summary.parameters.model.plant) if summary.parameters else ["output"]
+        each = summary.fits.outputs if summary.fits else (summary.fit_y,)
+        fit = ", ".join(f"{y} fit {percent(share)} %" for y, share in zip(outputs, each, strict=True))
         if summary.fit_y < _POOR and summary.level is TrustLevel.TRUSTED:
             fit = f"left without readings it drifts off ({fit})"
         parts.append(fit)
@@ -127,7 +128,7 @@ def document(
             "nominal": summary.nominal,
             "level": summary.level.value,
             "parameters": dict(summary.parameters) if summary.parameters else None,
-            "fit": {"y": finite(summary.fit_y), "u": finite(summary.fit_u)},
+            "fit": finite(summary.fits.shown if summary.fits else dict.fromkeys("yu")),
             "order": summary.order,
             "range": [list(span) for span in summary.range.spans] if summary.range else [],
             "sentence": sentence(summary),

@@ -34,6 +34,7 @@ from twinmatch.showing.verdicts import (
     leader_words,
     level_words,
     missed,
+    trust_by_signal,
 )
 from twinmatch.twin import MatchReport
 
@@ -142,6 +143,8 @@ class Screen:
         shown: list[RenderableType] = [self._progress(width), _headline(verdict, self._period)]
         if self._compiled:
             shown.append(Text(f"compiling {self._compiled} once on this machine", style="dim"))
+        if each := trust_by_signal(verdict):
+            shown += [Text(), signal_table(each)]
         if verdict is not None and verdict.candidates:
             accepted = [report.match for report in self._matches if report.match.accepted]
             determined = {m.samples: m.believed for m in accepted if m.samples is not None}
@@ -238,7 +241,7 @@ _KEPT: Final = (
 
 def family_table(verdict: Verdict, determined: WellDetermined, width: int) -> Table:
     """The candidates with the columns that fit into `width` characters, chosen by priority."""
-    rows = [(c, determined.get((c.first, c.last), ())) for c in verdict.modelled]
+    rows = [(c, determined.get((c.first, c.last), ())) for c in verdict.family]
     columns = _family_columns(verdict)
     heads = [f"{name}\n{unit}" if unit.strip() else name for name, unit, _ in columns]
     cells = [[cell(*row) for row in rows] for _, _, cell in columns]
@@ -250,6 +253,16 @@ def family_table(verdict: Verdict, determined: WellDetermined, width: int) -> Ta
     for place, (candidate, _) in enumerate(rows):
         style = "bold" if candidate.name in {verdict.leader, verdict.nominal} else ""
         table.add_row(*(cells[k][place] for k in chosen), style=style)
+    return table
+
+
+def signal_table(rows: Sequence[Mapping[str, str]]) -> Table:
+    """How far to trust the forecasts of each of several signals."""
+    table = Table(box=None, padding=(0, _GAP, 0, 0), pad_edge=False, header_style="bold")
+    for head in rows[0]:
+        table.add_column(head, justify="left" if head == "signal" else "right")
+    for row in rows:
+        table.add_row(*row.values())
     return table
 
 
@@ -279,16 +292,16 @@ def _family_columns(verdict: Verdict) -> list[FamilyColumn]:
         )
 
     columns: list[FamilyColumn] = [("candidate", "", candidate)]
-    if not verdict.modelled:
+    if not verdict.family:
         return columns
-    model = verdict.modelled[0].parameters.model
-    shown = [c for c in for_both(verdict.modelled[0], CRITERIA) if c.name in _KEPT]
+    model = verdict.family[0].parameters.model
     columns.append(
         ("at", outputs_unit(model.plant), lambda c, _: point_number(c.operating_point, model.plant))
     )
     columns += [_parameter(model.plant, name) for name in model.structure.free]
-    columns.append(("order", "", lambda c, _: c.chosen_order))
-    columns += map(of_both, shown)
+    if verdict.modelled:
+        columns.append(("order", "", lambda c, _: c.chosen_order))
+        columns += map(of_both, (c for c in for_both(verdict.modelled[0], CRITERIA) if c.name in _KEPT))
     return [*columns, *((c.name, c.unit, lambda s, _, c=c: c.text(s)) for c in FIGURES)]
 
 

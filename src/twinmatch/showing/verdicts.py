@@ -16,11 +16,15 @@ from twinmatch.comparing import (
     OrderScore,
     TrustLevel,
     Verdict,
+    number_list,
 )
+from twinmatch.description import Quantity
 from twinmatch.fitting import Status
+from twinmatch.health import EstimatedReading
+from twinmatch.health.faults import HOUR
 from twinmatch.offline.summary import nominal_score
 from twinmatch.showing.family import GAIN, GAP_NOW, GAP_SUM, chosen_score
-from twinmatch.showing.quantities import number, signal_names
+from twinmatch.showing.quantities import number, percent, signal_names
 from twinmatch.signals import Sample
 from twinmatch.twin import MatchReport
 
@@ -85,17 +89,61 @@ def missed(verdict: Verdict) -> str:
     """How far the newest samples are from the forecast, in half widths of the band."""
     if math.isnan(verdict.miss_y):
         return LEVEL_WORDS[TrustLevel.UNKNOWN]
-    of = verdict.forecasts[0].parameters if verdict.forecasts else None
-    names = [signal.name for signal in signal_names(of.model.plant)] if of else ["output", "control"]
-    misses = zip(names, (verdict.miss_y, verdict.miss_u), strict=True)
-    parts = " and ".join(f"{name} {number(miss, 1)}" for name, miss in misses if not math.isnan(miss))
-    return f"{parts} half band widths from the forecast"
+    plant = verdict.plant if verdict.forecasts else None
+    if plant is None or plant.single:
+        names = [signal.name for signal in signal_names(plant)] if plant else ["output", "control"]
+        misses = list(zip(names, (verdict.miss_y, verdict.miss_u), strict=True))
+    else:
+        misses = [(plant.called(each.signal), each.miss) for each in verdict.signals]
+    parts = [f"{name} {number(miss, 1)}" for name, miss in misses if not math.isnan(miss)]
+    return f"{number_list(parts)} half band widths from the forecast"
 
 
 def fault_words(verdict: Verdict, period: float) -> str:
-    """The name of the fault, and since when it shows; `period` is the sample time, s."""
-    since = verdict.fault_since
-    return verdict.fault if since is None else f"{verdict.fault} since {number(since * period, 0)} s"
+    """The name of the fault, of several signals which it concerns, and since when it shows; `period` is the
+    sample time, s."""
+    since, named = verdict.fault_since, verdict.named_fault
+    return named if since is None else f"{named} since {number(since * period, 0)} s"
+
+
+def estimate_words(estimate: EstimatedReading, of: Quantity, period: float) -> str:
+    """What a sensor that is not believed should read, and for how long yet that is known well enough.
+
+    `period` is the sample time, s.
+    """
+    left = estimate.good - (estimate.sample - estimate.since) * period
+    good = "no longer good" if left <= 0.0 else f"good for {left / 60.0:.2g} min"
+    good = "good for at least an hour" if left >= HOUR else good
+    value, band, wide, reading = (
+        number(figure, 1) for figure in (estimate.value, estimate.band, estimate.wide, estimate.reading)
+    )
+    said = f"the twin reads through {of.text or of.name}: {value} ± {band} {of.unit}".rstrip()
+    return f"{said} instead of {reading}, to ± {wide} {good}"
+
+
+def trust_by_signal(verdict: Verdict | None) -> list[dict[str, str]]:
+    """How far to trust the leader's forecasts of each signal of a plant with several loops: texts by their
+    headings. Empty for a single loop, whose figures are those of the verdict."""
+    plant = None if verdict is None else verdict.plant
+    if verdict is None or plant is None or plant.single:
+        return []
+    ahead = f"at {number_list(verdict.horizons)} s"
+
+    def shares(each: Sequence[float]) -> str:
+        return ", ".join(percent(share, 0) for share in each)
+
+    return [
+        {
+            "signal": plant.called(of.signal),
+            "trusted / s ahead": number_list(of.trusted) if of.trusted else "at no horizon",
+            f"held {ahead} / %": shares(of.coverage),
+            f"better than no change {ahead} / %": shares(of.persistence_skill),
+            f"better than ARX {ahead} / %": shares(of.arx_skill),
+            "miss / half band": number(of.miss),
+            "newest within band / %": percent(of.inside, 0),
+        }
+        for of in verdict.signals
+    ]
 
 
 def leader_words(verdict: Verdict) -> str:
@@ -249,7 +297,7 @@ def _level_event(verdict: Verdict) -> tuple[str, str]:
     """Title and reason of a change of level or fault."""
     if verdict.fault:
         since = "" if verdict.fault_since is None else f" (since sample {verdict.fault_since})"
-        return f"fault: {verdict.fault}", f"{verdict.reason}{since}"
+        return f"fault: {verdict.named_fault}", f"{verdict.reason}{since}"
     outside = verdict.level is TrustLevel.DOUBTFUL and verdict.miss_since is not None
     more = f": {missed(verdict)}" if outside else ""
     return verdict.level.value, f"{level_words(verdict)}{more}"

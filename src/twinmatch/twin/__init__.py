@@ -12,7 +12,7 @@ from twinmatch.twin.door import Door, filled_stretches
 from twinmatch.twin.engine import Discriminator, Outcome, Step, Twin
 from twinmatch.twin.forecaster import Forecaster, Snapshot
 from twinmatch.twin.matcher import MatchReport, MatchRequest, carry_out
-from twinmatch.twin.mirror import Mirror, MirrorState, nrmse, response_on, window_fit
+from twinmatch.twin.mirror import Fits, Mirror, MirrorState, nrmse, response_on, window_fit, window_fits
 from twinmatch.twin.schedule import Schedule, ScheduleSettings
 from twinmatch.twin.settings import ForecastSettings, TrustLimits, TwinError, TwinSettings
 from twinmatch.twin.structure_fits import StructureFits, watched
@@ -21,6 +21,7 @@ from twinmatch.twin.structures import StructureScore, choose_structure
 __all__ = [
     "Discriminator",
     "Door",
+    "Fits",
     "ForecastSettings",
     "Forecaster",
     "MatchReport",
@@ -45,4 +46,5 @@ __all__ = [
     "response_on",
     "watched",
     "window_fit",
+    "window_fits",
 ]

@@ -31,7 +31,7 @@ from twinmatch.dynamics import (
 from twinmatch.fitting.problem import unknown_starts
 from twinmatch.forecasting import StateFilter
 from twinmatch.health import HealthSettings
-from twinmatch.signals import FloatArray, Sample, Signals, Window, rms
+from twinmatch.signals import FloatArray, OperatingPoint, Sample, Signals, Window, point_of, rms
 from twinmatch.twin.door import Door
 
 _ESTIMATED_OVER: Final = 300.0
@@ -258,15 +258,38 @@ def _worst(left: FloatArray, signals: Mapping[str, Output | Drive]) -> float:
     return float(sizes[np.argmax(sizes / [signal.noise for signal in signals.values()])])
 
 
-def window_fit(parameters: Parameters, window: Window, law: Law | None) -> tuple[float, float]:
-    """NRMSE fit of output and input of the closed-loop twin over a window; 1 is perfect.
+class Fits(NamedTuple):
+    """NRMSE fits of a twin over a window; 1 is perfect."""
 
-    Without a law: that of the driven twin's output, and NaN.
-    """
+    outputs: Signals
+    inputs: Signals
+    """NaN where the twin was driven by them."""
+
+    @property
+    def worst(self) -> tuple[float, float]:
+        """Of an output, and of an input."""
+        return min(self.outputs), min(self.inputs)
+
+    @property
+    def shown(self) -> dict[str, OperatingPoint]:
+        """By the letters of outputs and inputs; of one a number."""
+        return {"y": point_of(self.outputs), "u": point_of(self.inputs)}
+
+
+def window_fits(parameters: Parameters, window: Window, law: Law | None) -> Fits:
+    """Fits of each output and input of the closed-loop twin over a window; without a law of the driven
+    twin's outputs."""
     twin = response_on(parameters, window, law)
-    measured = (window.output[SKIPPED:], twin.output), (window.input[SKIPPED:], twin.input)
-    of_output, of_input = (nrmse(*map(window.received, pair)) for pair in measured)
-    return of_output, float("nan") if law is None else of_input
+    outputs, inputs = (
+        tuple(nrmse(*map(window.received, pair)) for pair in zip(of[SKIPPED:].T, simulated.T, strict=True))
+        for of, simulated in ((window.outputs, twin.outputs), (window.inputs, twin.inputs))
+    )
+    return Fits(outputs, inputs if law else (float("nan"),) * len(inputs))
+
+
+def window_fit(parameters: Parameters, window: Window, law: Law | None) -> tuple[float, float]:
+    """Fit of output and input, of several the worst."""
+    return window_fits(parameters, window, law).worst
 
 
 def response_on(parameters: Parameters, window: Window, law: Law | None) -> Response:

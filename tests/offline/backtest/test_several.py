@@ -86,7 +86,7 @@ def test_the_command_shows_every_output(tmp_path: Path) -> None:
     write_session(path, samples_of(Window(np.zeros_like(u), y, u)), records=records)
     done = run_twinmatch("backtest", path, "--json", card, "--figure", tmp_path / "card.png", "--horizon", 60)
     assert done.returncode == 0, done.stderr
-    assert "60 s ahead, the leader's second temperature was off by less than" in done.stdout
+    assert "60 s ahead, the leader's temperature T2 was off by less than" in done.stdout
     made = json.loads(card.read_text("utf-8"))
     assert [one["name"] for one in made["sessions"]] == ["kit, temperature", "kit, second_temperature"]
     assert [one["name"] for one in made["total"]] == ["kit, temperature", "kit, second_temperature"]

@@ -39,8 +39,9 @@ from tests.support.waiting import wait_for
 from twinmatch.comparing import TrustLevel
 from twinmatch.nodes.messages import description_message, message_of
 from twinmatch.plants.records import description_of
+from twinmatch.plants.tclab import TCLabBoth
 from twinmatch.sessions import read_session, write_session
-from twinmatch_msgs.msg import LoopSample, ModelScore, PlantDescription
+from twinmatch_msgs.msg import EstimatedReading, LoopSample, ModelScore, PlantDescription
 
 pytestmark = pytest.mark.ros
 RELIABLE = QoSProfile(depth=100)
@@ -289,3 +290,23 @@ def test_a_layout_is_written_when_the_plant_says_what_it_is(
     assert made["Plot!output"]["yAxisLabel"] == "speed / rad/s"
     assert made["Plot!input"]["paths"][0]["value"] == "/rig_a/plant/sample.input[0]"
     assert len(made["Plot!input"]["paths"]) == 2  # nobody applies a PWM here
+
+
+def test_what_a_sensor_should_read_reaches_the_viewer_beside_a_column_for_each_signal(
+    serve: Callable[..., Any], graph: Callable[..., Graph], view: Callable[..., Any], tmp_path: Path
+) -> None:
+    out, rig = tmp_path / "two.json", graph("rig_a")
+    serving = serve("--namespace", "/rig_a", "--layout", str(out))
+    describer = rig.node.create_publisher(PlantDescription, "plant/description", LATCHED)
+    describer.publish(description_message(description_of(TCLabBoth), 1.0))
+    wait_for(lambda: out.exists() and "temperature T2 / °C" in out.read_text("utf-8"), "its signals' names")
+    made = json.loads(out.read_text("utf-8"))["configById"]
+    assert made["Plot!output_2"]["paths"][1]["value"] == "/rig_a/plant/sample.output[1]"
+    estimates = rig.node.create_publisher(EstimatedReading, "plant/estimate", RELIABLE)
+    viewer = view(serving.url)
+    viewer.subscribe("/rig_a/plant/estimate")
+    wait_for(estimates.get_subscription_count, "the relay", meanwhile=viewer.read)
+    estimates.publish(EstimatedReading(sample=7, signal="second_temperature", value=41.3, band=0.9))
+    (arrived,) = viewer.wait(lambda: viewer.heard("/rig_a/plant/estimate"), "the estimate")
+    read = deserialize_message(arrived.data, EstimatedReading)
+    assert (read.sample, read.signal, read.value, read.band) == (7, "second_temperature", 41.3, 0.9)

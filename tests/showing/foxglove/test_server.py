@@ -9,6 +9,7 @@ import socket
 import struct
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -23,7 +24,7 @@ from tests.showing.foxglove.conftest import PROTOCOL
 from tests.support.odd_requests import odd_requests
 from tests.support.places import PROJECT
 from tests.support.sockets import UPGRADE, ask, exchange
-from twinmatch.plants import Peltier
+from twinmatch.plants import Peltier, TCLabBoth
 from twinmatch.plants.records import description_of
 from twinmatch.showing.foxglove.layout import APPLIED, IMAGE, OUTSIDE, TOPICS, layout
 
@@ -225,16 +226,16 @@ def panels(kind: str) -> list[dict[str, Any]]:
     return found
 
 
-def placed(node: Any) -> Iterator[str]:
+def placed(node: Any, panels: dict[str, Any] = PANELS) -> Iterator[str]:
     """Panels in a mosaic, those in its tabs included."""
     if isinstance(node, str):
         yield node
-        for tab in PANELS[node].get("tabs", []):
-            yield from placed(tab["layout"])
+        for tab in panels[node].get("tabs", []):
+            yield from placed(tab["layout"], panels)
     else:
         assert node["direction"] in {"row", "column"}
-        yield from placed(node["first"])
-        yield from placed(node["second"])
+        yield from placed(node["first"], panels)
+        yield from placed(node["second"], panels)
 
 
 def test_the_shipped_layout_is_the_one_of_its_plant() -> None:
@@ -244,6 +245,35 @@ def test_the_shipped_layout_is_the_one_of_its_plant() -> None:
 
 def test_every_panel_has_its_place() -> None:
     assert sorted(placed(LAYOUT["layout"])) == sorted(PANELS)
+
+
+@pytest.mark.parametrize("loops", [2, 6])
+def test_a_plant_with_several_loops_has_a_column_of_charts_for_each(loops: int) -> None:
+    """Four are side by side, and more below."""
+    two = description_of(TCLabBoth)
+    kinds = {
+        kind: tuple(replace(getattr(two, kind)[0], text=f"{kind} {k}") for k in range(loops))
+        for kind in ("references", "outputs", "inputs")
+    }
+    made = layout(replace(two, **kinds))
+    panels, places = made["configById"], made["layout"]
+    assert sorted(placed(places, panels)) == sorted(panels)
+    for k in range(loops):
+        ending = f"_{k + 1}" if k else ""
+        assert panels[f"Plot!output{ending}"]["yAxisLabel"] == f"outputs {k} / °C"
+        assert panels[f"Plot!input{ending}"]["yAxisLabel"] == f"inputs {k} / %"
+        paths = [path["value"] for path in panels[f"Plot!residuals{ending}"]["paths"]]
+        assert paths == [
+            f"/twin/state.{name}[{k}]" for name in ("closed_residual_y", "driven_residual_y", "driven_rms_y")
+        ]
+    charts, shares = places["first"], []
+    if loops > 4:
+        assert (charts["direction"], charts["splitPercentage"]) == ("column", 50)
+        charts = charts["first"]
+    while charts["direction"] == "row":
+        shares.append(charts["splitPercentage"])
+        charts = charts["second"]
+    assert shares == [50] if loops == 2 else [25, 33, 50]
 
 
 def test_what_is_plotted_is_a_number_with_a_stamp_and_a_colour_of_its_own() -> None:

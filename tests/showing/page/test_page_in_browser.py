@@ -35,7 +35,14 @@ from twinmatch.plants.records import description_of
 from twinmatch.sessions import write_session
 from twinmatch.signals import Sample
 from twinmatch.twin import Mirror, TwinSettings
-from twinmatch_msgs.msg import LoopSample, ModelScore, PlantDescription, PwmApplied, TwinState
+from twinmatch_msgs.msg import (
+    EstimatedReading,
+    LoopSample,
+    ModelScore,
+    PlantDescription,
+    PwmApplied,
+    TwinState,
+)
 
 pytestmark = [pytest.mark.ros, pytest.mark.usefixtures("page")]
 
@@ -86,6 +93,7 @@ class Graph:
             "twin/state": TwinState,
             "twin/model_score": ModelScore,
             "plant/pwm_applied": PwmApplied,
+            "plant/estimate": EstimatedReading,
         }
         self._publishers = {
             name: self.node.create_publisher(kind, name, RELIABLE) for name, kind in kinds.items()
@@ -111,10 +119,11 @@ class Graph:
         if samples[0].index <= self._last:
             self._replace("plant/sample", LoopSample)
         self._last = samples[-1].index
-        mirror = Mirror(TwinSettings().start, TwinSettings().law)
+        settings = judged.settings if judged else TwinSettings()
+        mirror = Mirror(settings.start, settings.law)
         for sample in samples:
             self.publish("plant/sample", sample_message(sample))
-            self.publish("twin/state", state_message(mirror.push(sample), "", Peltier.states))
+            self.publish("twin/state", state_message(mirror.push(sample), "", settings.plant.states))
             for verdict in judged.verdicts if judged else ():
                 if verdict.sample == sample.index:
                     self.publish("twin/model_score", message_of(verdict, sample.stamp))

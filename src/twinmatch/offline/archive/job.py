@@ -117,25 +117,28 @@ def _record(job: Job) -> dict[str, Any]:
     return entry | {"candidates": _rows(judgement, entry)}
 
 
+_OF_ORDER = ("aic_difference", "weight")
+
+
 def _rows(judgement: Judgement, entry: dict[str, Any]) -> list[dict[str, Any]]:
     """The candidates of the last verdict, each with the fit of its twin over the session."""
     if not judgement.verdicts:
         return []
     from twinmatch.record import finite  # noqa: PLC0415
-    from twinmatch.twin import window_fit  # noqa: PLC0415
+    from twinmatch.twin import window_fits  # noqa: PLC0415
 
     law, longest = judgement.settings.law, max(judgement.stretches, key=len)
     rows = []
     for candidate, known in zip(
-        judgement.verdicts[-1].modelled, entry["verdicts"][-1]["candidates"], strict=False
+        judgement.verdicts[-1].family, entry["verdicts"][-1]["candidates"], strict=False
     ):
-        chosen = next(order for order in known["orders"] if order["order"] == candidate.chosen_order)
-        fit = window_fit(candidate.parameters, longest, law)
+        chosen = next((o for o in known["orders"] if o["order"] == candidate.chosen_order), None)
+        fits = window_fits(candidate.parameters, longest, law)
         rows.append(
             {"session": judgement.name, "nominal": candidate.name == judgement.summary.nominal}
             | {key: value for key, value in known.items() if key != "orders"}
-            | {"criteria": chosen["total"] | {key: chosen[key] for key in ("aic_difference", "weight")}}
-            | {"fit": finite(dict(zip("yu", fit, strict=True)))}
+            | {"criteria": chosen and chosen["total"] | {key: chosen[key] for key in _OF_ORDER}}
+            | {"fit": finite(fits.shown)}
         )
     return rows
 

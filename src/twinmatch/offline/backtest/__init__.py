@@ -6,7 +6,7 @@ peers are the referees of the verdict: persistence and ARX, from the same sample
 `backtest_outputs` takes plants with several loops, too: one `Backtest` for each output.
 """
 
-from twinmatch.offline.backtest.run import Choices, Listener, backtest, graded, portable
+from twinmatch.offline.backtest.run import Choices, Listener, backtest, graded, graded_outputs, portable
 from twinmatch.offline.backtest.scoring import PEERS, Backtest, Card, Marked, cards, marks
 from twinmatch.offline.backtest.several import backtest_outputs, backtest_session
 
@@ -22,6 +22,7 @@ __all__ = [
     "backtest_session",
     "cards",
     "graded",
+    "graded_outputs",
     "marks",
     "portable",
 ]

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Final, NamedTuple
 
 import numpy as np
 
 from twinmatch.comparing import BASELINES, Verdict
-from twinmatch.dynamics import SKIPPED, Law, Parameters, Plant
+from twinmatch.dynamics import SKIPPED, Law, Parameters, Plant, channels
 from twinmatch.forecasting import CONFIDENCE, ArxForecast, Band, Forecast, Outlook
 from twinmatch.offline.backtest.scoring import (
     CONSTANT,
@@ -31,7 +30,7 @@ from twinmatch.offline.judging import Judgement, Terms, Watch, judge
 from twinmatch.offline.processes import Beside, held_interrupts
 from twinmatch.sessions import Session
 from twinmatch.sessions.files import part_of
-from twinmatch.signals import FloatArray, Sample, Window
+from twinmatch.signals import FloatArray, Sample, Window, one_of_each
 from twinmatch.twin import Outcome, Twin, TwinSettings, filled_stretches, response_on
 from twinmatch.twin.matcher import one_thread
 
@@ -58,6 +57,10 @@ class Origin:
     def came(self) -> Window:
         """The samples that followed, as many as forecast."""
         return self.stretch.part(self.sample + 1, self.sample + self.count)
+
+    def alone(self, k: int) -> Origin:
+        """With the k-th output and input only, and of the samples only those that followed."""
+        return replace(self, stretch=self.came.alone(k))
 
     @property
     def ahead(self) -> FloatArray:
@@ -190,17 +193,22 @@ def with_constant_band(forecast: Forecast, parameters: Parameters, past: Window,
     part of that past, so the band tends to be narrow; such bands are usually made so.
     """
     twin = response_on(parameters, past, law)
-    output = _around(forecast.output.mean, past.output[SKIPPED:] - twin.output, forecast.confidence)
+    outputs = _around(forecast.outputs, past.outputs[SKIPPED:] - twin.outputs, forecast.confidence)
     if law is None:
-        return replace(forecast, outputs=(output,))
-    entry = _around(forecast.input.mean, past.input[SKIPPED:] - twin.input, forecast.confidence)
-    ends = (np.clip(end, *parameters.model.plant.drive.limits) for end in (entry.low, entry.high))
-    return replace(forecast, outputs=(output,), inputs=(Band(entry.mean, *ends),))
+        return replace(forecast, outputs=outputs)
+    entries = _around(forecast.inputs, past.inputs[SKIPPED:] - twin.inputs, forecast.confidence)
+    drives = parameters.model.plant.drives.values()
+    inputs = tuple(
+        Band(entry.mean, *(np.clip(end, *drive.limits) for end in (entry.low, entry.high)))
+        for entry, drive in zip(entries, drives, strict=True)
+    )
+    return replace(forecast, outputs=outputs, inputs=inputs)
 
 
-def _around(mean: FloatArray, residuals: FloatArray, confidence: float) -> Band:
+def _around(bands: Sequence[Band], residuals: FloatArray, confidence: float) -> tuple[Band, ...]:
     tails = ((1.0 - confidence) / 2.0, (1.0 + confidence) / 2.0)
-    return Band(mean, *(mean + end for end in np.quantile(residuals, tails)))
+    ends = [np.quantile(column, tails) for column in residuals.T]
+    return tuple(Band(b.mean, *(b.mean + end for end in of)) for b, of in zip(bands, ends, strict=True))
 
 
 class _Outlooks(NamedTuple):
@@ -224,7 +232,8 @@ class _Common(NamedTuple):
 class _Graded(NamedTuple):
     """The forecasts made at one origin, scored."""
 
-    marked: list[Marked]
+    marked: list[list[Marked]]
+    """Of each output."""
     shown: Forecast
     """The leader's forecast."""
 
@@ -293,27 +302,47 @@ def _grade(terms: _Common, origin: Origin, asked: _Outlooks) -> _Graded:
     """Make and score the forecasts of all available forecasters at one origin."""
     session, settings, horizons, names = terms
 
-    def scored(who: str, forecast: Forecast, candidate: str = "") -> list[Marked]:
-        plant = settings.plant
-        return mark(session, who, forecast, origin, horizons=horizons, plant=plant, candidate=candidate)
-
-    marked: list[Marked] = []
     with one_thread():
         rows = origin.disturbances
         forecasts = {n: outlook.forecast(origin.ahead, rows) for n, outlook in asked.outlooks.items()}
-        of = {name: scored(name, forecast, name) for name, forecast in forecasts.items()}
-        for part, name in asked.who.items():
-            marked += [replace(one, who=part) for one in of[name]]
-        if NOMINAL in asked.who and len(origin.past) > SKIPPED + 1:
-            name = asked.who[NOMINAL]
+    made = [(who, name, forecasts[name]) for who, name in asked.who.items()]
+    if NOMINAL in asked.who and len(origin.past) > SKIPPED + 1:
+        name = asked.who[NOMINAL]
+        with one_thread():
             parameters = asked.outlooks[name].parameters
             same = with_constant_band(forecasts[name], parameters, origin.past, settings.law)
-            marked += scored(CONSTANT, same, name)
-    marked += best_in_hindsight(itertools.chain.from_iterable(of.values()))
-    peers = ask(asked.arx, origin)
-    for name in names:
-        marked += scored(PEERS[name], peers[name])
+        made.append((CONSTANT, name, same))
+    peers, marked = ask(asked.arx, origin), []
+    for k, plant in outputs_alone(settings.plant):
+        scored = partial(scores, session, horizons, origin.alone(k), plant, k)
+        best = best_in_hindsight(scored((name, name, forecast) for name, forecast in forecasts.items()))
+        others = scored((PEERS[name], "", peers[name]) for name in names)
+        marked.append([*scored(made), *best, *others])
     return _Graded(marked, forecasts[asked.who[LEADER]])
+
+
+def scores(  # noqa: PLR0917 (each settled in its turn by a `partial`)
+    session: str,
+    horizons: Sequence[float],
+    origin: Origin,
+    plant: type[Plant],
+    k: int,
+    made: Iterable[tuple[str, str, Forecast]],
+) -> Iterator[Marked]:
+    """The scores of the k-th output in forecasts; with each, its forecaster's and its candidate's name."""
+    for who, candidate, forecast in made:
+        own = forecast.alone(k)
+        yield from mark(session, who, own, origin, horizons=horizons, plant=plant, candidate=candidate)
+
+
+def outputs_alone(plant: type[Plant]) -> list[tuple[int, type[Plant]]]:
+    """The outputs of a plant, counted from 0, as plants with this output only."""
+    return list(zip(range(len(plant.outputs)), channels(plant), strict=False))
+
+
+def named_after(session: str, alone: type[Plant]) -> str:
+    """Name of the backtest of one of several outputs."""
+    return f"{session}, {next(iter(alone.outputs))}"
 
 
 def portable(plant: type[Plant]) -> bool:
@@ -336,7 +365,14 @@ def backtest(
 
 
 def graded(judgement: Judgement, listener: Listener, *, watch: Watch | None = None) -> Backtest:
-    """The scores of all forecasts.
+    """The scores of all forecasts of a plant with one output; see `graded_outputs`."""
+    return one_of_each("output", graded_outputs(judgement, listener, watch=watch))
+
+
+def graded_outputs(
+    judgement: Judgement, listener: Listener, *, watch: Watch | None = None
+) -> tuple[Backtest, ...]:
+    """The scores of all forecasts, output by output.
 
     Forecasts across a fault of the plant are left out: faults cannot be forecast.
     """
@@ -361,21 +397,27 @@ def graded(judgement: Judgement, listener: Listener, *, watch: Watch | None = No
                 watch(done * len(judgement.samples) // total, len(judgement.samples))
             check_interrupt()
     results.reverse()
-    everything = [one for result, kept in results for one in result.marked if one.horizon in kept]
-    marked = common(everything)
-    judged = {one.sample for one in marked}
-    return Backtest(
-        name=judgement.name,
-        plant=plant,
-        period=period,
-        horizons=listener.horizons,
-        confidence=CONFIDENCE,
-        marked=tuple(marked),
-        came=listener.held,
-        shown=one_after_another(result.shown for result, _ in results if result.shown.sample in judged),
-        notes=tuple(_notes(total, judged, everything, spoilt, unasked)),
-        last=judgement.verdicts[-1] if judgement.verdicts else None,
-    )
+    tests = []
+    for k, alone in outputs_alone(plant):
+        everything = [one for result, kept in results for one in result.marked[k] if one.horizon in kept]
+        marked = common(everything)
+        judged = {one.sample for one in marked}
+        made = one_after_another(result.shown for result, _ in results if result.shown.sample in judged)
+        tests.append(
+            Backtest(
+                name=judgement.name if alone is plant else named_after(judgement.name, alone),
+                plant=alone,
+                period=period,
+                horizons=listener.horizons,
+                confidence=CONFIDENCE,
+                marked=tuple(marked),
+                came=tuple(window.alone(k) for window in listener.held),
+                shown=tuple(forecast.alone(k) for forecast in made),
+                notes=tuple(_notes(total, judged, everything, spoilt, unasked)),
+                last=judgement.verdicts[-1] if judgement.verdicts else None,
+            )
+        )
+    return tuple(tests)
 
 
 def one_after_another(forecasts: Iterable[Forecast]) -> tuple[Forecast, ...]:

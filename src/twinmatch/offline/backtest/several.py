@@ -8,10 +8,11 @@ learning.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import replace
-from functools import cache
+from functools import partial
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 
@@ -27,11 +28,13 @@ from twinmatch.offline.backtest.run import (
     Origin,
     ask,
     backtest,
-    mark,
+    named_after,
     one_after_another,
     origins,
+    outputs_alone,
     portable,
     regular,
+    scores,
 )
 from twinmatch.offline.backtest.scoring import (
     LEADER,
@@ -138,7 +141,7 @@ def backtest_each(
     forecaster = Forecaster(None, settings, period=period)
     forecaster.enter(_fitted(plant, [_before(window, split) for window in held if window.first < split]))
     marked: list[list[Marked]] = [[] for _ in plant.outputs]
-    shown: list[list[Forecast]] = [[] for _ in plant.outputs]
+    shown: list[Forecast] = []
     arx = None
     for done, sample in enumerate(session.samples):
         forecaster.push(sample)
@@ -146,25 +149,25 @@ def backtest_each(
             origin = places[sample.index]
             arx = arx or forecaster.arx
             made = _forecasts(forecaster, arx, origin, choices.peers)
-            for k in range(len(plant.outputs)):
-                marked[k] += _Scored(session.name, horizons, origin, made).marked(plant, k)
-                shown[k].append(_only(made[LEADER], k))
+            for k, alone in outputs_alone(plant):
+                marked[k] += _marked(partial(scores, session.name, horizons, origin.alone(k), alone, k), made)
+            shown.append(made[LEADER])
             if watch is not None:
                 watch(done, len(session.samples))
     fitted = f"fitted to the samples before {split}; forecasts are of those after, under the recorded inputs"
     return tuple(
         Backtest(
-            name=f"{session.name}, {name}",
-            plant=channel(plant, k),
+            name=named_after(session.name, alone),
+            plant=alone,
             period=period,
             horizons=horizons,
-            confidence=shown[k][0].confidence,
+            confidence=shown[0].confidence,
             marked=tuple(common(marked[k])),
-            came=tuple(_alone(window, k) for window in held),
-            shown=one_after_another(shown[k]),
+            came=tuple(window.alone(k) for window in held),
+            shown=tuple(forecast.alone(k) for forecast in one_after_another(shown)),
             notes=(fitted,),
         )
-        for k, name in enumerate(plant.outputs)
+        for k, alone in outputs_alone(plant)
     )
 
 
@@ -202,57 +205,10 @@ def _forecasts(
     return {LEADER: leader, **made, **{PEERS[name]: asked[name] for name in peers}}
 
 
-class _Scored(NamedTuple):
-    """What is scored at one origin."""
-
-    session: str
-    horizons: tuple[float, ...]
-    origin: Origin
-    made: dict[str, Forecast]
-
-    def marked(self, plant: type[Plant], output: int) -> list[Marked]:
-        """The marks of one output's forecasts, and those of the best of the structures."""
-        own = self.origin
-        origin, of = (
-            Origin(own.sample, _alone(own.stretch, output), own.count, driven=True),
-            channel(plant, output),
-        )
-        by = {
-            who: mark(self.session, who, _only(forecast, output), origin, horizons=self.horizons, plant=of)
-            for who, forecast in self.made.items()
-        }
-        twins = [one for who, marks in by.items() if who in plant.structures for one in marks]
-        others = [one for who, marks in by.items() if who not in plant.structures for one in marks]
-        return [*others, *best_in_hindsight(twins)]
-
-
-@cache
-def channel(plant: type[Plant], output: int) -> type[Plant]:
-    """One output of a plant with the drive in the same place, for the names, units and noise of scores."""
-    alone: type[Plant] = type(plant.__name__, (plant,), {"title": plant.title}, name=plant.name)
-    y, u = list(plant.outputs), list(plant.drives)
-    alone.outputs = {y[output]: plant.outputs[y[output]]}
-    name = u[min(output, len(u) - 1)]
-    alone.drives = {name: plant.drives[name]}
-    return alone
-
-
-def _alone(window: Window, output: int) -> Window:
-    """The signals of a channel."""
-    u = min(output, window.inputs.shape[1] - 1)
-    return replace(
-        window,
-        references=window.references[:, [output]],
-        outputs=window.outputs[:, [output]],
-        inputs=window.inputs[:, [u]],
-    )
-
-
-def _only(forecast: Forecast, output: int) -> Forecast:
-    u = min(output, len(forecast.inputs) - 1)
-    return replace(
-        forecast,
-        references=forecast.references[:, 0],
-        outputs=(forecast.outputs[output],),
-        inputs=(forecast.inputs[u],),
-    )
+def _marked(scored: Callable[..., Iterator[Marked]], made: dict[str, Forecast]) -> list[Marked]:
+    """The marks of one output's forecasts, and those of the best of the structures."""
+    kinds: tuple[list[tuple[str, str, Forecast]], ...] = ([], [])
+    for who, forecast in made.items():
+        kinds[bool(forecast.structure) and who != LEADER].append((who, "", forecast))
+    others, twins = kinds
+    return [*scored(others), *best_in_hindsight(scored(twins))]

@@ -9,12 +9,12 @@ import numpy as np
 
 from twinmatch.comparing import TrustLevel
 from twinmatch.health.channels import CHANGE
-from twinmatch.offline.channels import ChannelHealth, EstimatedCourse
+from twinmatch.offline.channels import ChannelHealth
 from twinmatch.showing.figures.drawing import empty, legend_above, new_figure, styled
+from twinmatch.showing.figures.session import draw_estimate
 from twinmatch.showing.style import CLOSED, DRIVEN, LEVELS, MODEL, ORDERS, SET_POINT
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 _MOST: Final = 8
@@ -29,7 +29,7 @@ def draw_channels(health: ChannelHealth) -> Figure:
     figure = new_figure(10, 4.2 + 2.4 * len(health.through))
     axes, *below = figure.subplots(1 + len(health.through), squeeze=False)[:, 0]
     for each, estimated in zip(below, health.through, strict=True):
-        _draw_estimate(each, estimated, health)
+        draw_estimate(each, estimated, health.period, health.samples)
     if not health.course:
         empty(axes, "nothing explained the readings better than a healthy plant")
         return figure
@@ -57,15 +57,3 @@ def draw_channels(health: ChannelHealth) -> Figure:
     axes.set_ylabel("evidence beyond its price / nats")
     legend_above(axes, 4)
     return figure
-
-
-def _draw_estimate(axes: Axes, one: EstimatedCourse, health: ChannelHealth) -> None:
-    """What a sensor read, and what it should have."""
-    time = np.arange(one.first, one.last + 1) * health.period
-    values, bands = np.array(one.values), np.array(one.bands)
-    axes.plot(time, one.readings, color=SET_POINT, label="read")
-    axes.plot(time, values, color=MODEL, label="should have been read, 90 %")
-    axes.fill_between(time, values - bands, values + bands, color=MODEL, alpha=0.2, lw=0)
-    axes.set_xlim(0.0, health.samples * health.period)
-    axes.set_ylabel(f"{one.text} / {one.unit}")
-    legend_above(axes, 2)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 from twinmatch.errors import TwinmatchError
 from twinmatch.showing.quantities import ShownSignals, with_unit
-from twinmatch.showing.style import PLANT, SET_POINT, rc
+from twinmatch.showing.style import PLANT, SET_POINT, SIDE_BY_SIDE, rc
 from twinmatch.signals import FloatArray, Window
 
 if TYPE_CHECKING:
@@ -54,6 +54,27 @@ def stack(figure: Figure, ratios: Sequence[float], cell: SubplotSpec | None = No
     for each in axes[:-1]:
         each.tick_params(labelbottom=False)
     return axes
+
+
+def cells_for(number: int, cell: SubplotSpec) -> list[SubplotSpec]:
+    """Cells of a grid for each of some signals, side by side as far as they have room; for one the whole."""
+    if number == 1:
+        return [cell]
+    wide = min(number, SIDE_BY_SIDE)
+    grid = cell.subgridspec(-(-number // wide), wide)
+    return [grid[k // wide, k % wide] for k in range(number)]
+
+
+def columns(
+    width: float, height: float, ratios: Sequence[float], number: int
+) -> tuple[Figure, list[list[Axes]]]:
+    """A figure with a stack for each of some signals; one fills a figure of this size, in inches."""
+    wide = min(number, SIDE_BY_SIDE)
+    figure = new_figure(width * (1.0 + 0.4 * (wide - 1)), height * -(-number // wide))
+    if number == 1:
+        return figure, [stack(figure, ratios)]
+    whole = figure.add_gridspec(1, 1)[0, 0]
+    return figure, [stack(figure, ratios, cell) for cell in cells_for(number, whole)]
 
 
 def _arrange(figure: Figure) -> None:

@@ -8,10 +8,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from twinmatch.comparing import Verdict
+from twinmatch.dynamics import Plant, Response, channels
 from twinmatch.dynamics.simulation import SKIPPED
 from twinmatch.fitting import Match
 from twinmatch.showing.family import Member, interval, value_of
 from twinmatch.showing.figures.drawing import (
+    columns,
     draw_inputs,
     draw_outputs,
     empty,
@@ -21,8 +23,18 @@ from twinmatch.showing.figures.drawing import (
     styled,
 )
 from twinmatch.showing.quantities import ParameterFormat, parameter_format, signal_names
-from twinmatch.showing.style import CLOSED, FAMILY_MAP, MATRIX_MAP, MODEL, ORDERS, PLANT, SET_POINT, TEXT
-from twinmatch.signals import FloatArray
+from twinmatch.showing.style import (
+    CLOSED,
+    FAMILY_MAP,
+    MATRIX_MAP,
+    MODEL,
+    ORDERS,
+    PLANT,
+    SET_POINT,
+    SIDE_BY_SIDE,
+    TEXT,
+)
+from twinmatch.signals import FloatArray, Window
 from twinmatch.twin import MatchReport, response_on
 
 if TYPE_CHECKING:
@@ -183,39 +195,44 @@ def _draw_parameter(
 @styled
 def draw_responses(members: Sequence[Member]) -> Figure:
     """For every candidate its measured window, and the responses of its twin and Box–Jenkins model."""
-    columns = 2
-    rows = -(-len(members) // columns)
-    figure = new_figure(10, 2.7 * rows + 0.3)
-    grids = figure.add_gridspec(rows, columns, wspace=0.04, hspace=0.06)
-    for k, member in enumerate(members):
-        upper, control = stack(figure, (3, 2), grids[k // columns, k % columns])
-        _draw_member(upper, control, member)
-        if k % columns == 0:
-            signals = signal_names(member.settings.plant)
+    loops = channels(members[0].settings.plant)
+    panels = [(member, k) for member in members for k in range(len(loops))]
+    beside = 2 if len(loops) == 1 else min(len(loops), SIDE_BY_SIDE)
+    rows = -(-len(panels) // beside)
+    figure = new_figure(max(10, 5 * beside), 2.7 * rows + 0.3)
+    grids = figure.add_gridspec(rows, beside, wspace=0.04, hspace=0.06)
+    for place, (member, k) in enumerate(panels):
+        upper, control = stack(figure, (3, 2), grids[place // beside, place % beside])
+        _draw_member(upper, control, member, k)
+        if place % beside == 0 or loops[1:]:
+            signals = signal_names(loops[k])
             upper.set_ylabel(signals.output.label)
             control.set_ylabel(signals.input.label)
-        if k + columns >= len(members):
+        if place + beside >= len(panels):
             control.set_xlabel("time / s")
-        if k == 0:
+        if place == 0:
             named = upper.get_legend_handles_labels()
             figure.legend(*named, loc="outside upper right", ncols=4, borderaxespad=0)
     return figure
 
 
-def _draw_member(upper: Axes, control: Axes, member: Member) -> None:
-    window, order = member.window, member.score.chosen_order
-    twin, model = member.quiet_twin, member.simulated(order)
+def _draw_member(upper: Axes, control: Axes, member: Member, k: int) -> None:
+    """The k-th output and input."""
+    window, order = member.window.alone(k), member.score.chosen_order
+    twin, model = member.quiet_twin.alone(k), member.simulated(order) if member.modelled else None
     time = window.time[SKIPPED:]
     closed = member.settings.law is not None
     draw_outputs(upper, window, closed=closed, lw=1.4)
     upper.plot(time, twin.output, color=CLOSED, lw=1, label="twin")
-    upper.plot(time, model.output, color=MODEL, lw=0.9, ls=(0, (1, 1.2)), label="Box–Jenkins B/F")
+    if model is not None:
+        upper.plot(time, model.output, color=MODEL, lw=0.9, ls=(0, (1, 1.2)), label="Box–Jenkins B/F")
     draw_inputs(control, window, 0.9)
     if closed:
         control.plot(time, twin.input, color=CLOSED, lw=0.9)
+    if closed and model is not None:
         control.plot(time, model.input, color=MODEL, lw=0.8, ls=(0, (1, 1.2)))
-    mark = ", nominal" if member.nominal else ""
-    upper.set_title(f"{member.score.name}, order {order}{mark}", weight="bold" if member.nominal else None)
+    mark = f"{f', order {order}' if order else ''}{', nominal' if member.nominal else ''}"
+    upper.set_title(f"{member.score.name}{mark}", weight="bold" if member.nominal else None)
     upper.margins(x=0.01)
 
 
@@ -225,10 +242,26 @@ def draw_uncertainty(members: Sequence[Member]) -> Figure:
     nominal = next((m for m in members if m.nominal), members[0])
     window = nominal.window
     answers = [response_on(m.score.parameters, window, m.settings.law) for m in members]
-    figure = new_figure(10, 6.2)
-    axes = stack(figure, (3, 2, 1.5, 1.5))
+    loops = channels(nominal.settings.plant)
+    figure, stacks = columns(10, 6.2, (3, 2, 1.5, 1.5), len(loops))
+    for k, (axes, loop) in enumerate(zip(stacks, loops, strict=True)):
+        _draw_answers(axes, loop, window.alone(k), [answer.alone(k) for answer in answers], members)
+        figure.align_ylabels(axes)
+    named = stacks[0][0].get_legend_handles_labels()
+    figure.legend(*named, loc="outside upper center", ncols=min(5, len(members) + 2))
+    return figure
+
+
+def _draw_answers(
+    axes: Sequence[Axes],
+    plant: type[Plant],
+    window: Window,
+    answers: Sequence[Response],
+    members: Sequence[Member],
+) -> None:
+    """One output and one input of all twins, and how far they are from the nominal one."""
     time = window.time[SKIPPED:]
-    draw_outputs(axes[0], window, closed=nominal.settings.law is not None, lw=2)
+    draw_outputs(axes[0], window, closed=members[0].settings.law is not None, lw=2)
     draw_inputs(axes[1], window, 1.6)
     for member, answer, colour in zip(members, answers, family_colours(len(members)), strict=True):
         line: dict[str, Any] = {"color": colour, "lw": 0.9, "zorder": 2}
@@ -239,14 +272,9 @@ def draw_uncertainty(members: Sequence[Member]) -> Figure:
         axes[1].plot(time, answer.input, **line)
     _draw_spread(axes[2], time, np.stack([answer.output for answer in answers]), members)
     _draw_spread(axes[3], time, np.stack([answer.input for answer in answers]), members)
-    signals = signal_names(nominal.settings.plant)
-    name_signals(axes, signals, "minus nominal")
+    name_signals(axes, signal_names(plant), "minus nominal")
     axes[-1].set_xlabel("time since the session began / s")
     axes[0].margins(x=0.005)
-    figure.align_ylabels(axes)
-    named = axes[0].get_legend_handles_labels()
-    figure.legend(*named, loc="outside upper center", ncols=min(5, len(members) + 2))
-    return figure
 
 
 def _draw_spread(axes: Axes, time: FloatArray, table: FloatArray, members: Sequence[Member]) -> None:

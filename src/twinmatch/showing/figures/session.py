@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from twinmatch.comparing import CandidateScore, TrustLevel, Verdict
+from twinmatch.dynamics import Plant, channels
+from twinmatch.offline.estimates import EstimatedCourse
 from twinmatch.offline.summary import ShownTwin, Tally, nominal_score, shown_twin
 from twinmatch.showing.figures.drawing import (
+    cells_for,
+    columns,
     draw_inputs,
     draw_outputs,
     empty,
@@ -24,11 +28,11 @@ from twinmatch.showing.figures.drawing import (
     time_axis,
 )
 from twinmatch.showing.figures.family import draw_gains, fill_matrix
-from twinmatch.showing.quantities import signal_names
+from twinmatch.showing.quantities import outputs_unit, signal_names
 from twinmatch.showing.series import Comparison, compare, rolling_rms
-from twinmatch.showing.style import CLOSED, DRIVEN, LEVELS, PLANT, SET_POINT, TEXT
+from twinmatch.showing.style import CLOSED, DRIVEN, LEVELS, MODEL, PLANT, SET_POINT, TEXT
 from twinmatch.showing.verdicts import admitted, last_verdict
-from twinmatch.signals import FloatArray, Sample, point_text, stretches
+from twinmatch.signals import FloatArray, Sample, Window, point_text, stretches
 from twinmatch.twin import MatchReport, TwinSettings, filled_stretches
 
 if TYPE_CHECKING:
@@ -54,16 +58,31 @@ def draw_session(samples: Sequence[Sample], verdicts: Sequence[Verdict], setting
     )
     closed = settings.law is not None
     rows = (4 if closed else 3) if parts else 2
-    figure = new_figure(10, 1.75 * rows)
-    axes = stack(figure, (3, 2, 1.6, 1.6)[:rows])
-    for number, window in enumerate(stretches(samples, settings.period)):
+    loops = channels(settings.plant)
+    figure, stacks = columns(10, 1.75 * rows, (3, 2, 1.6, 1.6)[:rows], len(loops))
+    windows = stretches(samples, settings.period)
+    for k, (axes, loop) in enumerate(zip(stacks, loops, strict=True)):
+        _draw_loop(axes, loop, [w.alone(k) for w in windows], [p.alone(k) for p in parts], closed=closed)
+        time_axis(axes[-1], settings.period, samples[0].index, samples[-1].index)
+    return figure
+
+
+def _draw_loop(
+    axes: Sequence[Axes],
+    plant: type[Plant],
+    windows: Sequence[Window],
+    parts: Sequence[Comparison],
+    *,
+    closed: bool,
+) -> None:
+    """One output and one input, with what the twins say of them."""
+    for number, window in enumerate(windows):
         draw_outputs(axes[0], window, closed=closed, named=number == 0)
         draw_inputs(axes[1], window, 0.8, named=number == 0)
     for number, part in enumerate(parts):
         _draw_twins(axes[0], axes[1], part, first=number == 0)
         _draw_residuals(axes[2:], part, first=number == 0)
-    signals = signal_names(settings.plant)
-    name_signals(axes, signals, "plant − twin")
+    name_signals(axes, signal_names(plant), "plant − twin")
     if parts:
         _limit(axes[2], [p.closed_residual_y for p in parts] + [p.driven_residual_y for p in parts])
     if parts and closed:
@@ -71,8 +90,6 @@ def draw_session(samples: Sequence[Sample], verdicts: Sequence[Verdict], setting
     for each in axes:
         if each.get_legend_handles_labels()[0]:
             legend_above(each, 5, 0.98, borderaxespad=0.2)
-    time_axis(axes[-1], settings.period, samples[0].index, samples[-1].index)
-    return figure
 
 
 def _limit(axes: Axes, residuals: Sequence[FloatArray]) -> None:
@@ -91,7 +108,7 @@ def _draw_twins(upper: Axes, control: Axes, part: Comparison, *, first: bool) ->
     if part.closed is not None:
         upper.plot(part.time, part.closed.output, color=CLOSED, lw=1, label=closed)
         control.plot(part.time, part.closed.input, color=CLOSED, lw=0.8, label=closed)
-    upper.plot(part.time, part.driven, color=DRIVEN, lw=1, ls=":", label=driven)
+    upper.plot(part.time, part.driven[:, 0], color=DRIVEN, lw=1, ls=":", label=driven)
 
 
 def _draw_residuals(axes: Sequence[Axes], part: Comparison, *, first: bool) -> None:
@@ -126,15 +143,15 @@ def draw_health(
     settings: TwinSettings,
 ) -> Figure:
     """Trust level, misses of every verdict with their limit, matches admitted and refused."""
-    figure = new_figure(10, 4.8)
-    axes = stack(figure, (1.2, 2, 2, 0.9))
+    known = _misses(verdicts, settings.plant, closed=settings.law is not None)
+    figure = new_figure(10, 2.1 + 1.35 * len(known))
+    axes = stack(figure, (1.2, *[2] * len(known), 0.9))
     first, period = samples[0].index, settings.period
     _draw_levels(axes[0], verdicts, period, first)
-    signals = signal_names(settings.plant)
-    for each, attribute, signal in zip(axes[1:3], ("miss_y", "miss_u"), signals, strict=True):
-        _draw_misses(each, verdicts, attribute, period, settings.limits.doubtful)
-        each.set_ylabel(f"{signal.name}\nmiss / half band")
-    _draw_matches(axes[3], matches, admitted(verdicts), period, signals.output.unit)
+    for each, (name, misses) in zip(axes[1:-1], known.items(), strict=True):
+        _draw_misses(each, misses, period, settings.limits.doubtful)
+        each.set_ylabel(f"{name}\nmiss / half band")
+    _draw_matches(axes[-1], matches, admitted(verdicts), period, outputs_unit(settings.plant))
     time_axis(axes[-1], period, first, samples[-1].index)
     figure.align_ylabels(axes)
     return figure
@@ -152,15 +169,29 @@ def _draw_levels(axes: Axes, verdicts: Sequence[Verdict], period: float, first: 
     axes.set_ylabel("trust")
 
 
-def _draw_misses(
-    axes: Axes, verdicts: Sequence[Verdict], attribute: str, period: float, limit: float
-) -> None:
-    known = {v.sample * period: miss for v in verdicts if not math.isnan(miss := getattr(v, attribute))}
+def _misses(verdicts: Sequence[Verdict], plant: type[Plant], *, closed: bool) -> dict[str, dict[int, float]]:
+    """The misses of each signal by sample; of several signals those of inputs only if they were forecast."""
+    if plant.single:
+        y, u = signal_names(plant)
+        return {
+            y.name: {v.sample: v.miss_y for v in verdicts},
+            u.name: {v.sample: v.miss_u for v in verdicts},
+        }
+    known = [*plant.outputs, *(plant.drives if closed else ())]
+    scores = {(v.sample, score.signal): score.miss for v in verdicts for score in v.signals}
+    return {
+        plant.called(name): {sample: miss for (sample, of), miss in scores.items() if of == name}
+        for name in known
+    }
+
+
+def _draw_misses(axes: Axes, misses: Mapping[int, float], period: float, limit: float) -> None:
+    known = {sample * period: miss for sample, miss in misses.items() if not math.isnan(miss)}
     if not known:
         empty(axes, "no residual: there is no candidate")
         return
     axes.plot(list(known), list(known.values()), color=PLANT, marker=".", ms=4, lw=1)
-    top = 1.15 * max(known.values())
+    top = 1.15 * max(known.values()) or 1.0  # a command at its limit is missed by nothing
     if limit <= _DRAWN * top:
         axes.axhline(limit, color=LEVELS[TrustLevel.DOUBTFUL], lw=1.2, ls="--")
         place: dict[str, Any] = {"xycoords": axes.get_yaxis_transform(), "textcoords": "offset points"}
@@ -188,6 +219,29 @@ def _draw_matches(
 
 
 @styled
+def draw_estimates(courses: Sequence[EstimatedCourse], period: float, samples: int) -> Figure:
+    """What each sensor read that was not believed, and what it should have, below one another."""
+    figure = new_figure(10, 2.4 * len(courses))
+    all_axes = figure.subplots(len(courses), squeeze=False)[:, 0]
+    for axes, one in zip(all_axes, courses, strict=True):
+        draw_estimate(axes, one, period, samples)
+    all_axes[-1].set_xlabel("time since the session began / s")
+    return figure
+
+
+def draw_estimate(axes: Axes, one: EstimatedCourse, period: float, samples: int) -> None:
+    """What a sensor read, and what it should have."""
+    time = np.arange(one.first, one.last + 1) * period
+    values, bands = np.array(one.values), np.array(one.bands)
+    axes.plot(time, one.readings, color=SET_POINT, label="read")
+    axes.plot(time, values, color=MODEL, label="should have been read, 90 %")
+    axes.fill_between(time, values - bands, values + bands, color=MODEL, alpha=0.2, lw=0)
+    axes.set_xlim(0.0, samples * period)
+    axes.set_ylabel(f"{one.text} / {one.unit}")
+    legend_above(axes, 2)
+
+
+@styled
 def draw_verdict(
     samples: Sequence[Sample], verdicts: Sequence[Verdict], settings: TwinSettings, path: Path
 ) -> None:
@@ -198,34 +252,39 @@ def draw_verdict(
     """
     figure = new_figure(12, 9)
     grid = figure.add_gridspec(4, 2, height_ratios=(3, 2, 0.9, 3))
-    upper = figure.add_subplot(grid[0, :])
-    control = figure.add_subplot(grid[1, :], sharex=upper)
-    trust = figure.add_subplot(grid[2, :], sharex=upper)
+    loops = channels(settings.plant)
+    uppers, controls = ([figure.add_subplot(c) for c in cells_for(len(loops), grid[k, :])] for k in (0, 1))
+    trust = figure.add_subplot(grid[2, :])
+    for each in (*uppers, *controls):
+        each.sharex(trust)
     last = last_verdict(verdicts)
     shown = shown_twin(verdicts[-1] if verdicts else None)
-    for number, window in enumerate(stretches(samples, settings.period)):
-        draw_outputs(upper, window, closed=settings.law is not None, named=number == 0, lw=1.2)
-        draw_inputs(control, window, 0.9)
     parts = (
         compare(filled_stretches(samples, settings, verdicts), shown.parameters, settings) if shown else ()
     )
-    for number, part in enumerate(parts):
-        label = f"twin of {shown.name}" if shown and number == 0 else "_"
-        output = part.driven if part.closed is None else part.closed.output
-        upper.plot(part.time, output, color=CLOSED, lw=1, label=label)
-        if part.closed is not None:
-            control.plot(part.time, part.closed.input, color=CLOSED, lw=0.8)
-    signals = signal_names(settings.plant)
-    for axes, signal in zip((upper, control), signals, strict=True):
-        axes.set_ylabel(signal.label)
-        axes.tick_params(labelbottom=False)
-    legend_above(upper, 3)
+    for k, (loop, upper, control) in enumerate(zip(loops, uppers, controls, strict=True)):
+        for number, window in enumerate(stretches(samples, settings.period)):
+            closed, alone = settings.law is not None, window.alone(k)
+            draw_outputs(upper, alone, closed=closed, named=number == 0, lw=1.2)
+            draw_inputs(control, alone, 0.9)
+        for number, part in enumerate(p.alone(k) for p in parts):
+            label = f"twin of {shown.name}" if shown and number == 0 else "_"
+            output = part.driven if part.closed is None else part.closed.output
+            upper.plot(part.time, output, color=CLOSED, lw=1, label=label)
+            if part.closed is not None:
+                control.plot(part.time, part.closed.input, color=CLOSED, lw=0.8)
+        for axes, signal in zip((upper, control), signal_names(loop), strict=True):
+            axes.set_ylabel(signal.label)
+            axes.tick_params(labelbottom=False)
+        legend_above(upper, 3)
     if shown is not None:
-        upper.set_title(_title(shown, nominal_score(last)))
+        set_title: Any = figure.suptitle if loops[1:] else uppers[0].set_title
+        set_title(_title(shown, nominal_score(last)))
     _draw_levels(trust, verdicts, settings.period, samples[0].index)
     time_axis(trust, settings.period, samples[0].index, samples[-1].index)
     if last is not None:
-        draw_gains(figure.add_subplot(grid[3, 0]), last)
+        if last.modelled:
+            draw_gains(figure.add_subplot(grid[3, 0]), last)
         fill_matrix(figure.add_subplot(grid[3, 1]), last)
     save(figure, path)
 

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from twinmatch.comparing import TrustLevel
-from twinmatch.description import Description, Quantity
+from twinmatch.description import Description, Loop, Quantity, nth
 from twinmatch.showing.serving import ServingError
-from twinmatch.showing.style import CLOSED, DRIVEN, LEVELS, PLANT, SET_POINT
+from twinmatch.showing.style import CLOSED, DRIVEN, LEVELS, PLANT, SET_POINT, SIDE_BY_SIDE
 
 TOPICS = {
     "plant/description": "twinmatch_msgs/msg/PlantDescription",
@@ -18,6 +18,7 @@ TOPICS = {
     "plant/reading": "twinmatch_msgs/msg/PlantReading",
     "plant/command": "twinmatch_msgs/msg/PlantCommand",
     "plant/applied": "twinmatch_msgs/msg/PlantApplied",
+    "plant/estimate": "twinmatch_msgs/msg/EstimatedReading",
     "plant/temperature": "sensor_msgs/msg/Temperature",
     "plant/reference": "std_msgs/msg/Float64",
     "plant/uniformity": "std_msgs/msg/Float64",
@@ -60,15 +61,16 @@ def layout(described: Description, topics: Collection[str] = (), rig: str = "") 
         topics: relative names of the graph's topics; some panels are included only if theirs is present.
         rig: namespace before the topics, such as `/rig_a`; empty: none.
     """
+    loops = described.loops
     panels = {
-        **_charts(described, rig, applied=APPLIED in topics),
+        **{name: panel for k in range(len(loops)) for name, panel in _charts(loops, k, rig, topics).items()},
         **({"Image!thermal": _image(rig)} if IMAGE in topics else {}),
         **_verdict(rig),
         **_nodes(),
-        "Tab!more": _tabs(),
+        "Tab!more": _tabs(len(loops)),
     }
     rest = {"globalVariables": {}, "userNodes": {}, "playbackConfig": {"speed": 1}}
-    return {"configById": panels, **rest, "layout": _places(image=IMAGE in topics)}
+    return {"configById": panels, **rest, "layout": _places(len(loops), image=IMAGE in topics)}
 
 
 def write_layout(path: Path, made: Mapping[str, Any]) -> None:
@@ -83,39 +85,43 @@ def write_layout(path: Path, made: Mapping[str, Any]) -> None:
         raise ServingError(f"foxglove: the layout cannot be written to {path}: {error.strerror}") from error
 
 
-def _charts(described: Description, rig: str, *, applied: bool) -> dict[str, _Panel]:
-    y, u = described.output, described.input
+def _charts(loops: Sequence[Loop], k: int, rig: str, topics: Collection[str]) -> dict[str, _Panel]:
+    """The panels of the k-th output and input."""
+    _, y, u = loops[k]
     sample, state, forecast = (f"{rig}/{name}" for name in ("plant/sample", "twin/state", "twin/forecast"))
     inputs = [
-        _line(f"{sample}.input[0]", "plant", PLANT),
-        _line(f"{state}.closed_input[0]", "closed-loop twin", CLOSED),
+        _line(f"{sample}.input[{k}]", "plant", PLANT),
+        _line(f"{state}.closed_input[{k}]", "closed-loop twin", CLOSED),
     ]
-    if applied:
+    if APPLIED in topics:
         inputs.append(_line(f"{rig}/{APPLIED}.pwm", "applied by the board", _APPLIED_COLOUR))
-    asked = [
-        _line(f"{sample}.reference[0]", "set-point", SET_POINT),
-        _line(f"{sample}.output[0]", "plant", PLANT),
-        _line(f"{state}.closed_output[0]", "closed-loop twin", CLOSED),
-        _line(f"{state}.driven_output[0]", "driven twin", DRIVEN),
+    outputs = [
+        _line(f"{sample}.reference[{k}]", "set-point", SET_POINT),
+        _line(f"{sample}.output[{k}]", "plant", PLANT),
+        _line(f"{state}.closed_output[{k}]", "closed-loop twin", CLOSED),
+        _line(f"{state}.driven_output[{k}]", "driven twin", DRIVEN),
     ]
     output_off = [
-        _line(f"{state}.closed_residual_y[0]", "closed-loop twin", CLOSED),
-        _line(f"{state}.driven_residual_y[0]", "driven twin", DRIVEN),
-        _line(f"{state}.driven_rms_y[0]", "driven twin, RMS", SET_POINT),
+        _line(f"{state}.closed_residual_y[{k}]", "closed-loop twin", CLOSED),
+        _line(f"{state}.driven_residual_y[{k}]", "driven twin", DRIVEN),
+        _line(f"{state}.driven_rms_y[{k}]", "driven twin, RMS", SET_POINT),
     ]
     input_off = [
-        _line(f"{state}.closed_residual_u[0]", "closed-loop twin", CLOSED),
-        _line(f"{state}.closed_rms_u[0]", "closed-loop twin, RMS", SET_POINT),
+        _line(f"{state}.closed_residual_u[{k}]", "closed-loop twin", CLOSED),
+        _line(f"{state}.closed_rms_u[{k}]", "closed-loop twin, RMS", SET_POINT),
     ]
-    wanted = _line(f"{forecast}.reference[:]", "set-point", SET_POINT)
-    return {
-        "Plot!output": _plot(_title(y), y.label, asked),
+    panels = {
+        "Plot!output": _plot(_title(y), y.label, outputs),
         "Plot!input": _plot(_title(u), u.label, inputs),
         "Plot!residuals": _plot(f"{y.name}: plant minus twin", y.label, output_off),
         "Plot!input_residuals": _plot(f"{u.name}: plant minus twin", u.label, input_off),
-        "Plot!output_ahead": _forecast(forecast, y, [wanted, *_band(f"{forecast}.output")]),
-        "Plot!input_ahead": _forecast(forecast, u, _band(f"{forecast}.input")),
     }
+    if len(loops) == 1:  # a message has the values of several signals one after the other: no path takes one
+        wanted = _line(f"{forecast}.reference[:]", "set-point", SET_POINT)
+        ahead = [wanted, *_band(f"{forecast}.output")]
+        panels["Plot!output_ahead"] = _forecast(forecast, y, ahead)
+        panels["Plot!input_ahead"] = _forecast(forecast, u, _band(f"{forecast}.input"))
+    return {nth(name, k): panel for name, panel in panels.items()}
 
 
 def _title(quantity: Quantity) -> str:
@@ -206,9 +212,9 @@ def _nodes() -> dict[str, _Panel]:
     }
 
 
-def _tabs() -> _Panel:
+def _tabs(loops: int) -> _Panel:
     shown = {
-        "Forecast": _split("column", "Plot!output_ahead", "Plot!input_ahead", 60),
+        **({"Forecast": _split("column", "Plot!output_ahead", "Plot!input_ahead", 60)} if loops == 1 else {}),
         "Verdict": "RawMessages!score",
         "Match": "RawMessages!match",
         "Nodes": _split("column", "DiagnosticSummary!nodes", "DiagnosticStatusPanel!node", 50),
@@ -217,15 +223,28 @@ def _tabs() -> _Panel:
     return {"activeTabIdx": 0, "tabs": [{"title": title, "layout": place} for title, place in shown.items()]}
 
 
-def _places(*, image: bool) -> dict[str, Any]:
-    """Charts on the left; trust, family and tabs on the right."""
-    signals = _split("column", "Plot!output", "Plot!input", 60)
-    off = _split("column", "Plot!residuals", "Plot!input_residuals", 50)
+def _places(loops: int, *, image: bool) -> dict[str, Any]:
+    """Charts on the left, a column for each of up to four loops; trust, family and tabs on the right."""
+    columns = [_column(k) for k in range(loops)]
+    rows = [_even("row", columns[k : k + SIDE_BY_SIDE]) for k in range(0, loops, SIDE_BY_SIDE)]
     above = _split("row", "Indicator!level", "Image!thermal", 35) if image else "Indicator!level"
     family = _split("column", "StateTransitions!verdict", "Table!family", 40)
     verdict = _split("column", family, "Tab!more", 55)
     right = _split("column", above, verdict, 25 if image else 12)
-    return _split("row", _split("column", signals, off, 60), right, 62)
+    return _split("row", _even("column", rows), right, 62)
+
+
+def _column(k: int) -> Any:
+    """The charts of one loop below one another."""
+    signals = _split("column", nth("Plot!output", k), nth("Plot!input", k), 60)
+    off = _split("column", nth("Plot!residuals", k), nth("Plot!input_residuals", k), 50)
+    return _split("column", signals, off, 60)
+
+
+def _even(direction: str, places: Sequence[Any]) -> Any:
+    """Places of the same size."""
+    first, *others = places
+    return _split(direction, first, _even(direction, others), round(100 / len(places))) if others else first
 
 
 def _split(direction: str, first: Any, second: Any, share: int) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from typing import Any
 from bokeh.models import ColumnDataSource, CustomJS, DataRange1d, FactorRange, HoverTool, Legend, LegendItem
 from bokeh.plotting import figure
 
-from twinmatch.description import Description, Quantity
+from twinmatch.description import Description, Loop, Quantity, nth
 from twinmatch.forecasting import Forecast
 from twinmatch.offline.summary import LevelStretch
 from twinmatch.showing.page.state import RollingTable
@@ -40,6 +40,7 @@ FORECAST_COLUMNS = (
     *("t", "reference"),
     *(f"{signal}{edge}" for signal in ("output", "input") for edge in ("", "_low", "_high")),
 )
+"""Of one loop."""
 
 Derive = Callable[[Mapping[str, FloatArray]], dict[str, FloatArray]]
 
@@ -90,7 +91,7 @@ def seconds_ahead(span: float) -> float:
 
 
 class ForecastBands:
-    """Forecast mean and band ahead of the newest sample, on the charts of output and input."""
+    """Forecast mean and band ahead of the newest sample, on the charts of one output and one input."""
 
     def __init__(self, output: Any, control: Any) -> None:
         """Draw on these two charts."""
@@ -141,10 +142,73 @@ if (window.innerWidth < 600) {
 def bands(columns: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
     """The edges of the residual bands, from the RMS columns."""
     edges = {}
-    for name in ("driven_rms_y", "closed_rms_u"):
-        edges[f"{name}_high"] = BAND * columns[name]
-        edges[f"{name}_low"] = -BAND * columns[name]
+    for name in columns:
+        if name.startswith(("driven_rms_y", "closed_rms_u")):
+            edges[f"{name}_high"] = BAND * columns[name]
+            edges[f"{name}_low"] = -BAND * columns[name]
     return edges
+
+
+class LoopCharts:
+    """The figures of one output and one input, the k-th of each, counted from 0."""
+
+    def __init__(
+        self, time: DataRange1d, sources: tuple[ColumnDataSource, ColumnDataSource], loop: Loop, k: int
+    ) -> None:
+        """Draw plant and twins over a time axis; `loop` names set-point, output and input."""
+        self._time, (self._plant, self._twin) = time, sources
+        (_, self._output_of, self._input_of), self._k = loop, k
+        self.output, self.control = self._output(), self._control()
+        self.forecasts = ForecastBands(self.output, self.control)
+        self.residual, self.control_residual = self._residual(), self._control_residual()
+        self.figures = [self.output, self.control, self.residual, self.control_residual]
+
+    def _of(self, column: str) -> str:
+        return nth(column, self._k)
+
+    def _figure(self, name: str, height: int, label: str) -> Any:
+        return _figure(nth(name, self._k), height, label, self._time)
+
+    def _output(self) -> Any:
+        chart, of = self._figure("output", 320, self._output_of.label), self._of
+        self.line = chart.line("t", of("output"), source=self._plant, color=PLANT, line_width=2)
+        closed = chart.line("t", of("closed_output"), source=self._twin, color=CLOSED, line_width=1.6)
+        asked = _step(chart, of("reference"), self._plant, SET_POINT, width=1.4, dash=[6, 4])
+        _legend(chart, {"plant": self.line, "closed-loop twin": closed, "set-point": asked})
+        _hover_value(chart, self.line, "plant", of("output"), self._output_of)
+        return chart
+
+    def _control(self) -> Any:
+        chart, of = self._figure("control", 210, self._input_of.label), self._of
+        plant = _step(chart, of("input"), self._plant, PLANT, width=1.6)
+        closed = _step(chart, of("closed_input"), self._twin, CLOSED, width=1.2)
+        _legend(chart, {"plant": plant, "closed-loop twin": closed})
+        _hover_value(chart, plant, "plant", of("input"), self._input_of)
+        return chart
+
+    def _residual(self) -> Any:
+        chart, band = self._banded("residual", self._output_of, "driven_rms_y", DRIVEN, 0.18)
+        column = self._of("driven_residual_y")
+        driven = chart.line("t", column, source=self._twin, color=DRIVEN, line_width=1.4)
+        of_closed = self._of("closed_residual_y")
+        closed = chart.line("t", of_closed, source=self._twin, color=CLOSED, line_width=1.1)
+        _legend(chart, {"driven twin": driven, f"± {BAND:g} RMS": band, "closed-loop twin": closed})
+        _hover_value(chart, driven, "plant − driven twin", column, self._output_of)
+        return chart
+
+    def _control_residual(self) -> Any:
+        chart, band = self._banded("control_residual", self._input_of, "closed_rms_u", CLOSED, 0.15)
+        column = self._of("closed_residual_u")
+        line = chart.line("t", column, source=self._twin, color=CLOSED, line_width=1.2)
+        _legend(chart, {"closed-loop twin": line, f"± {BAND:g} RMS": band})
+        _hover_value(chart, line, "residual", column, self._input_of)
+        return chart
+
+    def _banded(self, name: str, signal: Quantity, rms: str, colour: str, alpha: float) -> tuple[Any, Any]:
+        """A chart of residuals with their band."""
+        chart, rms = self._figure(name, 180, with_unit("plant − twin", signal.unit)), self._of(rms)
+        filling: dict[str, Any] = {"fill_color": colour, "fill_alpha": alpha}
+        return chart, chart.varea("t", f"{rms}_low", f"{rms}_high", source=self._twin, **filling)
 
 
 class TimeCharts:
@@ -152,30 +216,42 @@ class TimeCharts:
 
     def __init__(self, plant: ColumnDataSource, twin: ColumnDataSource, described: Description) -> None:
         """Draw these two sources; `described` names their signals."""
-        self._plant, self._twin, self._described = plant, twin, described
         self.time = DataRange1d(follow="end", range_padding=0, min_interval=2.0)
-        self.output = self._output()
-        self.control = self._control()
-        self.forecasts = ForecastBands(self.output, self.control)
-        self.time.renderers = [*self.time.renderers, *self.forecasts.lines]
-        self.residual = self._residual()
-        self.control_residual = self._control_residual()
+        self._loops = [
+            LoopCharts(self.time, (plant, twin), loop, k) for k, loop in enumerate(described.loops)
+        ]
+        self.time.renderers = [line for each in self._loops for line in (each.line, *each.forecasts.lines)]
         self._stretches = ColumnDataSource({"left": [], "right": [], "lane": [], "colour": [], "level": []})
         names = ("t", "lane", "colour", "shape", "title", "text")
         self._events = ColumnDataSource({name: [] for name in names})
         self.happened = self._happened()
 
     @property
+    def rows(self) -> list[list[str]]:
+        """Names of the figures of the loops: a row of each kind, top to bottom."""
+        return [
+            [chart.name for chart in of] for of in zip(*(each.figures for each in self._loops), strict=True)
+        ]
+
+    @property
     def figures(self) -> list[Any]:
         """All of them, top to bottom."""
-        return [self.output, self.control, self.residual, self.control_residual, self.happened]
+        return [*(chart for each in self._loops for chart in each.figures), self.happened]
 
     def show(self, *, measured: bool, mirrored: bool) -> None:
         """Show the charts that have data; Bokeh computes no range for an empty chart."""
         for chart in self.figures:
-            wanted = mirrored if chart in (self.residual, self.control_residual) else measured
+            wanted = mirrored if "residual" in chart.name else measured
             if chart.visible != wanted:
                 chart.visible = wanted
+
+    def draw_forecasts(
+        self, forecast: Forecast | None, what_if: Forecast | None, period: float, most: float
+    ) -> None:
+        """Draw both, at most `most` seconds ahead; `period` is the sampling period, s."""
+        for k, each in enumerate(self._loops):
+            own, other = (one and one.alone(k) for one in (forecast, what_if))
+            each.forecasts.update(own, other, period, most)
 
     @property
     def fit_to_narrow(self) -> CustomJS:
@@ -207,59 +283,9 @@ class TimeCharts:
             "text": [e.why for _, e in placed],
         }
 
-    def _figure(self, name: str, height: int, label: str, **options: Any) -> Any:
-        options |= {"x_range": self.time, "y_axis_label": label, "tools": TOOLS, "lod_threshold": None}
-        options |= {"active_drag": None, "active_scroll": None, "sizing_mode": "stretch_width"}
-        chart = figure(name=name, height=height, **options)
-        chart.toolbar.logo = None
-        chart.toolbar.autohide = True
-        chart.xaxis.major_label_text_font_size = "0px"  # only the lowest chart has tick labels
-        return chart
-
-    def _output(self) -> Any:
-        chart = self._figure("output", 320, self._described.output.label)
-        plant = chart.line("t", "output", source=self._plant, color=PLANT, line_width=2)
-        closed = chart.line("t", "closed_output", source=self._twin, color=CLOSED, line_width=1.6)
-        asked = _step(chart, "reference", self._plant, SET_POINT, width=1.4, dash=[6, 4])
-        self.time.renderers = [plant]
-        _legend(chart, {"plant": plant, "closed-loop twin": closed, "set-point": asked})
-        _hover_value(chart, plant, "plant", "output", self._described.output)
-        return chart
-
-    def _control(self) -> Any:
-        chart = self._figure("control", 210, self._described.input.label)
-        plant = _step(chart, "input", self._plant, PLANT, width=1.6)
-        closed = _step(chart, "closed_input", self._twin, CLOSED, width=1.2)
-        _legend(chart, {"plant": plant, "closed-loop twin": closed})
-        _hover_value(chart, plant, "plant", "input", self._described.input)
-        return chart
-
-    def _residual(self) -> Any:
-        output = self._described.output
-        chart, band = self._banded("residual", output, "driven_rms_y", DRIVEN, 0.18)
-        driven = chart.line("t", "driven_residual_y", source=self._twin, color=DRIVEN, line_width=1.4)
-        closed = chart.line("t", "closed_residual_y", source=self._twin, color=CLOSED, line_width=1.1)
-        _legend(chart, {"driven twin": driven, f"± {BAND:g} RMS": band, "closed-loop twin": closed})
-        _hover_value(chart, driven, "plant − driven twin", "driven_residual_y", output)
-        return chart
-
-    def _control_residual(self) -> Any:
-        control = self._described.input
-        chart, band = self._banded("control_residual", control, "closed_rms_u", CLOSED, 0.15)
-        line = chart.line("t", "closed_residual_u", source=self._twin, color=CLOSED, line_width=1.2)
-        _legend(chart, {"closed-loop twin": line, f"± {BAND:g} RMS": band})
-        _hover_value(chart, line, "residual", "closed_residual_u", control)
-        return chart
-
-    def _banded(self, name: str, signal: Quantity, rms: str, colour: str, alpha: float) -> tuple[Any, Any]:
-        """A chart of residuals with their band."""
-        chart = self._figure(name, 180, with_unit("plant − twin", signal.unit))
-        filling: dict[str, Any] = {"fill_color": colour, "fill_alpha": alpha}
-        return chart, chart.varea("t", f"{rms}_low", f"{rms}_high", source=self._twin, **filling)
-
     def _happened(self) -> Any:
         lanes = FactorRange(factors=list(reversed(dict.fromkeys(LANES.values()))))
-        chart = self._figure("happened", 185, "", y_range=lanes)
+        chart = _figure("happened", 185, "", self.time, y_range=lanes)
         chart.xaxis.axis_label = "time since the session began / s"
         chart.xaxis.major_label_text_font_size = "12px"
         chart.ygrid.grid_line_color = None
@@ -270,6 +296,16 @@ class TimeCharts:
         _hover(chart, strips, [("trust", "@level"), ("from", "@left{0} s"), ("to", "@right{0} s")])
         _hover(chart, marks, [("at", "@t{0} s"), ("what", "@title"), ("why", "@text")])
         return chart
+
+
+def _figure(name: str, height: int, label: str, time: DataRange1d, **options: Any) -> Any:
+    options |= {"x_range": time, "y_axis_label": label, "tools": TOOLS, "lod_threshold": None}
+    options |= {"active_drag": None, "active_scroll": None, "sizing_mode": "stretch_width"}
+    chart = figure(name=name, height=height, **options)
+    chart.toolbar.logo = None
+    chart.toolbar.autohide = True
+    chart.xaxis.major_label_text_font_size = "0px"  # only the lowest chart has tick labels
+    return chart
 
 
 def _step(

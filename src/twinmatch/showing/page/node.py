@@ -29,9 +29,9 @@ from twinmatch.showing.page.server import PageServer
 from twinmatch.showing.page.state import DashboardState, DriveReport, TwinRow, update_sentence
 from twinmatch.showing.page.tab import Tab
 from twinmatch.showing.serving import Hosts, place_settings, warn_if_open
-from twinmatch.signals import one_of_each
 from twinmatch.twin import TwinSettings
 from twinmatch_msgs.msg import (
+    EstimatedReading,
     Forecast,
     LoopSample,
     ModelScore,
@@ -86,13 +86,14 @@ class Dashboard(TwinmatchNode):
             state.push_drive(DriveReport(applied, current, message.fault, stamp or None))
 
         def take_twin(message: TwinState) -> None:
-            values = (one_of_each(name, getattr(message, name)) for name in TwinRow._fields)
-            state.push_twin(message.index, TwinRow(*map(float, values)))
+            values = (tuple(map(float, getattr(message, name))) for name in TwinRow._fields)
+            state.push_twin(message.index, TwinRow(*values))
 
         for kind, topic, take, qos in (
             (PlantDescription, "plant/description", self._on_description, LATCHED),
             (LoopSample, "plant/sample", lambda sample: state.push_sample(sample, time.monotonic()), ALL),
             (TwinState, "twin/state", take_twin, ALL),
+            (EstimatedReading, "plant/estimate", state.push_estimate, ALL),
             (Forecast, "twin/forecast", state.push_forecast, ALL),
             (ModelScore, "twin/model_score", state.push_verdict, ALL),
             (PwmApplied, "plant/pwm_applied", lambda m: drive(m, m.pwm, m.current), ALL),

@@ -8,7 +8,7 @@ from html import escape
 from itertools import islice
 
 from twinmatch.comparing import TrustLevel, Verdict
-from twinmatch.description import Quantity
+from twinmatch.description import nth
 from twinmatch.offline.summary import trust_range
 from twinmatch.safety import is_limit
 from twinmatch.showing.family import FIGURES, computed, criterion_rows, for_both, outputs_of
@@ -17,7 +17,14 @@ from twinmatch.showing.page.state import DashboardState, WhatIfAnswer, drive_fau
 from twinmatch.showing.page.style import DARK, MARK_INKS, MARK_SIGNS, SIGNS
 from twinmatch.showing.quantities import number, parameter_format, with_unit
 from twinmatch.showing.style import LEVELS
-from twinmatch.showing.verdicts import Event, fault_words, level_words, row
+from twinmatch.showing.verdicts import (
+    Event,
+    estimate_words,
+    fault_words,
+    level_words,
+    row,
+    trust_by_signal,
+)
 
 RECENT = 80
 """Events in the table."""
@@ -53,6 +60,8 @@ def first_screen(state: DashboardState) -> str:
 def what_to_do(state: DashboardState) -> str:
     """The next thing for the operator to do."""
     said = state.described
+    kinds = zip(*said.loops, strict=True)
+    asked, _, inputs = (" or the ".join(dict.fromkeys(q.name for q in kind)) for kind in kinds)
     if state.fault:
         if is_limit(state.fault):
             return "The drive is limited. Measure what is heated; if the reading is right, clear the fault."
@@ -63,13 +72,14 @@ def what_to_do(state: DashboardState) -> str:
         return "Start the plant's nodes, or play a recorded session: its samples appear here automatically."
     if state.verdict is None or state.verdict.level is TrustLevel.UNKNOWN:
         return (
-            f"Step the {said.reference.name} and hold it for some minutes (in open loop the "
-            f"{said.input.name}): a twin is matched to the plant's response."
+            f"Step the {asked} and hold it for some minutes (in open loop the {inputs}): a twin is matched "
+            "to the plant's response."
         )
-    return _advice(state.verdict, said.output, state.tally.held)
+    unit = said.outputs[0].unit + (f" of {said.loops[0][1].name}" if said.outputs[1:] else "")
+    return _advice(state.verdict, unit, said.outputs[0].decimals - 1, state.tally.held)
 
 
-def _advice(verdict: Verdict, output: Quantity, held: Sequence[tuple[float, float]]) -> str:
+def _advice(verdict: Verdict, unit: str, decimals: int, held: Sequence[tuple[float, float]]) -> str:
     """What to do after a verdict."""
     if verdict.level is TrustLevel.FAULT:
         _, placed, where = verdict.reason.partition(_PLACE)
@@ -80,7 +90,7 @@ def _advice(verdict: Verdict, output: Quantity, held: Sequence[tuple[float, floa
             "Do not rely on forecasts. If the plant was changed, let it step and settle, so that a twin is "
             "matched again; if not, look at drive and sensor."
         )
-    levels = trust_range(held, output.unit, output.decimals - 1)
+    levels = trust_range(held, unit, decimals)
     proven = f"; its forecasts have come true {levels}" if levels else ""
     return f"Nothing. Ask the leader what comes next{proven}."
 
@@ -99,17 +109,22 @@ def _leader(state: DashboardState) -> str:
 
 
 def _forecast(state: DashboardState) -> str:
-    """The output at the end of the leader's forecast."""
-    forecast, output = state.current_forecast, state.described.output
+    """The outputs at the end of the leader's forecast."""
+    forecast = state.current_forecast
     if forecast is None or not forecast.time.size:
         return _answer("forecast", "not known yet", "available once there is a leader")
-    band, places = forecast.output, max(0, output.decimals - 1)
-    mean, low, high = (number(float(v[-1]), places) for v in (band.mean, band.low, band.high))
+    outputs, means, spans = [output for _, output, _ in state.described.loops], [], []
+    for output, band in zip(outputs, forecast.outputs, strict=False):
+        places = max(0, output.decimals - 1)
+        mean, low, high = (number(float(v[-1]), places) for v in (band.mean, band.low, band.high))
+        means.append(f"{mean} {output.unit}".rstrip())
+        spans.append(f"{low} to {high} {output.unit}".rstrip())
+    names = ", ".join(output.name.replace("_", " ") for output in outputs[: len(means)])
     share = f"{100 * forecast.confidence:.0f} %"
     return _answer(
-        f"{output.name.replace('_', ' ')} in {forecast.time[-1]:g} s",
-        f"{mean} {output.unit}".rstrip(),
-        escape(f"{low} to {high} {output.unit}".rstrip() + f" in {share} of such cases"),
+        f"{names} in {forecast.time[-1]:g} s",
+        "; ".join(means),
+        escape(f"{'; '.join(spans)} in {share} of such cases"),
     )
 
 
@@ -117,12 +132,15 @@ def _health(state: DashboardState) -> str:
     verdict = state.verdict
     if verdict is None:
         return _answer("plant health", "not known yet", "no verdict yet")
+    of = {output.name: output for output in state.described.outputs}
+    estimates = (estimate_words(one, of[one.signal], state.period) for one in state.read_through)
+    through = "".join(f"<br>{escape(words)}" for words in estimates)
     if not verdict.fault:
-        return _answer("plant health", "✓ no fault found", "drive and sensor behave as expected")
+        return _answer("plant health", "✓ no fault found", f"drive and sensor behave as expected{through}")
     name, _, since = fault_words(verdict, state.period).partition(" since ")
     at = f"since {since}: " if since else ""
     name = f"{SIGNS[TrustLevel.FAULT]} {name.replace('-', ' ')}"
-    return _answer("plant health", name, escape(f"{at}{verdict.reason}"))
+    return _answer("plant health", name, escape(f"{at}{verdict.reason}") + through)
 
 
 def reasons(verdict: Verdict | None, period: float, sentence: str = "") -> str:
@@ -132,6 +150,9 @@ def reasons(verdict: Verdict | None, period: float, sentence: str = "") -> str:
     cells = row(verdict, period)
     more = f"<p><b>{escape(sentence)}</b></p>" if sentence else ""
     more += "".join(f"<p>{escape(words)}</p>" for words in _more(verdict, period))
+    if each := trust_by_signal(verdict):
+        lines = ["".join(f"<td>{escape(cell)}</td>" for cell in signal.values()) for signal in each]
+        more += _table([(head, "", "") for head in each[0]], [f"<tr>{line}</tr>" for line in lines])
     figures = _tiles(
         [("judged at / s" if n == "t / s" else n, cell) for n, cell in cells.items() if n not in IN_WORDS]
     )
@@ -141,21 +162,26 @@ def reasons(verdict: Verdict | None, period: float, sentence: str = "") -> str:
 
 def tiles(state: DashboardState) -> str:
     """Current values of plant and twins."""
-    now, described = state.plant.newest() or {}, state.described
-    twin, y, u = state.twin.newest() or {}, described.output.decimals, described.input.decimals
-    entries = [
-        (described.reference.label, number(now.get("reference"), y)),
-        (with_unit("plant", described.output.unit), number(now.get("output"), y)),
-        (with_unit("closed-loop twin", described.output.unit), number(twin.get("closed_output"), y)),
-        (with_unit("driven twin", described.output.unit), number(twin.get("driven_output"), y)),
-        (f"plant's {described.input.label}", number(now.get("input"), u)),
-        (f"twin's {described.input.label}", number(twin.get("closed_input"), u)),
-    ]
+    known = (state.plant.newest() or {}) | (state.twin.newest() or {})
+    loops = state.described.loops
+    rows = []
+    for k, (asked, output, control) in enumerate(loops):
+        of, y, u = output.name if loops[1:] else "plant", output.decimals, control.decimals
+        shown = (
+            (asked.label, "reference", y),
+            (with_unit(of, output.unit), "output", y),
+            (with_unit("closed-loop twin", output.unit), "closed_output", y),
+            (with_unit("driven twin", output.unit), "driven_output", y),
+            (f"plant's {control.label}", "input", u),
+            (f"twin's {control.label}", "closed_input", u),
+        )
+        rows.append([(label, number(known.get(nth(name, k)), places)) for label, name, places in shown])
     if state.drive is not None:
-        entries.append((with_unit("applied", described.input.unit), number(state.drive.input, u)))
+        control = loops[0][2]
+        rows[0].append((with_unit("applied", control.unit), number(state.drive.input, control.decimals)))
         if not math.isnan(state.drive.current):
-            entries.append(("current / A", number(state.drive.current, 2)))
-    return _tiles(entries, "tiles now")
+            rows[0].append(("current / A", number(state.drive.current, 2)))
+    return "".join(_tiles(entries, "tiles now") for entries in rows)
 
 
 def status(state: DashboardState, now: float) -> str:
@@ -203,26 +229,30 @@ def family_table(verdict: Verdict | None, *, every: bool) -> str:
     criteria = computed(verdict.modelled)
     of = verdict.candidates[0].parameters.model
     matched = [parameter_format(of.plant, name) for name in of.structure.free]
-    columns = [*for_both(verdict.candidates[0], criteria), *FIGURES]
-    head = [("candidate", "", ""), ("order", "", ""), *((c.name, c.unit, c.meaning) for c in columns)]
+    orders = [("order", "", "")] if verdict.modelled else []
+    columns = [*(for_both(verdict.candidates[0], criteria) if orders else ()), *FIGURES]
+    head = [("candidate", "", ""), *orders, *((c.name, c.unit, c.meaning) for c in columns)]
     head += [(q.symbol, q.unit, q.words) for q in matched]
     lines = []
-    for candidate in verdict.modelled:
+    for candidate in verdict.family:
         nominal = candidate.name == verdict.nominal
         tag = '<span class="tag">nominal</span>' if nominal else ""
         rest = [column.text(candidate) for column in FIGURES]
         rest += [q.text(candidate.parameters.get(q.name, math.nan)) for q in matched]
         both, _ = outputs_of(candidate.orders)[-1]  # in open loop the output alone
-        for line in criterion_rows(candidate, criteria):
-            if line.output != both or not (every or line.chosen):
+        shown = [line for line in criterion_rows(candidate, criteria) if line.output == both]
+        for line in shown or (None,):
+            chosen = line is None or line.chosen
+            if not (every or chosen):
                 continue
-            cells = [f"<td>{escape(candidate.name)}{tag}</td>" if line.chosen else "<td></td>"]
-            cells.append(f'<td class="left">{escape(line.order)}{" ✓" if line.chosen else ""}</td>')
-            cells += [
-                f'<td class="best">{c.text}</td>' if c.best else f"<td>{c.text}</td>" for c in line.cells
-            ]
-            cells += [f"<td>{escape(value) if line.chosen else ''}</td>" for value in rest]
-            kind = "nominal-row" if nominal and line.chosen else "" if line.chosen else "faded"
+            cells = [f"<td>{escape(candidate.name)}{tag}</td>" if chosen else "<td></td>"]
+            if line is not None:
+                cells.append(f'<td class="left">{escape(line.order)}{" ✓" if chosen else ""}</td>')
+                cells += [
+                    f'<td class="best">{c.text}</td>' if c.best else f"<td>{c.text}</td>" for c in line.cells
+                ]
+            cells += [f"<td>{escape(value) if chosen else ''}</td>" for value in rest]
+            kind = "nominal-row" if nominal and chosen else "" if chosen else "faded"
             lines.append(f'<tr class="{kind}">{"".join(cells)}</tr>')
     return _table(head, lines)
 

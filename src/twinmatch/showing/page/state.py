@@ -5,20 +5,21 @@ from __future__ import annotations
 import math
 import threading
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from copy import copy
 from dataclasses import replace
 from statistics import median
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twinmatch.comparing import Verdict
-from twinmatch.description import UNDESCRIBED, Description
+from twinmatch.description import UNDESCRIBED, Description, nth
 from twinmatch.errors import TwinmatchError
 from twinmatch.forecasting import Forecast
+from twinmatch.health import EstimatedReading
 from twinmatch.offline.summary import Tally, conclude
 from twinmatch.safety import is_limit
 from twinmatch.showing.page.health import NodeReports
@@ -29,9 +30,11 @@ from twinmatch.showing.verdicts import (
     Mark,
     events_since,
 )
-from twinmatch.signals import FloatArray, Sample
+from twinmatch.signals import FloatArray, OperatingPoint, Sample, point_values
 from twinmatch.twin import TwinSettings, filled_stretches
 
+LOOP: Final = ("reference", "output", "input")
+"""Columns of the plant, of several signals those of the first."""
 CAPACITY = 36_000
 """Samples kept: an hour at 10 Hz, ten hours at 1 Hz."""
 EVENTS = 400
@@ -42,17 +45,17 @@ INTERVALS = 31
 class TwinRow(NamedTuple):
     """Both twins at one sample; residuals are measured minus twin, RMS over the newest samples."""
 
-    closed_output: float
-    """Of the closed-loop twin, driven by the set-point."""
-    closed_input: float
-    driven_output: float
+    closed_output: OperatingPoint
+    """Of the closed-loop twin, driven by the set-point; as all of them of each signal."""
+    closed_input: OperatingPoint
+    driven_output: OperatingPoint
     """Of the twin driven by the plant's input."""
-    closed_residual_y: float
-    closed_residual_u: float
-    driven_residual_y: float
-    closed_rms_y: float
-    closed_rms_u: float
-    driven_rms_y: float
+    closed_residual_y: OperatingPoint
+    closed_residual_u: OperatingPoint
+    driven_residual_y: OperatingPoint
+    closed_rms_y: OperatingPoint
+    closed_rms_u: OperatingPoint
+    driven_rms_y: OperatingPoint
 
 
 class DriveReport(NamedTuple):
@@ -66,6 +69,10 @@ class DriveReport(NamedTuple):
     """Why the output is held at zero, or limited; empty: no fault."""
     stamp: int | None = None
     """When it was made, ns by the clock of the samples' stamps; None: not known."""
+
+
+LATE: Final = 5
+"""Samples after which an estimate is not shown any longer."""
 
 
 def drive_fault(fault: str) -> tuple[str, str]:
@@ -172,11 +179,11 @@ class DashboardState:
 
     def __init__(self, capacity: int = CAPACITY, described: Description = UNDESCRIBED) -> None:
         """Start empty; `capacity` samples are kept."""
-        self.described = described
-        """Names and units of the plant and its signals."""
         self.lock = threading.RLock()
-        self.plant = RollingTable(("reference", "output", "input"), capacity)
-        self.twin = RollingTable(TwinRow._fields, capacity)
+        self._capacity = capacity
+        self.describe(described)
+        self.estimates: dict[str, EstimatedReading] = {}
+        """The newest of each sensor that was not believed, by its name in the plant file."""
         self.session = 1
         """Counted from 1."""
         self.period = 1.0
@@ -238,10 +245,26 @@ class DashboardState:
         """Take the names and units of the plant and its signals."""
         with self.lock:
             self.described = described
+            """Names and units of the plant and its signals."""
+            loops = len(described.loops)
+            if getattr(self, "_loops", 0) != loops:
+                self._loops, capacity = loops, self._capacity
+                self.plant, self.twin = (
+                    RollingTable([nth(name, k) for name in names for k in range(loops)], capacity)
+                    for names in (LOOP, TwinRow._fields)
+                )
+
+    @property
+    def read_through(self) -> list[EstimatedReading]:
+        """What sensors should read now that are not believed."""
+        newest = self.sample or 0
+        return [one for one in self.estimates.values() if newest - one.sample <= LATE]
 
     def push_sample(self, sample: Sample, now: float) -> None:
-        """Take a sample received at `now` (s)."""
+        """Take a sample received at `now` (s), once the plant it is of has been described."""
         with self.lock:
+            if sample.shape[:3] != self.described.shape:
+                return
             previous = self._previous
             self.nodes.begin(now)
             if previous is not None and not sample.continues(previous):
@@ -249,7 +272,7 @@ class DashboardState:
             elif previous is not None:
                 self._note_interval(sample, previous)
             first = self.sample is None
-            self.plant.push(sample.index, (sample.reference, sample.output, sample.input))
+            self.plant.push(sample.index, self._spread((sample.references, sample.outputs, sample.inputs)))
             self._previous, self.received_at = sample, now
             if first:
                 self._date(sample)
@@ -259,7 +282,16 @@ class DashboardState:
         with self.lock:
             if self.twin.last is not None and index <= self.twin.last:
                 self.twin.clear()
-            self.twin.push(index, row)
+            self.twin.push(index, self._spread(map(point_values, row)))
+
+    def _spread(self, kinds: Iterable[Sequence[float]]) -> list[float]:
+        """Values of each kind, of fewer than loops the last again."""
+        return [of[min(k, len(of) - 1)] for of in kinds for k in range(self._loops)]
+
+    def push_estimate(self, estimate: EstimatedReading) -> None:
+        """Take what a sensor should read."""
+        with self.lock:
+            self.estimates[estimate.signal] = estimate
 
     def push_verdict(self, verdict: Verdict) -> None:
         """Take a verdict."""
@@ -329,7 +361,7 @@ class DashboardState:
             self.twin.clear()
         self.verdict, self.verdicts, self.sentence = None, self.verdicts + 1, ""
         self.forecast, self.what_if, self.forecast_changes = None, None, self.forecast_changes + 1
-        self.tally, self.taught = Tally(), []
+        self.tally, self.taught, self.estimates = Tally(), [], {}
         self._intervals.clear()
         why = f"the previous one lasted {duration:g} s"
         self._note(EventKind.NODE, Mark.NOTE, "a new session began", why)
@@ -363,8 +395,11 @@ def update_sentence(state: DashboardState, settings: TwinSettings) -> None:
     with state.lock:
         verdict, period, tally, taught = state.verdict, state.period, copy(state.tally), list(state.taught)
         columns, _ = state.plant.since(0)
-    rows = zip(*(columns[n].tolist() for n in ("index", "reference", "output", "input")), strict=True)
-    samples = [Sample(int(k), int(k), r, y, u) for k, r, y, u in rows if not math.isnan(r)]  # NaN: a gap
+        kinds = zip(LOOP, state.described.shape, strict=True)
+    names = ([nth(name, k) for k in range(size)] for name, size in kinds)
+    signals = (zip(*(columns[name].tolist() for name in of), strict=True) for of in names)
+    rows = zip(columns["index"].tolist(), *signals, strict=True)
+    samples = [Sample(int(k), int(k), *of) for k, *of in rows if not math.isnan(of[0][0])]  # NaN: a gap
     summed_up = ""
     if samples and verdict is not None and (verdict.leader or verdict.nominal):
         with suppress(TwinmatchError):  # so few samples that there is no window

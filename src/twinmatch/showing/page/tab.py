@@ -88,7 +88,8 @@ def question_form(requests: Requests, label: str) -> Row:
 
 
 def rig_form(requests: Requests, label: str) -> Row:
-    """Set-point, named by `label`, clearing a fault and stop, for a page that may control."""
+    """Set-point, named by `label` (empty: there are several), clearing a fault and stop, for a page that may
+    control."""
     level = _entry(label, 110)
 
     def ask() -> None:
@@ -100,7 +101,8 @@ def rig_form(requests: Requests, label: str) -> Row:
         _button("Clear fault", 110, "warning", requests.clear_fault),
         _button("Output off", 110, "danger", requests.stop),
     )
-    return Row(level, *buttons, name="rig", spacing=8, styles=_AT_END)
+    shown = (level, *buttons) if label else buttons[1:]
+    return Row(*shown, name="rig", spacing=8, styles=_AT_END)
 
 
 REFRESH = 350
@@ -140,10 +142,12 @@ class Tab:
         spans: Any = {"labels": [label for label, _ in SPANS], "active": DEFAULT_SPAN}
         self._span = RadioButtonGroup(name="span", stylesheets=[BUTTONS], **spans)
         self._player = PlayerButtons(requests)
-        self._forms = [question_form(requests, described.reference.label)]
+        alone = described.loops[1:] == ()
+        label = described.references[0].label if alone else ""
+        self._forms = [question_form(requests, label)] if alone else []
         self._control = requests.control
         if self._control:
-            self._forms.append(rig_form(requests, described.reference.label))
+            self._forms.append(rig_form(requests, label))
             self._texts["notice"] = panel("notice")
         self._seen: dict[str, object] = {}
 
@@ -161,6 +165,7 @@ class Tab:
         document.template = _TEMPLATE.read_text(encoding="utf-8")
         colours = {"ink": TEXT, "good": LEVELS[TrustLevel.TRUSTED], "fault": LEVELS[TrustLevel.FAULT]}
         shown = {"control": self._control, "plant_title": title, "font": FONT, **colours}
+        shown |= {"charts": self._charts.rows, "asks": len(self._charts.rows[0]) == 1}
         document.template_variables.update(shown)
         document.config.reconnect_session = False  # a restarted server does not know the old session
         document.js_on_event("document_ready", self._charts.fit_to_narrow)
@@ -205,7 +210,7 @@ class Tab:
         if self._changed("forecast", (span, state.forecast_changes, state.period, forecast is None)):
             most = seconds_ahead(span)
             what_if = None if state.what_if is None else state.what_if.forecast
-            self._charts.forecasts.update(forecast, what_if, state.period, most)
+            self._charts.draw_forecasts(forecast, what_if, state.period, most)
             self._charts.span(span if forecast is None else span + most)
             self._show("answer", panels.what_if(state.what_if))
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from twinmatch.comparing import REFUSED
+from twinmatch.comparing import REFUSED, number_list
 from twinmatch.errors import TwinmatchError
 from twinmatch.forecasting import Forecast
 from twinmatch.offline.backtest import Backtest
@@ -28,9 +28,9 @@ from twinmatch.showing.figures.family import (
     draw_uncertainty,
 )
 from twinmatch.showing.figures.forecasts import draw_backtest, draw_forecasts
-from twinmatch.showing.figures.session import draw_health, draw_session
+from twinmatch.showing.figures.session import draw_estimates, draw_health, draw_session
 from twinmatch.showing.forecasts import asked, backtest_words
-from twinmatch.showing.quantities import signal_names
+from twinmatch.showing.quantities import shown_inputs, shown_outputs, signal_names
 from twinmatch.showing.series import Fan, fan
 from twinmatch.showing.verdicts import admitted, last_verdict
 
@@ -63,13 +63,16 @@ class Picture:
 
 
 def pictures(
-    judgement: Judgement, members: Sequence[Member], tested: Backtest, work: Beside
+    judgement: Judgement, members: Sequence[Member], tests: Sequence[Backtest], work: Beside
 ) -> dict[str, Picture]:
     """All figures of a session and its family, by name and in the order of the report.
 
     `work` draws some of them, if it has a second process.
     """
-    planned = [*_of_session(judgement), *_of_forecasts(judgement, tested), *_of_family(judgement, members)]
+    planned = [*_of_session(judgement)]
+    for k, tested in enumerate(tests):
+        planned += _of_forecasts(judgement, tested, k, f"_{next(iter(tested.plant.outputs))}" if k else "")
+    planned += _of_family(judgement, members)
     queue = sorted(planned, key=lambda picture: _QUEUE.get(picture.name, 0))
     given = [(picture.name, work.give(_svg, picture.draw)) for picture in queue]
     drawn = {name: result() for name, result in reversed(given)}  # this process begins with the last
@@ -81,30 +84,37 @@ def _svg(draw: Callable[[], Figure]) -> str:
 
 
 def _of_session(j: Judgement) -> Iterator[Picture]:
-    """The two figures of the whole session."""
+    """The figures of the whole session."""
     title = "Plant and leading twin over the whole session"
     draw = partial(draw_session, j.samples, j.verdicts, j.settings)
     yield Picture("session", title, _session_alt(j), draw)
     draw = partial(draw_health, j.samples, j.matches, j.verdicts, j.settings)
     yield Picture("health", "Health over time", _health_alt(j), draw)
+    if j.estimates:
+        draw = partial(draw_estimates, j.estimates, j.settings.period, j.samples[-1].index + 1)
+        alt = "; ".join(course.line(j.settings.period) for course in j.estimates)
+        yield Picture("estimates", "What sensors should have read that were not believed", alt, draw)
 
 
-def _of_forecasts(j: Judgement, tested: Backtest) -> Iterator[Picture]:
+def _of_forecasts(j: Judgement, tested: Backtest, k: int, ending: str) -> Iterator[Picture]:
+    """Of the k-th output; the names end so."""
     if not tested.marked:
         return
     alt = (
         "Errors and coverage of every forecaster by horizon, and the leader's forecasts with their "
         f"bands, compared with the measurements. {' '.join(backtest_words(tested))}"
     )
-    yield Picture("forecasts", "Forecasts compared with measurements", alt, partial(draw_backtest, tested))
-    if fans := fans_of(tested, j):
+    of = "" if j.settings.plant.single else f": {signal_names(tested.plant).output}"
+    title = f"Forecasts compared with measurements{of}"
+    yield Picture(f"forecasts{ending}", title, alt, partial(draw_backtest, tested))
+    if fans := fans_of(tested, j, k):
         made = ", ".join(f"{one.forecast.sample} by {one.forecast.candidate}" for one in fans)
         alt = (
             "Forecasts with their bands, the measurements before and after, and measured minus forecast "
             f"within the band. Made at samples {made}."
         )
-        draw = partial(draw_forecasts, fans, j.settings.plant)
-        yield Picture("leader_forecasts", "Forecasts of the leader", alt, draw)
+        draw = partial(draw_forecasts, fans, tested.plant)
+        yield Picture(f"leader_forecasts{ending}", f"Forecasts of the leader{of}", alt, draw)
 
 
 def _of_family(j: Judgement, members: Sequence[Member]) -> Iterator[Picture]:
@@ -117,10 +127,12 @@ def _of_family(j: Judgement, members: Sequence[Member]) -> Iterator[Picture]:
         draw = partial(draw_parameters, j.matches, admitted(j.verdicts), nominal, j.settings.period)
         yield Picture("parameters", "Parameters of every match", alt, draw)
     if members:
-        names, output = ", ".join(m.score.name for m in members), signal_names(j.settings.plant).output.name
+        names = ", ".join(m.score.name for m in members)
+        output = number_list(map(str, shown_outputs(j.settings.plant)))
+        model = " and that of its Box–Jenkins model" if j.settings.plant.single else ""
         alt = (
             f"One panel for each candidate ({names}): set-point, measured {output} and control, the response "
-            "of the twin and that of its Box–Jenkins model."
+            f"of the twin{model}."
         )
         yield Picture("responses", "The family on the measured data", alt, partial(draw_responses, members))
         alt = (
@@ -129,25 +141,28 @@ def _of_family(j: Judgement, members: Sequence[Member]) -> Iterator[Picture]:
         )
         yield Picture("uncertainty", "Uncertainty of the twin", alt, partial(draw_uncertainty, members))
     last = last_verdict(j.verdicts)
-    if last is not None:
+    if last is not None and last.modelled:
         chosen = ((c.name, score) for c in last.modelled if (score := chosen_score(c)))
         gains = ", ".join(f"{n}: order {o.order}, gain {o.total.gain} characters" for n, o in chosen)
         alt = f"Bars for every candidate and order. {gains}."
         yield Picture("criteria", "Criteria of the orders", alt, partial(draw_criteria, last))
+    if last is not None:
         sums = ", ".join(f"{c.name} {c.nu_gap_sum:.2f}" for c in last.candidates)
         alt = f"Shaded matrix of the ν-gaps between the plants. Sums: {sums}. Nominal: {last.nominal}."
         yield Picture("nu_gap", "ν-gap between the plants of the family", alt, partial(draw_matrix, last))
 
 
-def fans_of(tested: Backtest, judgement: Judgement) -> tuple[Fan, ...]:
-    """The leader's forecasts during which the set-point (or the input) moved most, in order of time."""
+def fans_of(tested: Backtest, judgement: Judgement, k: int = 0) -> tuple[Fan, ...]:
+    """The leader's forecasts of the k-th output during which its set-point (or the input) moved most, in
+    order of time."""
+    held = [window.alone(k) for window in judgement.stretches]
 
     def moved(forecast: Forecast) -> float:
         values = asked(forecast)
         return float(np.ptp(values)) if values.size else 0.0
 
     hardest = sorted(tested.shown, key=moved, reverse=True)[:_SHOWN]
-    return tuple(fan(one, judgement.stretches) for one in sorted(hardest, key=lambda f: f.sample))
+    return tuple(fan(one, held) for one in sorted(hardest, key=lambda f: f.sample))
 
 
 def write_pictures(named: dict[str, Picture], folder: Path, ending: str) -> list[Path]:
@@ -168,20 +183,23 @@ def write_pictures(named: dict[str, Picture], folder: Path, ending: str) -> list
 
 
 def _session_alt(j: Judgement) -> str:
-    low, high = min(s.output for s in j.samples), max(s.output for s in j.samples)
-    y, u = signal_names(j.settings.plant)
+    readings = list(zip(*(s.outputs for s in j.samples), strict=True))
+    outputs, inputs = shown_outputs(j.settings.plant), shown_inputs(j.settings.plant)
     closed = j.settings.law is not None
     set_point = "set-point, " if closed else ""
-    base = f"Time series of {set_point}measured {y.name} ({y.text(low, high)}) and {u.name}"
+    measured = [f"{y} ({y.text(min(of), max(of))})" for y, of in zip(outputs, readings, strict=True)]
+    signals = number_list([*measured, *map(str, inputs)])
+    base = f"Time series of {set_point}measured {signals}"
     shown = shown_twin(j.verdicts[-1] if j.verdicts else None)
     if shown is None:
         return f"{base}; there is no twin to compare them with."
-    twins, fitted = "the driven twin", "driven"
+    twins, fitted, each = "the driven twin", "driven", j.summary.fits.outputs if j.summary.fits else ()
+    fits = [f"{y} to {100 * share:.1f}" for y, share in zip(outputs, each, strict=True)]
     if closed:
         twins, fitted = "the closed-loop and the driven twin", "closed-loop"
     return (
         f"{base}, with {twins} of {shown.name}; below, the residuals between plant and twin. "
-        f"The {fitted} twin fits the {y.name} to {100 * j.summary.fit_y:.1f} %."
+        f"The {fitted} twin fits the {number_list(fits)} %."
     )
 
 

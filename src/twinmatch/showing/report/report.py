@@ -16,9 +16,11 @@ from typing import NamedTuple
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 import twinmatch
+from twinmatch.comparing import Verdict, number_list
+from twinmatch.dynamics import Plant
 from twinmatch.errors import TwinmatchError
 from twinmatch.importing import open_any
-from twinmatch.offline.backtest import PEERS, Backtest, Choices, Listener, graded, portable
+from twinmatch.offline.backtest import PEERS, Backtest, Choices, Listener, graded_outputs, portable
 from twinmatch.offline.judging import Judgement, Terms, Watch, judge, recorded_terms, terms_from_files
 from twinmatch.offline.processes import Beside, beside
 from twinmatch.offline.verification import compare, holds_verdicts
@@ -28,13 +30,14 @@ from twinmatch.sessions.files import ProgressCallback, part_of
 from twinmatch.showing.family import CRITERIA, FIGURES, Member, family
 from twinmatch.showing.forecasts import backtest_words
 from twinmatch.showing.memory import memory_words
-from twinmatch.showing.quantities import signal_names
+from twinmatch.showing.quantities import outputs_unit, shown_inputs, shown_outputs, signal_names
 from twinmatch.showing.report import tables
 from twinmatch.showing.report.pictures import Picture, fans_of, pictures
 from twinmatch.showing.report.words import as_sentence, plain_words, session_facts
 from twinmatch.showing.style import LEVELS
 from twinmatch.showing.summary import sentence
 from twinmatch.showing.verdicts import last_verdict, level_words
+from twinmatch.signals import one_of_each, point_text
 from twinmatch.twin import TwinSettings
 
 _LIBRARIES = ("numpy", "scipy", "numba", "control", "mcap", "matplotlib", "Jinja2")
@@ -146,9 +149,14 @@ class JudgedSession:
     """Called with the progress of the backtest."""
 
     @cached_property
+    def tests(self) -> tuple[Backtest, ...]:
+        """The forecasts made during the judgement, compared with the measurements, output by output."""
+        return graded_outputs(self.judgement, self.listener, watch=self.watch)
+
+    @property
     def tested(self) -> Backtest:
-        """The forecasts made during the judgement, compared with the measurements."""
-        return graded(self.judgement, self.listener, watch=self.watch)
+        """Those of a plant with one output."""
+        return one_of_each("output", self.tests)
 
 
 def judge_for_report(path: Path) -> JudgedSession:
@@ -256,7 +264,10 @@ class SessionReport:
 
     def _content(self) -> dict[str, object]:
         judged, judgement, settings = self.judged, self.judged.judgement, self.judged.judgement.settings
-        last, nominal, tested = last_verdict(judgement.verdicts), self.nominal, judged.tested
+        last, nominal = last_verdict(judgement.verdicts), self.nominal
+        tests = judged.tests
+        words = [*plain_words(judgement), *(line for each in tests for line in backtest_words(each)[-1:])]
+        others = [m for m in self.members if not m.nominal and m.modelled]
         period, level, closed = settings.period, judgement.summary.level, settings.law is not None
         plant, matched = settings.plant, settings.start.model.structure_name
         return {
@@ -265,14 +276,14 @@ class SessionReport:
             "level": level.value,
             "level_colour": LEVELS[level],
             "level_words": level_words(judgement.verdicts[-1] if judgement.verdicts else None),
-            "words": [*plain_words(judgement), *backtest_words(tested)[-1:], *self.memory],
-            "forecasts": tables.forecast_tables(tested),
-            "forecast_sentences": backtest_words(tested),
+            "words": [*words, *self.memory],
+            "tested": [_tested(each, judgement, k) for k, each in enumerate(tests)],
+            "estimates": [course.line(period) for course in judgement.estimates],
+            "by_signal": tables.signal_table(last),
             "peers": _peer_words(judged.listener.common.peers, closed=closed),
-            "fans": tables.leader_forecast_table(fans_of(tested, judgement), plant),
-            "horizons": ", ".join(f"{h:g}" for h in tested.horizons),
-            "confidence": f"{100 * tested.confidence:.0f}",
-            "forecast_notes": list(tested.notes),
+            "horizons": ", ".join(f"{h:g}" for h in tests[0].horizons),
+            "confidence": f"{100 * tests[0].confidence:.0f}",
+            "forecast_notes": list(dict.fromkeys(note for each in tests for note in each.notes)),
             "facts": session_facts(judgement),
             "notes": judgement.summary.notes,
             "pictures": self.pictures,
@@ -287,19 +298,43 @@ class SessionReport:
             "weights": tables.order_table(last) if last else None,
             "structure": tables.structure_table(last) if last else None,
             "gaps": tables.gap_table(last) if last else None,
-            "identified": tables.identified_table(last) if last else None,
-            "coefficients": tables.coefficient_table(nominal) if nominal else None,
-            "other_coefficients": [tables.coefficient_table(m) for m in self.members if not m.nominal],
+            "identified": tables.identified_table(last) if last and last.modelled else None,
+            "coefficients": tables.coefficient_table(nominal) if nominal and nominal.modelled else None,
+            "other_coefficients": list(map(tables.coefficient_table, others)),
             "limits": settings.limits,
             "schedule": settings.schedule,
             "judged": judged,
             "plant": plant,
-            "called": signal_names(plant),
+            "called": signal_names(plant) if plant.single else None,
+            "outputs": number_list(map(str, shown_outputs(plant))),
+            "inputs": number_list(map(str, shown_inputs(plant))),
+            "sensors": number_list(dict.fromkeys(output.sensor for output in plant.outputs.values())),
+            "unit": outputs_unit(plant),
+            "gap_points": _points(last, plant) if last else [],
             "closed": closed,
             "asked": "set-point" if closed else "input",
             "others": ", ".join(n for n in plant.structures if n != matched),
             "provenance": self.provenance,
         }
+
+
+def _tested(tested: Backtest, judgement: Judgement, k: int) -> dict[str, object]:
+    """What section 3 shows of the k-th output."""
+    single, ending = judgement.settings.plant.single, f"_{next(iter(tested.plant.outputs))}" if k else ""
+    return {
+        "name": "" if single else signal_names(tested.plant).output.name,
+        "sentences": backtest_words(tested),
+        "tables": tables.forecast_tables(tested),
+        "picture": f"forecasts{ending}",
+        "leader": f"leader_forecasts{ending}",
+        "fans": tables.leader_forecast_table(fans_of(tested, judgement, k), tested.plant),
+    }
+
+
+def _points(verdict: Verdict, plant: type[Plant]) -> list[str]:
+    """The operating points at which plants are compared."""
+    points, size = verdict.nu_gap_points, len(plant.outputs)
+    return [point_text(points[k : k + size]) for k in range(0, len(points), size)]
 
 
 def _peer_words(names: Sequence[str], *, closed: bool) -> list[str]:
@@ -324,7 +359,7 @@ def build_report(
     judgement = judged.judgement
     last, settings = last_verdict(judgement.verdicts), judgement.settings
     members = family(judgement.samples, judgement.matches, last, settings)
-    drawn = pictures(judgement, members, judged.tested, work or Beside())
+    drawn = pictures(judgement, members, judged.tests, work or Beside())
     made = made or datetime.now().astimezone()
     return SessionReport(judged, members, drawn, provenance(path, settings, command, made))
 

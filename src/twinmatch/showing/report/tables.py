@@ -34,7 +34,7 @@ from twinmatch.showing.quantities import (
     with_unit,
 )
 from twinmatch.showing.series import Fan, root_mean_square
-from twinmatch.showing.verdicts import events, match_word, refusal
+from twinmatch.showing.verdicts import events, match_word, refusal, trust_by_signal
 from twinmatch.signals import point_text
 from twinmatch.twin import MatchReport
 
@@ -161,13 +161,17 @@ def family_table(members: Sequence[Member]) -> ReportTable | None:
 
     shown: list[tuple[str, Callable[[Member], Cell]]] = [
         ("candidate", lambda m: _head(m.score.name)),
-        ("samples", lambda m: Cell(f"{m.score.first} to {m.score.last}" if m.match else "candidate file")),
+        ("samples", lambda m: Cell(_samples(m.score) if m.fitted else "candidate file")),
         *((q.label, lambda m, q=q: parameter(m, q)) for q in _formats(members)),
         ("fit of y / %", lambda m: Cell(percent(m.match.fit.y) if m.match else "–")),
         *([("fit of u / %", lambda m: Cell(percent(m.match.fit.u) if m.match else "–"))] if closed else []),
     ]
     marked = {k for k, m in enumerate(members) if m.nominal}
     return _table("Parameters of the family, with 95 % intervals", members, shown, marked)
+
+
+def _samples(score: CandidateScore) -> str:
+    return f"{score.first} to {score.last}"
 
 
 def _formats(members: Sequence[Member]) -> list[ParameterFormat]:
@@ -207,6 +211,15 @@ def match_table(
         ("why", lambda m: _words(reasons.get(m.sample, m.match.reason))),
     ]
     return _table("Every match of the session", matches, of_match)
+
+
+def signal_table(verdict: Verdict | None) -> ReportTable | None:
+    """How far to trust the forecasts of each of several signals; None for a single loop."""
+    rows = trust_by_signal(verdict)
+    if not rows:
+        return None
+    cells = (tuple(map(_head, row.values()))[:1] + tuple(map(Cell, row.values()))[1:] for row in rows)
+    return ReportTable("How far to trust the leader's forecasts of each signal", tuple(rows[0]), tuple(cells))
 
 
 def criterion_tables(verdict: Verdict) -> list[ReportTable]:

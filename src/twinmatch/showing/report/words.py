@@ -4,13 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from twinmatch.comparing import CandidateScore, TrustLevel, Verdict
+from twinmatch.comparing import CandidateScore, TrustLevel, Verdict, number_list
 from twinmatch.offline.judging import Judgement
 from twinmatch.offline.summary import ShownTwin, nominal_score, shown_twin
-from twinmatch.showing.quantities import ShownSignals, number, percent, signal_names
+from twinmatch.showing.quantities import (
+    ShownSignal,
+    number,
+    outputs_unit,
+    percent,
+    shown_inputs,
+    shown_outputs,
+)
 from twinmatch.showing.series import compare, root_mean_square
 from twinmatch.showing.verdicts import admitted, last_verdict
-from twinmatch.signals import Sample
+from twinmatch.signals import Sample, Signals
 from twinmatch.twin import TwinSettings
 from twinmatch.twin.schedule import Movements
 
@@ -28,15 +35,27 @@ def duration(seconds: float) -> str:
 
 def session_facts(judgement: Judgement) -> list[tuple[str, str]]:
     """The session in numbers: pairs of name and value."""
-    samples, settings, signals = judgement.samples, judgement.settings, _signals(judgement)
+    samples, settings = judgement.samples, judgement.settings
+    outputs, inputs = shown_outputs(settings.plant), shown_inputs(settings.plant)
     closed = settings.law is not None
-    limits = " to ".join(number(edge, signals.input.decimals) for edge in settings.plant.drive.limits)
+    of = [f" of {y}" for y in outputs] if outputs[1:] else [""]
+    limits = [
+        " to ".join(number(edge, u.decimals) for edge in drive.limits)
+        for u, drive in zip(inputs, settings.plant.drives.values(), strict=True)
+    ]
+    asked = [
+        (f"set-point{of[k]}", y.text(*_ends(s.references[k] for s in samples)))
+        for k, y in enumerate(outputs[: len(samples[0].references)])
+    ]
     facts = [
         ("samples", f"{len(samples)}, one every {settings.period:g} s"),
         ("duration", _duration(judgement)),
-        *([("set-point", signals.output.text(*_ends(s.reference for s in samples)))] if closed else []),
-        (signals.output.name, signals.output.text(*_ends(s.output for s in samples))),
-        (signals.input.name, f"{signals.input.text(*_ends(s.input for s in samples))} (limits {limits})"),
+        *(asked if closed else []),
+        *((y.name, y.text(*_ends(s.outputs[k] for s in samples))) for k, y in enumerate(outputs)),
+        *(
+            (u.name, f"{u.text(*_ends(s.inputs[k] for s in samples))} (limits {limits[k]})")
+            for k, u in enumerate(inputs)
+        ),
         ("set-point steps" if closed else "control steps", _steps(samples, settings)),
         ("matches", _matches(judgement)),
         ("verdicts", f"{len(judgement.verdicts)}, of which {judgement.summary.identified} identified models"),
@@ -76,20 +95,21 @@ def plain_words(judgement: Judgement) -> list[str]:
 
 def _what(judgement: Judgement) -> str:
     samples, period = judgement.samples, judgement.settings.period
-    plant, signals = judgement.settings.plant, _signals(judgement)
-    control = f"control ({plant.drive.text or plant.drive.name})"
+    plant = judgement.settings.plant
+    outputs = number_list(map(str, shown_outputs(plant)))
+    control = f"control ({number_list(drive.text or drive.name for drive in plant.drives.values())})"
     recorded = f"were recorded every {period:g} s, {len(samples)} samples in total"
     if judgement.settings.law is None:
         beside = "".join(f" and {d.text or d.name}" for d in plant.disturbances.values())
         return (
-            f"For {_duration(judgement)} the {signals.output} of a plant ({plant.title}), its "
+            f"For {_duration(judgement)} the {outputs} of a plant ({plant.title}), its "
             f"{control}{beside} {recorded}; its controller is not known."
         )
-    (low, high), unit = _ends(s.reference for s in samples), signals.output.unit
+    (low, high), unit = _ends(r for s in samples for r in s.references), outputs_unit(plant)
     levels = f"set-points from {low:g} to {high:g} {unit}" if high > low else f"a set-point of {low:g} {unit}"
     return (
         f"For {_duration(judgement)} a plant ({plant.title}) was controlled to {levels}; its "
-        f"{signals.output} and the {control} {recorded}."
+        f"{outputs} and the {control} {recorded}."
     )
 
 
@@ -115,7 +135,7 @@ def _matching(judgement: Judgement) -> str:
 def _nothing(judgement: Judgement) -> str:
     if any(v.match for v in judgement.verdicts):
         return "There is no valid match, so there is no twin to trust."
-    step = f"{judgement.settings.schedule.min_step:g} {_signals(judgement).output.unit}".rstrip()
+    step = _step(judgement.settings)
     if judgement.settings.law is None:
         return f"The control has to move so far and for so long that it moves the output by {step} or more."
     return (
@@ -151,27 +171,19 @@ def _choice(last: Verdict, nominal: CandidateScore) -> str:
     )
 
 
-def _residuals(judgement: Judgement, shown: ShownTwin) -> tuple[float, float, float]:
-    """RMS residuals of the closed-loop twin's output and input and of the driven twin's output; NaN without
-    values."""
-    parts = compare(judgement.stretches, shown.parameters, judgement.settings)
-    y = root_mean_square([p.closed_residual_y for p in parts])
-    u = root_mean_square([p.closed_residual_u for p in parts])
-    return y, u, root_mean_square([p.driven_residual_y for p in parts])
-
-
 def _fit(judgement: Judgement, shown: ShownTwin) -> str:
-    s, signals = judgement.summary, _signals(judgement)
-    y, u, driven = _residuals(judgement, shown)
-    by, off, control = "by the recorded control", driven, ""
-    if judgement.settings.law is not None:
-        by, off = "only by the set-points", y
-        control = f" and the {signals.input} to {percent(s.fit_u)} % ({signals.input.text(u, finer=1)} RMS)"
+    outputs, inputs, _ = _fitted(judgement, shown)
+    closed = judgement.settings.law is not None
+    by = "only by the set-points" if closed else "by the recorded control"
+    scale = "100 % is perfect, 0 % no better than a constant; "
+    each = [
+        f"{y} {'over the whole session ' * (not k)}to {fit} % ({scale * (not k)}{y.text(off, finer=1)} RMS)"
+        for k, (y, fit, off) in enumerate(outputs)
+    ]
+    each += [f"the {u} to {fit} % ({u.text(off, finer=1)} RMS)" for u, fit, off in inputs]
     faulty = any(v.level is TrustLevel.FAULT for v in judgement.verdicts)
     return (
-        f"Driven {by}, {shown.name} follows the measured {signals.output} over the whole session to "
-        f"{percent(s.fit_y)} % (100 % is perfect, 0 % no better than a constant; "
-        f"{signals.output.text(off, finer=1)} RMS){control}"
+        f"Driven {by}, {shown.name} follows the measured {number_list(each)}"
         f"{'; this includes the time in which the plant was faulty' if faulty else ''}."
     )
 
@@ -179,7 +191,8 @@ def _fit(judgement: Judgement, shown: ShownTwin) -> str:
 def _trust(judgement: Judgement) -> str:
     s = judgement.summary
     if s.range is None:
-        return f"There is no range of the {_signals(judgement).output} in which its forecasts have held."
+        output = shown_outputs(judgement.settings.plant)[0]
+        return f"There is no range of the {output} in which its forecasts have held."
     held, but = f"Its forecasts have held {s.range}", f", but {s.doubts}" if s.doubts else ""
     if s.level is TrustLevel.TRUSTED:
         return f"{held}, and at the end of the session the twin can be trusted there{but}."
@@ -188,17 +201,12 @@ def _trust(judgement: Judgement) -> str:
 
 
 def _health(judgement: Judgement) -> str:
-    stretches = judgement.summary.stretches
-    faults, doubts = (
-        ", ".join(
-            f"t = {stretch.times(judgement.settings.period)}"
-            for stretch in stretches
-            if stretch.level is level
-        )
-        for level in (TrustLevel.FAULT, TrustLevel.DOUBTFUL)
-    )
+    period, stretches = judgement.settings.period, judgement.summary.stretches
+    faulty = [s for s in stretches if s.fault or s.level is TrustLevel.FAULT]
+    doubtful = [s for s in stretches if s.level is TrustLevel.DOUBTFUL]
+    faults, doubts = (", ".join(f"t = {s.times(period)}" for s in those) for those in (faulty, doubtful))
     if faults:
-        named = sorted({v.fault for v in judgement.verdicts} - {""})
+        named = sorted({v.named_fault for v in judgement.verdicts} - {""})
         what = f" ({', '.join(named)})" if named else ""
         todo = "Look at the plant (drive, sensor, cables) before anything else."
         return f"The plant had a fault{what}: {faults}. {todo}"
@@ -208,18 +216,18 @@ def _health(judgement: Judgement) -> str:
 
 
 def _fit_facts(judgement: Judgement, shown: ShownTwin) -> list[tuple[str, str]]:
-    s, signals = judgement.summary, _signals(judgement)
-    y, u, driven = _residuals(judgement, shown)
-    loop, open_loop = f"closed-loop twin of {shown.name}, ", f"driven twin of {shown.name}, {signals.output}"
+    s, (outputs, inputs, driven) = judgement.summary, _fitted(judgement, shown)
+    loop, open_loop = f"closed-loop twin of {shown.name}, ", f"driven twin of {shown.name}, "
     trusted = ("trusted", str(s.range) if s.range else "–")
-    if judgement.settings.law is None:
-        return [(open_loop, f"fit {percent(s.fit_y)} %, {signals.output.text(driven, finer=2)} RMS"), trusted]
-    return [
-        (f"{loop}{signals.output}", f"fit {percent(s.fit_y)} %, {signals.output.text(y, finer=2)} RMS"),
-        (f"{loop}{signals.input}", f"fit {percent(s.fit_u)} %, {signals.input.text(u, finer=1)} RMS"),
-        (open_loop, f"{signals.output.text(driven, finer=1)} RMS"),
-        trusted,
+    closed = judgement.settings.law is not None
+    facts = [
+        (f"{loop if closed else open_loop}{y}", f"fit {fit} %, {y.text(off, finer=2)} RMS")
+        for y, fit, off in outputs
     ]
+    facts += [(f"{loop}{u}", f"fit {fit} %, {u.text(off, finer=1)} RMS") for u, fit, off in inputs]
+    if closed:
+        facts += [(f"{open_loop}{y}", f"{y.text(off, finer=1)} RMS") for y, _, off in driven]
+    return [*facts, trusted]
 
 
 def _matches(judgement: Judgement) -> str:
@@ -233,12 +241,34 @@ def _steps(samples: Sequence[Sample], settings: TwinSettings) -> str:
     movements.rest(samples[0])
     count = sum(movements.push(sample) is not None for sample in samples)
     means = "" if settings.effect is None else "the output moved by the input "
-    least = f"{settings.schedule.min_step:g} {settings.plant.output.unit}"
-    return f"{count} of {means}{least} or more, or of less that lasts"
+    return f"{count} of {means}{_step(settings)} or more, or of less that lasts"
 
 
-def _signals(judgement: Judgement) -> ShownSignals:
-    return signal_names(judgement.settings.plant)
+def _step(settings: TwinSettings) -> str:
+    """The least step that counts."""
+    return f"{settings.schedule.min_step:g} {shown_outputs(settings.plant)[0].unit}".rstrip()
+
+
+_Fitted = list[tuple[ShownSignal, str, float]]
+
+
+def _fitted(judgement: Judgement, shown: ShownTwin) -> tuple[_Fitted, _Fitted, _Fitted]:
+    """Outputs and inputs with fit in per cent and RMS residual of the closed-loop twin (if the loop is not
+    known, outputs of the driven one), and outputs with those of the driven one."""
+    plant, fits = judgement.settings.plant, judgement.summary.fits
+    if fits is None:
+        return [], [], []
+    parts = compare(judgement.stretches, shown.parameters, judgement.settings)
+
+    def rows(signals: list[ShownSignal], shares: Signals, residual: str) -> _Fitted:
+        alone = [[getattr(part.alone(k), residual) for part in parts] for k in range(len(signals))]
+        return list(zip(signals, map(percent, shares), map(root_mean_square, alone), strict=True))
+
+    driven = rows(shown_outputs(plant), fits.outputs, "driven_residual_y")
+    if judgement.settings.law is None:
+        return driven, [], driven
+    outputs = rows(shown_outputs(plant), fits.outputs, "closed_residual_y")
+    return outputs, rows(shown_inputs(plant), fits.inputs, "closed_residual_u"), driven
 
 
 def as_sentence(text: str) -> str:

@@ -1,0 +1,64 @@
+"""What sensors should have read over a session while they were not believed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Any
+
+from twinmatch.dynamics import Plant
+from twinmatch.health import EstimatedReading
+from twinmatch.health.faults import HOUR
+from twinmatch.record import finite
+
+
+@dataclass(eq=False)
+class EstimatedCourse:
+    """What a sensor should have read while it was not believed; values in its unit."""
+
+    signal: str
+    text: str
+    unit: str
+    first: int
+    """First sample."""
+    wide: float
+    """Half width of a band up to which the estimate is good …"""
+    good: float
+    """… and for how long it was to be that, s; at most an hour is looked ahead."""
+    values: list[float] = field(default_factory=list)
+    bands: list[float] = field(default_factory=list)
+    """Half of the width that holds 90 % of what it would have read."""
+    readings: list[float] = field(default_factory=list)
+
+    @property
+    def last(self) -> int:
+        """Last sample."""
+        return self.first + len(self.values) - 1
+
+    def document(self) -> dict[str, Any]:
+        """All of it, for JSON."""
+        own = ("signal", "unit", "first", "wide", "good", "values", "bands")
+        return {name: finite(getattr(self, name)) for name in own}
+
+    def line(self, period: float) -> str:
+        """When it was read through, what it should read in the end, and for how long that was good."""
+        long = "at least an hour" if self.good >= HOUR else f"{self.good / 60.0:.2g} min"
+        return (
+            f"the twin reads through {self.text} from {self.first * period:g} to {self.last * period:g} s: "
+            f"at the end it should read {self.values[-1]:.1f} ± {self.bands[-1]:.1f} {self.unit}, not "
+            f"{self.readings[-1]:.1f}; good to ± {self.wide:.1f} {self.unit} for {long}"
+        )
+
+
+def courses_of(estimates: Iterable[EstimatedReading], plant: type[Plant]) -> tuple[EstimatedCourse, ...]:
+    """The estimates, each time a sensor was read through as one course, in the order of their beginnings."""
+    found: dict[tuple[str, int], EstimatedCourse] = {}
+    for one in estimates:
+        declared = plant.outputs[one.signal]
+        text = declared.text or one.signal
+        own = EstimatedCourse(one.signal, text, declared.unit, one.since, one.wide, one.good)
+        own = found.setdefault((one.signal, one.since), own)
+        own.values.append(one.value)
+        own.bands.append(one.band)
+        own.readings.append(one.reading)
+    return tuple(found.values())

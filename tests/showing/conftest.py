@@ -1,0 +1,36 @@
+"""A simulated kit with two heaters whose second sensor lies in the end, judged once for all that shows it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from benchmarks.bank.kits import run
+from twinmatch.offline.judging import Judgement
+from twinmatch.plants.tclab import TCLabBoth
+from twinmatch.sessions import write_session
+from twinmatch.sessions.metadata import PLANT
+from twinmatch.showing.report.report import SessionReport, make_report
+
+ENDS = 1640
+"""Samples; from the 1500th on T2 reads 5 °C too much."""
+
+
+@pytest.fixture(scope="session")
+def kit(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The session."""
+    folder, records = tmp_path_factory.mktemp("two") / "kit", {PLANT: {"plant": TCLabBoth.name}}
+    return write_session(folder, list(run(21, "T2 +5 °C", ENDS)), records=records)
+
+
+@pytest.fixture(scope="session")
+def kit_report(kit: Path) -> SessionReport:
+    """The report on it; `kit_report.judged.judgement` is what it is on."""
+    return make_report(kit)
+
+
+@pytest.fixture(scope="session")
+def two(kit_report: SessionReport) -> Judgement:
+    """Its judgement."""
+    return kit_report.judged.judgement
