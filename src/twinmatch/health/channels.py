@@ -38,7 +38,7 @@ _START: Final = 30.0
 """Time after a gap in which nothing is reported, s."""
 _YOUNG: Final = 120.0
 """Time after the first sample in which only a lost drive is named, s …"""
-_LEARNED: Final = 600.0
+_LEARNED: Final = 1200.0
 """… and from which on the plant's parameters are known well enough to say that they have changed."""
 _SLOW: Final = frozenset({Fault.LOSSES_CHANGED, Fault.ROOM_CHANGED, Fault.DRIVE_WEAK, Fault.DRIFT})
 """Changes of parameters."""

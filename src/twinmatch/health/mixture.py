@@ -24,6 +24,9 @@ LEVELS: Final = np.array([0.25, 0.5, 1.0, 2.0, 4.0])
 """Sizes of the equations' error, in units of that of a real rig."""
 _WAYS: Final = ((0.0, 1.0, 2.0, 3.0, 5.0, 8.0, 12.0), (2.0, 5.0, 10.0))
 """By how much later inputs may act, and lags behind which they may, s."""
+_UNSAID: Final = 0.7
+"""Standard deviation of the logarithm of a parameter of which the plant file says nothing typical: a factor of
+two. Heater 2 of a kit has 0.4 to 0.8 of the power of heater 1."""
 _SHARES: Final = (0.7, 0.28, 0.02)
 """Prior of the levels, of other ways, and of no equations."""
 _SWITCH: Final = 600.0
@@ -95,6 +98,9 @@ class HealthyMixture:
         model, period, numbers = self._model, self.period, self.numbers
         known, first, drift, keeps = assumed.first.size, *np.zeros((2, len(numbers))), np.ones(len(numbers))
         first[:known], drift[:known], self._shown = assumed.first, assumed.drift, assumed.shown
+        for name, logged in zip(model.structure.free, assumed.free.logged, strict=True):
+            if logged and name not in model.plant.typical:
+                first[numbers[name]] = _UNSAID
         for i, (spread, stray) in enumerate(zip(assumed.fading, assumed.stray, strict=True)):
             fading = numbers[f"fading {i}"]
             first[fading], drift[fading] = spread, stray
