@@ -25,9 +25,17 @@ def kit(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def kit_report(kit: Path) -> SessionReport:
+def driven(kit: Path) -> Path:
+    """Parameters with which it is judged under its inputs, as if its loop were not known."""
+    path = kit.with_name("driven.yaml")
+    path.write_text("/**:\n  ros__parameters: {plant: tclab-both, loop: unknown}\n", encoding="utf-8")
+    return path
+
+
+@pytest.fixture(scope="session")
+def kit_report(kit: Path, driven: Path) -> SessionReport:
     """The report on it; `kit_report.judged.judgement` is what it is on."""
-    return make_report(kit)
+    return make_report(kit, config=driven)
 
 
 @pytest.fixture(scope="session")

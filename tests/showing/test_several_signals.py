@@ -94,14 +94,15 @@ def short(kit: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_replay_shows_it_alone_and_in_a_table(
-    short: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    short: Path, driven: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    given = [str(short), "--config", str(driven)]
     wanted, figure = tmp_path / "one.json", tmp_path / "one.png"
-    assert main(["replay", str(short), "--json", str(wanted), "--figure", str(figure)]) == 0
+    assert main(["replay", *given, "--json", str(wanted), "--figure", str(figure)]) == 0
     assert f"; {T1} fit " in capsys.readouterr().out
     assert figure.read_bytes().startswith(b"\x89PNG")
     (one, many) = json.loads(wanted.read_text()), tmp_path / "many.json"
-    assert main(["replay", str(short), "--jobs", "1", "--json", str(many)]) == 0
+    assert main(["replay", *given, "--jobs", "1", "--json", str(many)]) == 0
     table, found = capsys.readouterr().out, json.loads(many.read_text())
     assert found["sessions"][0]["summary"] == one["summary"]
     rows = found["candidates"]

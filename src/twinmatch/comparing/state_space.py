@@ -106,8 +106,9 @@ class StateSpace:
         return StateSpace(-_h(self.A), _h(self.C), -_h(self.B), _h(self.D))
 
     def scaled(self, outputs: ArrayLike, inputs: ArrayLike) -> StateSpace:
-        """The same with outputs and inputs counted in these units, shapes (p,) and (m,)."""
-        above, below = np.asarray(inputs, dtype=np.float64), np.asarray(outputs, dtype=np.float64)[:, None]
+        """The same with outputs and inputs counted in these units, shapes (p,) and (m,); of one a number."""
+        above, below = (np.atleast_1d(np.asarray(each, dtype=np.float64)) for each in (inputs, outputs))
+        below = below[:, None]
         return StateSpace(self.A, self.B * above, self.C / below, self.D * above / below, self.period)
 
     def response(self, frequencies: FloatArray) -> NDArray[np.complex128]:

@@ -12,7 +12,7 @@ import pickle
 import threading
 import traceback
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 from uuid import uuid4
@@ -99,8 +99,8 @@ def judge_job(job: Job, place: str = "") -> JobResult:
 def _record(job: Job) -> dict[str, Any]:
     """The judged session as a dictionary for JSON, with one row per candidate."""
     from twinmatch.importing import open_any  # noqa: PLC0415
-    from twinmatch.offline.judging import judge_samples  # noqa: PLC0415 — numpy: not before the process is set up
-    from twinmatch.parameters.twin import at_period, read_settings  # noqa: PLC0415
+    from twinmatch.offline.judging import judge_samples, terms_from_files  # noqa: PLC0415 — numpy: not before the process is set up
+    from twinmatch.parameters.twin import at_period  # noqa: PLC0415
     from twinmatch.plants import plant_named  # noqa: PLC0415
     from twinmatch.sessions import SessionError  # noqa: PLC0415
 
@@ -109,8 +109,8 @@ def _record(job: Job) -> dict[str, Any]:
     if terms.fixed and session.plant and plant_named(session.plant) is not settings.plant:
         raise SessionError(f"{job.path}: was recorded from plant {session.plant}, not {settings.plant.name}")
     if terms.config is None:
-        plant = session.plant or settings.plant.name
-        settings = read_settings(None, plant, driven=not session.has_reference)
+        session = replace(session, plant=session.plant or settings.plant.name)
+        settings = terms_from_files(session).settings
     settings = at_period(settings, session.period, terms.config)
     judgement = judge_samples(session.name, session.samples, settings, given=terms.given, notes=session.notes)
     entry = terms.document(judgement.name, judgement.verdicts, judgement.summary, judgement.matches)

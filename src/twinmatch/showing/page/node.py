@@ -29,6 +29,7 @@ from twinmatch.showing.page.server import PageServer
 from twinmatch.showing.page.state import DashboardState, DriveReport, TwinRow, update_sentence
 from twinmatch.showing.page.tab import Tab
 from twinmatch.showing.serving import Hosts, place_settings, warn_if_open
+from twinmatch.signals import OperatingPoint
 from twinmatch.twin import TwinSettings
 from twinmatch_msgs.msg import (
     EstimatedReading,
@@ -81,7 +82,7 @@ class Dashboard(TwinmatchNode):
         )
         state = self.state
 
-        def drive(message: PwmApplied | PlantApplied, applied: float, current: float) -> None:
+        def drive(message: PwmApplied | PlantApplied, applied: OperatingPoint, current: float) -> None:
             stamp = nanoseconds(message.header.stamp)
             state.push_drive(DriveReport(applied, current, message.fault, stamp or None))
 
@@ -97,12 +98,7 @@ class Dashboard(TwinmatchNode):
             (Forecast, "twin/forecast", state.push_forecast, ALL),
             (ModelScore, "twin/model_score", state.push_verdict, ALL),
             (PwmApplied, "plant/pwm_applied", lambda m: drive(m, m.pwm, m.current), ALL),
-            (
-                PlantApplied,
-                "plant/applied",
-                lambda m: drive(m, m.input[0] if len(m.input) == 1 else math.nan, math.nan),
-                ALL,
-            ),
+            (PlantApplied, "plant/applied", lambda m: drive(m, tuple(m.input), math.nan), ALL),
             (DiagnosticArray, "/diagnostics", self._on_health, ALL),
             (Image, "thermal/image", self._on_image, qos_profile_sensor_data),
         ):

@@ -25,6 +25,7 @@ from twinmatch.showing.verdicts import (
     row,
     trust_by_signal,
 )
+from twinmatch.signals import point_values
 
 RECENT = 80
 """Events in the table."""
@@ -177,8 +178,10 @@ def tiles(state: DashboardState) -> str:
         )
         rows.append([(label, number(known.get(nth(name, k)), places)) for label, name, places in shown])
     if state.drive is not None:
-        control = loops[0][2]
-        rows[0].append((with_unit("applied", control.unit), number(state.drive.input, control.decimals)))
+        for entries, (_, _, control), applied in zip(
+            rows, loops, point_values(state.drive.input), strict=False
+        ):
+            entries.append((with_unit("applied", control.unit), number(applied, control.decimals)))
         if not math.isnan(state.drive.current):
             rows[0].append(("current / A", number(state.drive.current, 2)))
     return "".join(_tiles(entries, "tiles now") for entries in rows)

@@ -61,8 +61,8 @@ class TwinRow(NamedTuple):
 class DriveReport(NamedTuple):
     """The last report of the node that drives the plant."""
 
-    input: float
-    """Applied value, in the input's unit; NaN: not known."""
+    input: OperatingPoint
+    """Applied value of each input, in its unit; NaN: not known."""
     current: float
     """A; NaN: not measured."""
     fault: str
