@@ -141,3 +141,19 @@ def test_a_gap_and_a_lost_reading_say_nothing_of_the_plant() -> None:
         lost = changed(sample, "outputs", 0, more=math.nan if sample.index % 40 == 0 else 0.0)
         monitor.push(lost)
     assert monitor.alarms == ()
+
+
+def test_while_no_sensor_is_right_none_is_read_through() -> None:
+    monitor, told = ChannelMonitor(typical(), 1.0), []
+    for sample in islice(run(21, "nothing"), BEGINS + 60):
+        off = sample
+        if sample.index >= BEGINS:
+            off = changed(sample, "outputs", 0, more=5.0)
+        if sample.index >= BEGINS + 20:
+            off = changed(off, "outputs", 1, more=-5.0)
+        monitor.push(off)
+        told.append({each.signal for each in monitor.estimates})
+    assert told[BEGINS + 19] == {"temperature"}
+    assert told[-1] == set()
+    assert [alarm.signal for alarm in monitor.alarms[-2:]] == ["temperature", "second_temperature"]
+    assert monitor.alarms[-1].reason.endswith("; no sensor is right, so none can be read through")

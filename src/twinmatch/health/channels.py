@@ -116,9 +116,9 @@ class ChannelMonitor:
         """Take one sample; judge the plant as it is now, without asking any twin."""
         before = self._alarms[-1] if self._alarms else None
         self._push(sample)
-        through = self.competition.through.items()
+        through = {} if self._blind else self.competition.through
         self.estimates = tuple(
-            self._estimate(i, one, sample) for i, one in through if one.samples > one.rehearsed
+            self._estimate(i, one, sample) for i, one in through.items() if one.samples > one.rehearsed
         )
         newest, on = self._alarms[-1] if self._alarms else None, self.on
         news, nan = newest if newest is not before else None, math.nan
@@ -127,6 +127,17 @@ class ChannelMonitor:
         return Health(
             sample.index, HealthState.FAULT, on.fault, on.first, on.reason, nan, nan, news, on.signal
         )
+
+    @property
+    def _blind(self) -> bool:
+        """Whether no sensor is left by which another could be read through."""
+        return len(self.competition.through) == len(self._outputs)
+
+    def _read_through(self, output: int, since: int) -> None:
+        self.competition.read_through(output, since)
+        if self._blind:
+            said = f"{self._alarms[-1].reason}; no sensor is right, so none can be read through"
+            self._alarms[-1] = replace(self._alarms[-1], reason=said)
 
     def _estimate(self, output: int, one: ReadThrough, sample: Sample) -> EstimatedReading:
         name, declared = self._outputs[output]
@@ -155,7 +166,7 @@ class ChannelMonitor:
             row = ChangeRow((Fault.SENSOR_IMPLAUSIBLE, output), "")
             best = Suspect(row.cause, math.inf, row, 0.0, 0.0, self.competition.count - _CONFIRM, -1)
             self._raise(Fault.SENSOR_IMPLAUSIBLE, best, [best])
-            self.competition.read_through(output, best.born)
+            self._read_through(output, best.born)
         self.found = [f for f in map(self._lost_or_weak, self.competition.found()) if self._counts(f)]
         self._judge(self.found)
         for output in [*self.competition.through]:
@@ -255,7 +266,7 @@ class ChannelMonitor:
         if fault is Fault.SENSOR_FROZEN:
             if self.shows(best) and self.on is None:
                 self._raise(fault, best, found)
-                self.competition.read_through(signal, best.born)
+                self._read_through(signal, best.born)
             return
         if fault is Fault.DRIFT or (fault is Fault.DRIVE_WEAK and best.shift > 0.0):
             return  # what does more than before has no name
@@ -266,7 +277,7 @@ class ChannelMonitor:
             self._standing.append((fault, best.row, best.shift))
         self._adopt(best)
         if fault is Fault.SENSOR_DRIFT:
-            self.competition.read_through(signal, best.born)
+            self._read_through(signal, best.born)
 
     def _adopt(self, best: Suspect) -> None:
         """The plant is so from now on; what has changed may be undone."""
