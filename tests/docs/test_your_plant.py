@@ -108,12 +108,15 @@ def test_a_heater_that_comes_loose_under_an_even_plate_is_named(tmp_path: Path) 
     assert all(code == 0 for _, code, _ in said), said
     for quoted in re.findall(r"^> `(.*)`$", PLATE.read_text(encoding="utf-8"), re.MULTILINE)[:1]:
         assert quoted in said[0][2]
-    named = re.search(r"drive-weak from (\d+) s .* at (\d+) s: right heater has (\d+)%", said[-1][2])
+    named = re.search(r"drive-weak from (\d+) s .* at (\d+) s: right heater has (\d+)%", said[-2][2])
     assert named is not None
     begins, flagged, left = map(int, named.groups())
     assert abs(begins - 2100) <= 2  # onsets are two seconds apart
     assert flagged <= 2160
     assert 45 <= left <= 75
+    since = re.search(r"Faults: drive-weak of right heater since (\d+) s\.", said[-1][2])
+    assert since is not None
+    assert int(since[1]) == begins
 
 
 @pytest.mark.slow
