@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from twinmatch.dynamics import Controller, Law, Plant, law_of, pids_of
 from twinmatch.errors import TwinmatchError
-from twinmatch.signals import NANOSECONDS, FloatArray, Sample, Signals, one_of_each, signals_of
+from twinmatch.signals import NANOSECONDS, FloatArray, Sample, Signals, one_of_each, point_values
 
 __all__ = ["ControlError", "Loop", "Profile"]
 
@@ -216,7 +216,7 @@ class Loop:
         Readings that are not finite or not one of each output, or that have some but not all of the plant's
         disturbances, are only counted.
         """
-        read = signals_of(outputs)
+        read = point_values(outputs)
         whole = len(read) == len(self._pids) and len(disturbances) in (0, len(self._plant.disturbances))
         if whole and all(map(math.isfinite, (*read, *disturbances))):
             self._outputs, self._measured, self._disturbances = read, stamp, tuple(disturbances)
@@ -238,7 +238,7 @@ class Loop:
             return None
         self._newest = now
         wanted = profile(number * self.period)
-        references = None if wanted is None else signals_of(wanted)
+        references = None if wanted is None else point_values(wanted)
         trouble = self._doubt(now, references)
         if trouble or references is None:
             self.trouble, self.inputs, self._restart = trouble, [0.0] * len(self._pids), True

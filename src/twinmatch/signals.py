@@ -46,7 +46,6 @@ __all__ = [
     "point_text",
     "point_values",
     "rms",
-    "signals_of",
     "stretches",
     "unbroken",
 ]
@@ -92,11 +91,6 @@ Signals = tuple[float, ...]
 
 OperatingPoint = float | Signals
 """Set-points, or outputs, at which a plant was; of a single loop a number."""
-
-
-def signals_of(values: Iterable[float] | float) -> Signals:
-    """Values of one kind of signal; a single one may be a number."""
-    return (values,) if isinstance(values, float | int) else tuple(values)
 
 
 @dataclass(frozen=True, slots=True, init=False)
@@ -414,9 +408,9 @@ def point_of(values: Sequence[float] | FloatArray) -> OperatingPoint:
     return float(values[0]) if len(values) == 1 else tuple(map(float, values))
 
 
-def point_values(point: OperatingPoint) -> Signals:
-    """The values of an operating point."""
-    return (point,) if isinstance(point, float | int) else point
+def point_values(point: Iterable[float] | float) -> Signals:
+    """The values of an operating point, or of any one kind of signal, of which a single one is a number."""
+    return (point,) if isinstance(point, float | int) else tuple(point)
 
 
 def point_text(point: OperatingPoint) -> str:

@@ -122,9 +122,8 @@ class Calibration:
         if not due:
             return np.nan, np.nan
         shares = (self._inside[:, due] / self._asked[due]).mean(axis=1)
-        return float(shares.min() if signal is None else shares[signal]), float(
-            self._asked[due[-1]] * self._new[due[-1]]
-        )
+        share = shares.min() if signal is None else shares[signal]
+        return float(share), float(self._asked[due[-1]] * self._new[due[-1]])
 
     def add(self, leads: Sequence[int], quotients: FloatArray) -> None:
         """Learn the signals' quotients of one forecast at n leads, given by index; shape (signals, n)."""

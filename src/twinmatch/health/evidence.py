@@ -188,7 +188,8 @@ class Competition:
 
     def frozen(self, output: int, value: float) -> bool:
         """Whether a reading is far from a forecast that was made before it began to repeat itself."""
-        return self.healthy.missed(self._stood(output), output, value, self.sensors[output].variance)
+        sensor = self.sensors[output]
+        return self.healthy.missed(self.count - 1 - sensor.repeats, output, value, sensor.variance)
 
     def read_through(self, output: int, since: int) -> None:
         """Estimate an output without its sensor from now on, which has lied `since` so many samples after the
@@ -200,10 +201,6 @@ class Competition:
             known.rehearsed = known.samples
             self.through[output] = known
             self._rehearsals[output].drop()
-
-    def _stood(self, output: int) -> int:
-        """Samples since the last gap at the reading that an output repeats."""
-        return self.count - 1 - self.sensors[output].repeats
 
     @property
     def rough(self) -> bool:

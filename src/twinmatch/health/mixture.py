@@ -25,9 +25,8 @@ LEVELS: Final = np.array([0.25, 0.5, 1.0, 2.0, 4.0])
 _WAYS: Final = ((0.0, 1.0, 2.0, 3.0, 5.0, 8.0, 12.0), (2.0, 5.0, 10.0))
 """By how much later inputs may act, and lags behind which they may, s."""
 _UNSAID: Final = 0.7
-"""Standard deviation of the logarithm of a parameter that the plant file calls no value typical of: a factor
-of two.
-Heater 2 of a kit has 0.4 to 0.8 of the power of heater 1."""
+"""Standard deviation of the logarithm of a parameter without a typical value in the plant file: a factor of
+two. Heater 2 of a kit has 0.4 to 0.8 of the power of heater 1."""
 _SHARES: Final = (0.7, 0.28, 0.02)
 """Prior of the levels, of other ways, and of no equations."""
 _SWITCH: Final = 600.0

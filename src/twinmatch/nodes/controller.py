@@ -23,7 +23,7 @@ from twinmatch.parameters.declared import ParameterError, Setting, Values
 from twinmatch.parameters.twin import joined_units, loop_parameters, one_or_each, running_law
 from twinmatch.plants import Peltier, find_plant, written_name
 from twinmatch.safety import is_limit
-from twinmatch.signals import Signals, signals_of
+from twinmatch.signals import Signals, point_values
 from twinmatch_msgs.msg import LoopSample, PlantApplied, PlantCommand, PlantReading, PwmApplied, PwmCommand
 
 _SOURCE = "Where the set-point comes from: the profile below, or the topic plant/reference."
@@ -289,7 +289,7 @@ class ControllerNode(TwinmatchNode):
         if not limited:
             loop.limits = [math.inf] * len(loop.inputs)
         elif message.sequence == self._index:
-            applied = signals_of(getattr(message, self._wiring.input))
+            applied = point_values(getattr(message, self._wiring.input))
             # Boards round to whole counts.
             loop.limits = [
                 a if u - a > ROUNDED else math.inf for u, a in zip(loop.inputs, applied, strict=True)
@@ -298,7 +298,7 @@ class ControllerNode(TwinmatchNode):
         self.health.flag_if(limited, "limited", Level.WARN, f"the drive is {message.fault}")
 
     def _on_reference(self, message: Any) -> None:
-        given, outputs = signals_of(message.data), self._plant.outputs
+        given, outputs = point_values(message.data), self._plant.outputs
         if len(given) != len(outputs):
             text = f"{len(given)} set-points refused; give one of each output: {', '.join(outputs)}"
             self.health.flag("set-point", Level.ERROR, text)

@@ -46,7 +46,7 @@ from twinmatch.safety import (
     OutputGuard,
     SafetyClock,
 )
-from twinmatch.signals import Sample, Signals, signals_of
+from twinmatch.signals import Sample, Signals, point_values
 from twinmatch_msgs.msg import LoopSample, ModelScore
 
 
@@ -187,7 +187,7 @@ class OutputGate:
         with self._news:
             now, times = self._now()
             age = () if stamp is None else ((times.stamps - stamp) / 1e9,)
-            rows = list(map(signals_of, signals))
+            rows = list(map(point_values, signals))
             if wrong := [len(row) for row in rows if len(row) != len(self._guards)]:
                 raise MessageError(f"it has {wrong[0]} values for {len(self._guards)} drives")
             for guard, values in zip(self._guards, zip(*rows, strict=True), strict=True):

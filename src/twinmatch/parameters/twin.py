@@ -12,10 +12,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any, Final
-
-import numpy as np
 
 from twinmatch.dynamics import (
     FROM_PLANT_FILE,
@@ -48,7 +45,6 @@ from twinmatch.parameters.declared import (
 )
 from twinmatch.plants import Peltier, find_plant, plant_named, written_name
 from twinmatch.plants.records import structure_of
-from twinmatch.signals import point_of
 from twinmatch.twin import ForecastSettings, ScheduleSettings, TrustLimits, TwinError, TwinSettings
 
 UNKNOWN: Final = "unknown"
@@ -279,20 +275,16 @@ def values_of(settings: TwinSettings) -> Values:
         "loop": FromPlantFile.LOOP.value if settings.law is not None else UNKNOWN,
     }
     pids = pids_of(settings.law)
-    noise = {
-        "output": point_of(np.atleast_1d(settings.noise.outputs)),
-        "input": point_of(np.atleast_1d(settings.noise.inputs)),
-    }
-    groups = {"noise": SimpleNamespace(**noise)}
     for parameter in table_of(settings):
         owner, _, name = parameter.name.partition(".")
         if owner == "start":
             values[parameter.name] = settings.start[name]
         elif owner == "pid":
             values[parameter.name] = one_or_each([getattr(pid, name) for pid in pids])
+        elif owner == "noise":
+            values[parameter.name] = one_or_each(getattr(settings.noise, f"{name}s"))
         elif name:
-            held = groups.get(owner) or getattr(settings, owner)
-            value = getattr(held, name) or type(parameter.default)()
+            value = getattr(getattr(settings, owner), name) or type(parameter.default)()
             values[parameter.name] = list(value) if isinstance(value, tuple) else value
         elif hasattr(settings, owner):
             values.setdefault(owner, getattr(settings, owner))
