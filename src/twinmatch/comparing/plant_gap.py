@@ -184,24 +184,29 @@ def plant_gaps(
 ) -> PlantGaps:
     """ν-gaps between the plants of all pairs of twins, of any structures of one plant.
 
-    A point at which one of them cannot be linearised is left out for all. If no shared point remains, the
+    A point at which one of them cannot be linearised, or a ν-gap has no value, is left out for all. If no shared point remains, the
     ν-gaps are 1, since nothing shows that the twins are alike.
     """
     shared, rows, left_out = [], [], []
     for point in sorted(set(points), key=point_values):
         try:
-            rows.append([symbol_in_loop(twin, point, loop) for twin in twins])
+            rows.append(_gaps_between([symbol_in_loop(twin, point, loop) for twin in twins]))
         except TwinmatchError as error:
             left_out.append(str(error))
+        except np.linalg.LinAlgError as error:
+            left_out.append(f"at {point} a ν-gap has no value ({error})")
         else:
             shared.append(point)
-    n = len(twins)
-    at = np.zeros((len(rows), n, n))
-    for matrix, symbols in zip(at, rows, strict=True):
-        for i in range(n):
-            for j in range(i):
-                matrix[i, j] = matrix[j, i] = _gap(symbols[j], symbols[i])
-    return PlantGaps(tuple(shared), at if rows else (1.0 - np.eye(n))[None], tuple(left_out))
+    at = np.array(rows) if rows else (1.0 - np.eye(len(twins)))[None]
+    return PlantGaps(tuple(shared), at, tuple(left_out))
+
+
+def _gaps_between(symbols: Sequence[GraphSymbol | StateSpace]) -> FloatArray:
+    matrix = np.zeros((len(symbols), len(symbols)))
+    for i in range(len(symbols)):
+        for j in range(i):
+            matrix[i, j] = matrix[j, i] = _gap(symbols[j], symbols[i])
+    return matrix
 
 
 def _gap(one: GraphSymbol | StateSpace, other: GraphSymbol | StateSpace) -> float:

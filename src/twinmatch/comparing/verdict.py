@@ -454,7 +454,11 @@ def with_margins(
     A candidate that cannot be held at its operating point has none; without a known controller, none has.
     """
     if isinstance(law, LinearLaw):
-        figures = _held_by(law, tuple((c.parameters, c.operating_point) for c in candidates), chosen)
+        twins = tuple((c.parameters, c.operating_point) for c in candidates)
+        try:
+            figures = _held_by(law, twins, chosen)
+        except np.linalg.LinAlgError:  # they have no value
+            return tuple(candidates)
     elif isinstance(law, PidGains):
         try:
             controller = loop_controller(law)

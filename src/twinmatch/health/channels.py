@@ -166,7 +166,7 @@ class ChannelMonitor:
             row = ChangeRow((Fault.SENSOR_IMPLAUSIBLE, output), "")
             best = Suspect(row.cause, math.inf, row, 0.0, 0.0, self.competition.count - _CONFIRM, -1)
             self._raise(Fault.SENSOR_IMPLAUSIBLE, best, [best])
-            self._read_through(output, best.born)
+            self._read_through(output, 0)  # no filter has taken such readings: the newest is best
         self.found = [f for f in map(self._lost_or_weak, self.competition.found()) if self._counts(f)]
         self._judge(self.found)
         for output in [*self.competition.through]:
@@ -264,7 +264,7 @@ class ChannelMonitor:
     def _name(self, best: Suspect, found: list[Suspect]) -> None:
         fault, signal = best.cause
         if fault is Fault.SENSOR_FROZEN:
-            if self.shows(best) and self.on is None:
+            if self.shows(best) and (self.on is None or self.on.fault is Fault.DRIFT):
                 self._raise(fault, best, found)
                 self._read_through(signal, best.born)
             return

@@ -187,9 +187,10 @@ class Competition:
         return suspects
 
     def frozen(self, output: int, value: float) -> bool:
-        """Whether a reading is far from a forecast that was made before it began to repeat itself."""
+        """Whether a reading is far from what was expected before it began to repeat itself."""
         sensor = self.sensors[output]
-        return self.healthy.missed(self.count - 1 - sensor.repeats, output, value, sensor.variance)
+        missed = self.healthy.missed(self.count - 1 - sensor.repeats, output, value, sensor.variance)
+        return missed or self._rehearsals[output].missed(sensor.repeats, value)
 
     def read_through(self, output: int, since: int) -> None:
         """Estimate an output without its sensor from now on, which has lied `since` so many samples after the
@@ -200,7 +201,8 @@ class Competition:
                 known = self._without(output, since)
             known.rehearsed = known.samples
             self.through[output] = known
-            self._rehearsals[output].drop()
+            for rehearsal in self._rehearsals:  # those of the others take its readings
+                rehearsal.drop()
 
     @property
     def rough(self) -> bool:

@@ -11,6 +11,8 @@ import numpy as np
 from twinmatch.dynamics import Model
 from twinmatch.dynamics.bank import BankConstants, BankMembers, ChangeRows, Reading, step, unborn
 
+_FAR: Final = 3.0
+"""Bands beyond which an estimate was missed: five standard deviations."""
 _Z: Final = 1.645
 """Half of the band that holds nine of ten, in standard deviations of a normal distribution."""
 _AGES: Final = np.array([10.0, 30.0, 60.0, 120.0, 300.0, 600.0])
@@ -98,7 +100,10 @@ class Rehearsal:
         others = np.arange(given.seen.size) != output
         self.on.push(given._replace(seen=given.seen & others), variance)
         age = int(np.searchsorted(self._ends, self.on.samples))
-        if age == _AGES.size:  # the sensor was right: so far off are estimates
+        if age == _AGES.size:
+            if given.repeated[output]:
+                return  # it may be frozen, and this is what shows it
+            # the sensor was right: so far off are estimates
             known = self._samples > 0.0
             self._sums[known] += self._squares[known] / self._samples[known]
             self._count += known
@@ -106,6 +111,13 @@ class Rehearsal:
         elif given.seen[output]:
             self._squares[age] += max((given.y[output] - self.on.estimate.value) ** 2 - variance, 0.0)
             self._samples[age] += 1.0
+
+    def missed(self, since: int, value: float) -> bool:
+        """Whether this reading is far from the estimate, if that is older than so many samples."""
+        if self.on is None or self.on.samples <= since:
+            return False
+        expected, band = self.on.estimate
+        return abs(value - expected) > _FAR * band
 
     def band(self, age: int, variance: float, noise: float) -> float:
         """Half of the width that holds nine of ten readings at an age, samples: that of Student's t, as the
