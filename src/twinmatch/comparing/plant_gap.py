@@ -184,8 +184,8 @@ def plant_gaps(
 ) -> PlantGaps:
     """ν-gaps between the plants of all pairs of twins, of any structures of one plant.
 
-    A point at which one of them cannot be linearised, or a ν-gap has no value, is left out for all. If no shared point remains, the
-    ν-gaps are 1, since nothing shows that the twins are alike.
+    A point at which one of them cannot be linearised, or a ν-gap has no value, is left out for all. If no
+    shared point remains, the ν-gaps are 1, since nothing shows that the twins are alike.
     """
     shared, rows, left_out = [], [], []
     for point in sorted(set(points), key=point_values):
