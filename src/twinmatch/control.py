@@ -100,8 +100,7 @@ class Profile:
             ControlError: the time is not finite.
         """
         if not math.isfinite(time):
-            msg = f"{self.name}: the time is {time} s; it must be finite"
-            raise ControlError(msg)
+            raise ControlError(f"{self.name}: the time is {time} s; it must be finite")
         round_ = sum(self.holds)
         first_round = not self.repeat or time < round_
         at = max(time, 0.0) if not self.repeat else max(time, 0.0) % round_
@@ -152,8 +151,7 @@ class Loop:
             PlantError: no law is given and the plant file has none.
         """
         if not (math.isfinite(max_age) and max_age > 0):
-            msg = f"loop: max_age is {max_age} s; it must be positive"
-            raise ControlError(msg)
+            raise ControlError(f"loop: max_age is {max_age} s; it must be positive")
         self._plant = plant
         law = law or law_of(plant, 1.0)
         self._gains = pids_of(law)

@@ -209,8 +209,7 @@ class Window:
         for name in ("references", "outputs", "inputs"):
             values = np.array(getattr(self, name), dtype=np.float64)
             if values.ndim not in (1, 2):
-                msg = f"window: {name} have shape {values.shape}; give one row per sample"
-                raise SignalError(msg)
+                raise SignalError(f"window: {name} have shape {values.shape}; give one row per sample")
             self._keep(name, values[:, None] if values.ndim == 1 else np.ascontiguousarray(values))
             lengths.add(len(values))
         if len(lengths) != 1:
@@ -232,8 +231,7 @@ class Window:
             seen.flags.writeable = False
             object.__setattr__(self, "seen", None if seen.all() else seen)
         if not (np.isfinite(self.period) and self.period > 0):
-            msg = f"window: the period is {self.period} s; it must be positive"
-            raise SignalError(msg)
+            raise SignalError(f"window: the period is {self.period} s; it must be positive")
 
     def _keep(self, name: str, values: FloatArray) -> None:
         """Store finite values as a read-only field."""
@@ -260,8 +258,7 @@ class Window:
         gaps = np.flatnonzero(np.diff(indices) != 1)
         if gaps.size:
             before, after = indices[gaps[0]], indices[gaps[0] + 1]
-            msg = f"window: sample {after} follows sample {before}; give consecutive samples"
-            raise SignalError(msg)
+            raise SignalError(f"window: sample {after} follows sample {before}; give consecutive samples")
         columns = {}
         for name in SIGNALS:
             rows = list(map(attrgetter(name), samples))
@@ -312,8 +309,7 @@ class Window:
         """
         if not self.first <= first <= last <= self.last:
             held = f"{self.first} to {self.last}"
-            msg = f"window: samples {first} to {last} requested; it holds only {held}"
-            raise SignalError(msg)
+            raise SignalError(f"window: samples {first} to {last} requested; it holds only {held}")
         span = slice(first - self.first, last - self.first + 1)
         return Window(
             self.references[span],
@@ -349,8 +345,7 @@ class Window:
         for name in SIGNALS:
             here, there = getattr(self, name), getattr(newer, name)
             if here.shape[1] != there.shape[1]:
-                msg = f"window: {here.shape[1]} and {there.shape[1]} {name}; they must be equal"
-                raise SignalError(msg)
+                raise SignalError(f"window: {here.shape[1]} and {there.shape[1]} {name}; they must be equal")
             columns[name] = np.concatenate([here, there])
         seen = np.concatenate([self.marks, newer.marks])
         return Window(**columns, first=self.first, period=self.period, seen=seen)

@@ -93,8 +93,7 @@ def conversion(given: str, wanted: str) -> Conversion:
         given, wanted = (_COLUMN_WORDS.get(unit.strip(), unit) for unit in (given, wanted))
     source, target = measure(given), measure(wanted)
     if not (source.known and target.known) or source.dimension != target.dimension:
-        msg = f"{given or 'a plain number'} cannot be converted to {wanted or 'a plain number'}"
-        raise UnitError(msg)
+        raise UnitError(f"{given or 'a plain number'} cannot be converted to {wanted or 'a plain number'}")
     quantity = _registry().Quantity
     low, high = (_float(quantity(x, _plain(given)).to(_plain(wanted)).magnitude) for x in (0.0, _FAR))
     return Conversion((high - low) / _FAR if low else high / _FAR, low)

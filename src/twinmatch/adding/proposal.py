@@ -116,8 +116,7 @@ def propose(table: Table, given: SignalMap) -> Proposal:
     signals = {name: _values(table, source) for name, source in sources.items() if name != "time"}
     times = times_of(table, sources.get("time"), given.period)
     kinds: dict[str, Kind] = {**dict.fromkeys(signals, "reading"), "input": "held", "reference": "set"}
-    whole = np.all([np.isfinite(v) for v in (times.seconds, *signals.values())], axis=0)
-    kept = np.flatnonzero(whole)
+    kept = np.flatnonzero(np.all([np.isfinite(v) for v in (times.seconds, *signals.values())], axis=0))
     kept = np.setdiff1d(kept, repeated(kept, times.seconds, *signals.values()))
     done = resample(
         times.seconds[kept],

@@ -215,8 +215,7 @@ def _move(declared: Parameter, value: float, by: float) -> float:
 def _combinations(parameters: Parameters, free: tuple[str, ...]) -> list[_Combination]:
     """Columns of the tangents that depend linearly on the columns before them."""
     model = parameters.model
-    trial = trial_for(parameters)
-    _, window = run_trial(parameters, trial)
+    _, window = run_trial(parameters, trial_for(parameters))
     starts = model.structure.free_starts
     experiment = Experiment(parameters, free, window, free_starts=starts, law=None)
     noise = np.array([y.noise for y in model.plant.outputs.values()])

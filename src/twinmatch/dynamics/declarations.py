@@ -205,8 +205,7 @@ class Parameter(Declaration):
             msg = f"plant: default of a parameter is {self.default:g}; it must be {self.requirement}"
             raise PlantError(msg)
         if self.role not in ROLES:
-            msg = f"plant: role {self.role!r} of a parameter ({self.text}) must be one of {ROLES}"
-            raise PlantError(msg)
+            raise PlantError(f"plant: role {self.role!r} of a parameter ({self.text}) must be one of {ROLES}")
 
     def possible(self, value: float) -> bool:
         """Whether the parameter can have this value."""
@@ -276,8 +275,7 @@ class Structure:
         for name in ("free", "parts", "free_starts"):
             names = getattr(self, name)
             if isinstance(names, str):
-                msg = f"plant: {name} of a structure is the text {names!r}; write ({names!r},)"
-                raise PlantError(msg)
+                raise PlantError(f"plant: {name} of a structure is the text {names!r}; write ({names!r},)")
 
     def __hash__(self) -> int:
         return hash((self.free, self.parts, tuple(self.fixed.items()), self.free_starts))
@@ -295,8 +293,7 @@ def require_number(what: str, value: Any, *, above: float = -math.inf) -> None:
     """
     if not _is_number(value) or not above < value < math.inf:
         least = f" above {above:g}" if above > -math.inf else ""
-        msg = f"plant: {what} is {value!r}; give a finite number{least}"
-        raise PlantError(msg)
+        raise PlantError(f"plant: {what} is {value!r}; give a finite number{least}")
 
 
 def require_range(what: str, ends: Any, *, finite: bool = True) -> None:
@@ -310,8 +307,7 @@ def require_range(what: str, ends: Any, *, finite: bool = True) -> None:
         if low < high and (not finite or (math.isfinite(low) and math.isfinite(high))):
             return
     kind = "two finite numbers" if finite else "two numbers"
-    msg = f"plant: {what} is {ends!r}; give {kind}, the smaller first, such as (0.0, 100.0)"
-    raise PlantError(msg)
+    raise PlantError(f"plant: {what} is {ends!r}; give {kind}, the smaller first, such as (0.0, 100.0)")
 
 
 def require_text(what: str, value: Any) -> None:

@@ -122,8 +122,7 @@ class PlantDefinition(metaclass=PlantType):
 
     def equations(self, parts: frozenset[str]) -> Equations:  # noqa: ARG002 (subclasses use them)
         """Rates, output and start, in terms of the plant's own symbols (`self.name_of_a_quantity`)."""
-        msg = f"plant {self.name}: it has no equations; write the method `equations`"
-        raise PlantError(msg)
+        raise PlantError(f"plant {self.name}: it has no equations; write the method `equations`")
 
     @classmethod
     def _of(cls, kind: type[_Declared]) -> dict[str, _Declared]:

@@ -149,8 +149,7 @@ def written_equations(plant: PlantDefinition, parts: frozenset[str]) -> Equation
     except (Exception, SystemExit) as error:
         lines = [f for f in traceback.extract_tb(error.__traceback__) if f.name == "equations"]
         place = f", {lines[-1].filename}, line {lines[-1].lineno}" if lines else ""
-        msg = f"plant {plant.name}{place}: {_mistake(plant, error)}"
-        raise PlantError(msg) from error
+        raise PlantError(f"plant {plant.name}{place}: {_mistake(plant, error)}") from error
     if not isinstance(written, Equations):
         kind = type(written).__name__
         msg = f"plant {plant.name}: its method `equations` returns {kind}; return Equations(rates=…, …)"
@@ -216,8 +215,7 @@ def _require_states(title: str, declared: list[Any], written: Equations) -> list
             if symbol not in declared:
                 shown = repr(symbol) if isinstance(symbol, str) else str(symbol)
                 todo = f"write self.{symbol}" if symbol in map(str, declared) else "declare it"
-                msg = f"{title}: `{name}` has {shown}, which is not declared as a state; {todo}"
-                raise PlantError(msg)
+                raise PlantError(f"{title}: `{name}` has {shown}, which is not declared as a state; {todo}")
     states = [state for state in declared if state in written.rates]
     if not states:
         raise PlantError(f"{title}: no state has a rate; a plant without memory needs no twin")

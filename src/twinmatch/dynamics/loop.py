@@ -128,8 +128,7 @@ class PidGains(Law):
 
     def __post_init__(self) -> None:
         if not all(math.isfinite(getattr(self, each.name)) for each in fields(self)):
-            msg = f"PID gains: {self} holds a value that is not finite"
-            raise PlantError(msg)
+            raise PlantError(f"PID gains: {self} holds a value that is not finite")
         if self.period <= 0 or not self.low < self.high:
             raise PlantError(
                 f"PID gains: the period {self.period} s must be positive and the limits {self.low} and "
@@ -194,8 +193,7 @@ def controller_state(window: Window, gains: PidGains) -> PidState:
         PlantError: the window holds fewer than two samples.
     """
     if len(window) < 2:
-        msg = f"controller state: the window holds {len(window)} sample; give at least two"
-        raise PlantError(msg)
+        raise PlantError(f"controller state: the window holds {len(window)} sample; give at least two")
     error = window.reference - window.output
     moved = -window.output if gains.on_measurement else error
     kept = 1.0 - gains.tracking * gains.period

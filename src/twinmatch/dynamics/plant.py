@@ -68,8 +68,7 @@ class Plant(PlantDefinition):
         """
         name = next(iter(cls.structures)) if structure is None else structure
         if name not in cls.structures:
-            msg = f"plant {cls.name}: no structure {name!r}; it has {', '.join(cls.structures)}"
-            raise PlantError(msg)
+            raise PlantError(f"plant {cls.name}: no structure {name!r}; it has {', '.join(cls.structures)}")
         if (cls, name) not in _MODELS:
             _MODELS[cls, name] = Model(cls, name)
         return _MODELS[cls, name]

@@ -63,8 +63,7 @@ class SensorRealisation:
             PlantError: the realisation has no such index.
         """
         if not 0 <= index < len(self):
-            msg = f"sensor realisation: reading {index} of {len(self)}; realise more samples"
-            raise PlantError(msg)
+            raise PlantError(f"sensor realisation: reading {index} of {len(self)}; realise more samples")
         frozen = bool(self.frozen[index]) and last is not None
         return reading(float(seen), float(self.noise[index]), frozen, float(self.resolution), last or 0.0)
 
@@ -90,8 +89,7 @@ class Sensor:
         for name in ("noise", "resolution", "pause_duration"):
             value = getattr(self, name)
             if not (math.isfinite(value) and value >= 0):
-                msg = f"sensor: {name} is {value}; it must be finite and not negative"
-                raise PlantError(msg)
+                raise PlantError(f"sensor: {name} is {value}; it must be finite and not negative")
         period = self.pause_period
         if period is not None and not (math.isfinite(period) and period > self.pause_duration):
             raise PlantError(

@@ -59,8 +59,7 @@ def law_of(plant: type[Plant], period: float) -> Law:
     """
     law = law_for(plant, period)
     if law is None:
-        msg = f"plant {plant.name}: its controller is not known; use the driven twin"
-        raise PlantError(msg)
+        raise PlantError(f"plant {plant.name}: its controller is not known; use the driven twin")
     return law
 
 
@@ -158,8 +157,7 @@ def begin(
     states, _, _ = model.kernels.begin(parameters.vector, y, before, row)
     for name, value in (starts or {}).items():
         if name not in model.states:
-            msg = f"{model.title}: no state {name!r}; it has {', '.join(model.states)}"
-            raise PlantError(msg)
+            raise PlantError(f"{model.title}: no state {name!r}; it has {', '.join(model.states)}")
         states[model.states.index(name)] = value
     if not finite(states):
         raise PlantError(

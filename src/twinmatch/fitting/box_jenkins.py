@@ -173,8 +173,7 @@ class BoxJenkins:
         elif initial == "zero":
             m = np.zeros(0)
         else:
-            msg = f'initial: {initial!r} is unknown; use "estimate", "zero" or an array'
-            raise FittingError(msg)
+            raise FittingError(f'initial: {initial!r} is unknown; use "estimate", "zero" or an array')
         return np.asarray(errors_of(u, y, self.polynomials, m))
 
     def loss(self, u: ArrayLike, y: ArrayLike, initial: str | ArrayLike = "estimate") -> float:
@@ -228,8 +227,7 @@ def estimate(
         shared = min(max(HOPPED // u.size, HOPS[0]), HOPS[1])
         hops = shared // max(parsed.nc + parsed.nd + parsed.nf, 1)
     if hops < 0:
-        msg = f"hops: {hops} starts requested; give 0 or more"
-        raise FittingError(msg)
+        raise FittingError(f"hops: {hops} starts requested; give 0 or more")
     thetas = list(start_values(u, y, task.counts))
     if start is not None:
         if not parsed.covers(start.order):
@@ -269,8 +267,7 @@ def estimate_ladder(
 def _task(u: FloatArray, y: FloatArray, order: Order, initial: str) -> Task:
     task = task_of(u, y, order, initial)
     if np.ptp(u) <= 1e-12 * np.max(np.abs(u)):
-        msg = f"input u is constant ({u[0]:g}); nothing can be identified from it"
-        raise FittingError(msg)
+        raise FittingError(f"input u is constant ({u[0]:g}); nothing can be identified from it")
     if u.size < unknowns(task) + SPARE:
         msg = f"{u.size} samples are too few for order {order}; give at least {unknowns(task) + SPARE}"
         raise FittingError(msg)

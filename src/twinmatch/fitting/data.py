@@ -81,11 +81,9 @@ def parse_order(order: str | Sequence[int]) -> Order:
         raise FittingError(msg)
     parsed = Order(*numbers)
     if parsed.nb < 1:
-        msg = f"order: {order!r} leaves no coefficient for B; nb must be at least 1"
-        raise FittingError(msg)
+        raise FittingError(f"order: {order!r} leaves no coefficient for B; nb must be at least 1")
     if min(parsed) < 0 or max(parsed) > MAX_ORDER:
-        msg = f"order: {order!r} has a number outside 0 to {MAX_ORDER}; give smaller ones"
-        raise FittingError(msg)
+        raise FittingError(f"order: {order!r} has a number outside 0 to {MAX_ORDER}; give smaller ones")
     return parsed
 
 
@@ -97,12 +95,10 @@ def checked_signal(values: ArrayLike, name: str) -> FloatArray:
     """
     signal = np.array(values, dtype=np.float64, order="C")  # a copy: kernels are compiled for writable arrays
     if signal.ndim != 1 or signal.size == 0:
-        msg = f"{name}: has shape {signal.shape}; give one value per sample"
-        raise FittingError(msg)
+        raise FittingError(f"{name}: has shape {signal.shape}; give one value per sample")
     bad = np.flatnonzero(~np.isfinite(signal))
     if bad.size:
-        msg = f"{name}: {signal[bad[0]]} at sample {bad[0]}; only finite values can be used"
-        raise FittingError(msg)
+        raise FittingError(f"{name}: {signal[bad[0]]} at sample {bad[0]}; only finite values can be used")
     return signal
 
 
@@ -114,6 +110,5 @@ def checked_pair(u: ArrayLike, y: ArrayLike) -> tuple[FloatArray, FloatArray]:
     """
     input_, output = checked_signal(u, "input u"), checked_signal(y, "output y")
     if input_.size != output.size:
-        msg = f"input u has {input_.size} samples and output y {output.size}; give equally many"
-        raise FittingError(msg)
+        raise FittingError(f"input u has {input_.size} samples and output y {output.size}; give equally many")
     return input_, output

@@ -76,8 +76,7 @@ class GateLimits:
     def __post_init__(self) -> None:
         for name in ("chi2", "relative_error", "condition", "slack", "least_samples", "driven"):
             if not getattr(self, name) > 0:
-                msg = f"gate: the limit {name} is {getattr(self, name)}; it must be positive"
-                raise FittingError(msg)
+                raise FittingError(f"gate: the limit {name} is {getattr(self, name)}; it must be positive")
         for name in ("held_back", "least_seen"):
             if not 0 < getattr(self, name) < 1:
                 msg = f"gate: {name} is {getattr(self, name)}; give a share of the window between 0 and 1"

@@ -132,8 +132,7 @@ def task_of(u: FloatArray, y: FloatArray, order: Order, initial: str = "estimate
         FittingError: an unknown `initial`.
     """
     if initial not in INITIALS:
-        msg = f'initial: {initial!r} is unknown; use "estimate" or "zero"'
-        raise FittingError(msg)
+        raise FittingError(f'initial: {initial!r} is unknown; use "estimate" or "zero"')
     nb, nc, nd, nf, nk = order
     states = 0 if initial == "zero" else order.predictor_state
     spans = np.zeros((BY_F + 2, 3), dtype=np.int64)

@@ -82,8 +82,7 @@ def checked_free(model: Model, free: Iterable[str] | None) -> tuple[str, ...]:
             f"matching: {unknown[0]!r} cannot be free in {model.title}; choose from {', '.join(model.names)}"
         )
     if not names or len(set(names)) != len(names):
-        msg = f"matching: free is {names}; give at least one parameter and none twice"
-        raise FittingError(msg)
+        raise FittingError(f"matching: free is {names}; give at least one parameter and none twice")
     return tuple(name for name in model.names if name in names)
 
 
@@ -154,8 +153,7 @@ class Noise:
             values = tuple(np.atleast_1d(getattr(self, name)).tolist())
             for value in values:
                 if not (math.isfinite(value) and value > 0):
-                    msg = f"noise: {name[:-1]} is {value}; it must be finite and positive"
-                    raise FittingError(msg)
+                    raise FittingError(f"noise: {name[:-1]} is {value}; it must be finite and positive")
             object.__setattr__(self, name, values)
 
     @classmethod

@@ -240,8 +240,7 @@ def _check(of: FmuMap) -> None:
 def _subset(place: str, what: str, names: Any, known: Any) -> None:
     unknown = [name for name in names if name not in known]
     if unknown:
-        msg = f"{place}: {what} names {unknown[0]!r}; there are {', '.join(known) or 'none'}"
-        raise FmuError(msg)
+        raise FmuError(f"{place}: {what} names {unknown[0]!r}; there are {', '.join(known) or 'none'}")
 
 
 def _link(place: str, tree: Any) -> Link:

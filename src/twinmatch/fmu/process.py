@@ -105,8 +105,7 @@ def unpacked(read: Callable[[int], bytes]) -> ProcessMessage:
     Raises:
         FmuMessageError: the bytes are not a valid message.
     """
-    lengths = read(_LENGTHS.size)
-    size, numbers = _LENGTHS.unpack(lengths)
+    size, numbers = _LENGTHS.unpack(read(_LENGTHS.size))
     if size > MAX_HEADER or numbers > MAX_NUMBERS:
         raise FmuMessageError(f"a message of {size} and {numbers} bytes")
     try:

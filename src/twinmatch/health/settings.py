@@ -88,8 +88,7 @@ class HealthSettings:
         for name in ("period", "lost", "weak", "jump", "frozen", "change", "lead", "start"):
             value = getattr(self, name)
             if not (math.isfinite(value) and value > 0):
-                msg = f"health: {name} is {value}; it must be positive"
-                raise HealthError(msg)
+                raise HealthError(f"health: {name} is {value}; it must be positive")
         if not self.lost <= self.weak < 1:
             raise HealthError(
                 f"health: lost is {self.lost} and weak is {self.weak}; give shares of the expected effect, "

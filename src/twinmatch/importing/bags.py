@@ -256,8 +256,7 @@ def open_bag(path: Path) -> Iterator[Bag]:
         RecordingError: the bag does not exist or is damaged, or the library that reads it is not installed.
     """
     if find_spec("rosbags") is None:
-        msg = f"{path}: to read bags, install rosbags: pip install 'twinmatch[bags]'"
-        raise RecordingError(msg)
+        raise RecordingError(f"{path}: to read bags, install rosbags: pip install 'twinmatch[bags]'")
     if not path.exists():
         raise RecordingError(f"{path}: does not exist")
     files, notes = files_of(path, lambda file: suffix_of(file) in SCANS) if path.is_dir() else ([path], [])

@@ -82,8 +82,7 @@ def map_bag(
     used = int(known.sum())
     if used < 2:
         rows = sources[loop.outputs[0]].text
-        msg = f"{path}: fewer than two readings of {rows} follow the first input; check --map"
-        raise RecordingError(msg)
+        raise RecordingError(f"{path}: fewer than two readings of {rows} follow the first input; check --map")
     columns = _columns(loop, signals, known, longest)
     columns[TIME] = stretches.taken_back(columns[TIME])
     table = Table(path, columns, (np.flatnonzero(known) + 1).tolist(), "reading")

@@ -345,5 +345,4 @@ def refuse_existing(session: Path | None) -> None:
         LaunchError: the folder exists already.
     """
     if session is not None and session.exists():
-        msg = f"{session} exists already; give another folder with --session"
-        raise LaunchError(msg)
+        raise LaunchError(f"{session} exists already; give another folder with --session")

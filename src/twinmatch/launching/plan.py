@@ -256,8 +256,7 @@ def attach_plan(
     twin_values = values_of(settings)
     sampler, twin = folder / "sampler.yaml", folder / "twin.yaml"
     sampler.write_text(render(SAMPLER, *understood(SAMPLER, values)), "utf-8")
-    table = table_of(settings)
-    twin.write_text(render("/**", table, twin_values), "utf-8")
+    twin.write_text(render("/**", table_of(settings), twin_values), "utf-8")
     return AttachPlan(
         config=config or sampler,
         session=session,

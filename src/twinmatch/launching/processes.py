@@ -102,11 +102,9 @@ class Processes:
         deadline = time.monotonic() + seconds
         while not ready.wait(0.05):
             if (code := self.ended.get(name)) is not None:
-                msg = f"{name} ended with code {code} before it was ready; see its output above"
-                raise LaunchError(msg)
+                raise LaunchError(f"{name} ended with code {code} before it was ready; see its output above")
             if time.monotonic() > deadline:
-                msg = f"{name} was not ready after {seconds:g} s; see its output above"
-                raise LaunchError(msg)
+                raise LaunchError(f"{name} was not ready after {seconds:g} s; see its output above")
 
     def _pass_on(self, name: str, output: int) -> None:
         with open(output, errors="replace") as stream:

@@ -332,8 +332,7 @@ class PwmLink:
     def _ask(self, verb: Verb, pwm: int = 0) -> Reply:
         """Send a request and return its reply, with retries under the same sequence number."""
         if self._wire is None:
-            msg = f"PWM link: {self.port} is not open; open() or reopen() it"
-            raise PwmPortLostError(msg)
+            raise PwmPortLostError(f"PWM link: {self.port} is not open; open() or reopen() it")
         line = self._talk.ask(verb, pwm)
         for attempt in range(self.settings.retries + 1):
             if attempt:

@@ -51,8 +51,7 @@ def seal(payload: str) -> bytes:
     body = payload.encode("ascii")
     if not 1 <= len(body) <= MAX_PAYLOAD or ":" in payload or not payload.isprintable():
         rule = f"give 1 to {MAX_PAYLOAD} printable ASCII characters other than ':'"
-        msg = f"frame: {payload!r} cannot be sent; {rule}"
-        raise ValueError(msg)
+        raise ValueError(f"frame: {payload!r} cannot be sent; {rule}")
     return b":%b*%04X\n" % (body, crc16(body))
 
 

@@ -219,8 +219,7 @@ def region(exposure: Exposure, roi: Region | None = None) -> RegionStatistics:
         degrees = degrees[roi.row : roi.row + roi.rows, roi.column : roi.column + roi.columns]
     valid = degrees[np.isfinite(degrees)]
     if not valid.size:
-        msg = "region: every pixel is outside the camera's range; point the camera at the plate"
-        raise RegionError(msg)
+        raise RegionError("region: every pixel is outside the camera's range; point the camera at the plate")
     return RegionStatistics(
         mean=float(valid.mean()),
         variance=float(valid.var()),

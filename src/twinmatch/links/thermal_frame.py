@@ -188,8 +188,7 @@ class ThermalFrame(Exposure):
         Exposure.__post_init__(self)  # super() without arguments does not find its class under slots
         _check_integer("sequence", self.sequence, 2**63)
         if not isinstance(self.boot_id, bytes) or len(self.boot_id) != BOOT_ID_LENGTH:
-            msg = f"thermal frame: boot_id is {self.boot_id!r}; give {BOOT_ID_LENGTH} bytes"
-            raise FrameFieldError(msg)
+            raise FrameFieldError(f"thermal frame: boot_id is {self.boot_id!r}; give {BOOT_ID_LENGTH} bytes")
 
 
 def _check_integer(name: str, value: object, limit: int) -> None:
@@ -261,8 +260,7 @@ def read_frame(read: Callable[[int], bytes]) -> ThermalFrame:
         # Some releases of cbor2 recurse per level of nesting, and the limit may strike within our read.
         if tap.failure is not None and not isinstance(tap.failure, RecursionError):
             raise tap.failure from None
-        msg = f"thermal frame: not CBOR after {len(tap.taken)} bytes ({error})"
-        raise FrameSyntaxError(msg) from error
+        raise FrameSyntaxError(f"thermal frame: not CBOR after {len(tap.taken)} bytes ({error})") from error
     return _frame(value, bytes(tap.taken))
 
 
@@ -298,8 +296,7 @@ class _Tap:
 
 def _frame(value: object, raw: bytes) -> ThermalFrame:
     if not isinstance(value, dict):
-        msg = f"thermal frame: a CBOR {type(value).__name__} instead of a map"
-        raise FrameSyntaxError(msg)
+        raise FrameSyntaxError(f"thermal frame: a CBOR {type(value).__name__} instead of a map")
     version = value.get("v")
     if type(version) is int and version != WIRE_VERSION:
         msg = f"thermal frame: format version {version}; this program reads version {WIRE_VERSION}"

@@ -357,5 +357,4 @@ def _changes(
     if not is_step:
         return [change]
     before = _changes(history.part(0, k), when[:k], names[:k], dated, among)
-    later = _changes(history.part(k, n), when[k:], names[k:], dated, among)
-    return [*before, change, *later]
+    return [*before, change, *_changes(history.part(k, n), when[k:], names[k:], dated, among)]

@@ -66,8 +66,7 @@ def centikelvin(exposure: Exposure) -> NDArray[np.uint16]:
         return counts
     scaled = np.rint(counts * (exposure.resolution / CENTIKELVIN))
     scaled = np.clip(scaled, NO_COUNT + 1, FULL_COUNT - 1)
-    invalid = (counts == NO_COUNT) | (counts == FULL_COUNT)
-    return np.where(invalid, counts, scaled).astype(np.uint16)
+    return np.where((counts == NO_COUNT) | (counts == FULL_COUNT), counts, scaled).astype(np.uint16)
 
 
 def raw_image(exposure: Exposure, header: Header) -> Image:

@@ -293,8 +293,7 @@ def _message(data: bytes, kind: Any) -> Any:
 def _refuse(request: Any, response: Any, why: str) -> Any:
     """A response that says why there is no other one, where its type has a place for that."""
     if hasattr(response, "results"):
-        result = SetParametersResult(successful=False, reason=why)
-        response.results = [result] * len(request.parameters)
+        response.results = [SetParametersResult(successful=False, reason=why)] * len(request.parameters)
     elif isinstance(getattr(response, "result", None), SetParametersResult):
         response.result = SetParametersResult(successful=False, reason=why)
     elif hasattr(response, "message"):

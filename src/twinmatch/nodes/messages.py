@@ -192,8 +192,7 @@ def request_from(message: messages.MatchRequest) -> MatchRequest:
     seen = np.ones(samples, dtype=np.bool_)
     seen[lost] = False
     window = Window(**signals, first=message.first, period=message.period, seen=seen)
-    point = point_of(message.operating_point)
-    return MatchRequest(message.sample, point, window, start, incumbent)
+    return MatchRequest(message.sample, point_of(message.operating_point), window, start, incumbent)
 
 
 def shown_samples(period: float, horizons: tuple[int, ...]) -> tuple[int, ...]:

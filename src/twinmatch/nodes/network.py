@@ -133,8 +133,7 @@ def _with_lease(profile: Path, seconds: str) -> Path:
         return profile
     if not seconds.isdecimal():
         raise NetworkError(f"network: {LEASE} is {seconds!r}; give whole seconds")
-    text = profile.read_text("utf-8")
-    changed = re.sub(r"(<leaseDuration><sec>)\d+", rf"\g<1>{seconds}", text)
+    changed = re.sub(r"(<leaseDuration><sec>)\d+", rf"\g<1>{seconds}", profile.read_text("utf-8"))
     digest = hashlib.sha256(changed.encode()).hexdigest()[:12]
     made = cache_folder() / f"{profile.stem}-{digest}.xml"
     try:

@@ -143,8 +143,7 @@ class Player(TwinmatchNode):
         }
         if self._session.topic not in self._publishers_of:
             missing = self._relative(self._session.topic)
-            msg = f"player: topics {self.values['topics']} leave out {missing}; add it"
-            raise PlayerError(msg)
+            raise PlayerError(f"player: topics {self.values['topics']} leave out {missing}; add it")
         self._clock_publisher = self.create_publisher(Clock, "/clock", 10) if self.values["clock"] else None
         self._pace = Pace(self.values["rate"], self._session.start / 1e9)
         self.create_service(SetBool, "~/pause", self._on_pause)

@@ -205,8 +205,7 @@ def _check_files(arguments: list[str]) -> None:
             try:
                 read_yaml(Path(path))
             except DocumentError as error:
-                msg = f"{_program(arguments)}: {error}"
-                raise RunnerError(msg) from error
+                raise RunnerError(f"{_program(arguments)}: {error}") from error
 
 
 @contextmanager
@@ -217,8 +216,7 @@ def _clear_errors(arguments: Sequence[str]) -> Iterator[None]:
     except Exception as error:  # rclpy gives these errors no public names
         cause = re.sub(r",? at /\S+", "", str(error))
         cause = re.sub(r"^(failed to initialize rcl|Failed to parse ROS arguments): ", "", cause)
-        msg = f"{_program(arguments)}: {cause}"
-        raise RunnerError(msg) from error
+        raise RunnerError(f"{_program(arguments)}: {cause}") from error
 
 
 def _program(arguments: Sequence[str]) -> str:

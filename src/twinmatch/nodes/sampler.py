@@ -72,8 +72,7 @@ def understood(place: str, given: Mapping[str, Any]) -> tuple[tuple[Setting, ...
     try:
         plant = find_plant(str(given.get("plant", Peltier.name)))
     except PlantError as error:
-        msg = f"{place}: {error}"
-        raise ParameterError(msg) from error
+        raise ParameterError(f"{place}: {error}") from error
     called, used = signal_called(plant), dict[str, str]()
     for name in given:
         kind, _, signal = name.partition(".")

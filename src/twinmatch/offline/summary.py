@@ -263,7 +263,6 @@ def conclude(
 
 def _range(parameters: Parameters, held: Sequence[tuple[float, float]]) -> TrustRange | None:
     """Where forecasts have held; of several outputs the levels of the first."""
-    plant = parameters.model.plant
-    first, *others = plant.outputs.values()
+    first, *others = parameters.model.plant.outputs.values()
     unit = f"{first.unit} of {first.text or first.name}" if others else first.unit
     return trust_range(held, unit, first.decimals)

@@ -57,8 +57,7 @@ def installed_plant(name: str) -> type[Plant] | None:
         msg = f"plant {name!r} of {package}: cannot be imported ({type(error).__name__}: {error})"
         raise PlantError(msg) from error
     if not (isinstance(plant, type) and issubclass(plant, Plant)):
-        msg = f"plant {name!r} of {package}: {point.value} is not a Plant; declare the class"
-        raise PlantError(msg)
+        raise PlantError(f"plant {name!r} of {package}: {point.value} is not a Plant; declare the class")
     if plant.name != name:
         msg = f"plant {name!r} of {package}: its class is named {plant.name!r}; give both the same name"
         raise PlantError(msg)
@@ -86,8 +85,7 @@ def load_plant(name: str) -> type[Plant]:
     if path in _BY_FILE:
         return _BY_FILE[path]
     if not path.is_file():
-        msg = f"{name}: there is no such file (looked for {path}); give the file with the plant"
-        raise PlantError(msg)
+        raise PlantError(f"{name}: there is no such file (looked for {path}); give the file with the plant")
     if path.suffix != ".py":
         raise PlantError(f"{name}: is not a Python file; give one that ends in .py")
     plant = _plant_in(_run(path, name), name)

@@ -95,8 +95,7 @@ class GuardLimits:
         within_a_minute("guard", **timeouts)
         if not self.lowest < self.highest:
             low, high = f"{self.lowest} {self.unit}", f"{self.highest} {self.unit}"
-            msg = f"guard limits: lowest {low} must be below highest {high}"
-            raise SafetyError(msg)
+            raise SafetyError(f"guard limits: lowest {low} must be below highest {high}")
 
 
 class OutputGuard:

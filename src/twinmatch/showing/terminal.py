@@ -148,8 +148,7 @@ class Screen:
         if verdict is not None and verdict.candidates:
             accepted = [report.match for report in self._matches if report.match.accepted]
             determined = {m.samples: m.believed for m in accepted if m.samples is not None}
-            table = family_table(verdict, determined, width)
-            shown += [Text(), table, Text(LEGEND, style="dim")]
+            shown += [Text(), family_table(verdict, determined, width), Text(LEGEND, style="dim")]
         return shown
 
     def _progress(self, width: int) -> RenderableType:

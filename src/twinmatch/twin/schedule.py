@@ -81,8 +81,7 @@ class ScheduleSettings:
             if one.metadata["unit"] == "samples":
                 low, high = one.metadata["low"], one.metadata["high"]
                 counts[one.name] = min(max(round(getattr(cls, one.name) * factor), low), high)
-        first = next(iter(plant.outputs.values()))
-        return cls(scale, min_step=first.least_step, **counts)
+        return cls(scale, min_step=next(iter(plant.outputs.values())).least_step, **counts)
 
     def __post_init__(self) -> None:
         for name in ("stride", "min_span", "span", "lead", "capacity"):
@@ -269,5 +268,4 @@ class Schedule:
         return Trigger(index, window, True, self._point(window))
 
     def _window(self, first: int, last: int) -> Window:
-        samples = [s for s in self._samples if first <= s.index <= last]
-        return Window.from_samples(samples, self.period)
+        return Window.from_samples([s for s in self._samples if first <= s.index <= last], self.period)

@@ -227,11 +227,9 @@ class TwinSettings:
                 f"{signals[0]} and {signals[1]}: give one number for each"
             )
         if self.most_candidates < 1:
-            msg = f"twin: most_candidates is {self.most_candidates}; a family needs at least one"
-            raise TwinError(msg)
+            raise TwinError(f"twin: most_candidates is {self.most_candidates}; a family needs at least one")
         if not self.regime_width > 0:
-            msg = f"twin: regime_width is {self.regime_width}; it must be positive"
-            raise TwinError(msg)
+            raise TwinError(f"twin: regime_width is {self.regime_width}; it must be positive")
         if self.law is not None and self.law.period != self.period:
             raise TwinError(
                 f"twin: the controller runs every {self.law.period} s but samples come every "

@@ -72,8 +72,7 @@ def _draw(output: Axes, control: Axes, fan: Fan) -> None:
     known = (np.arange(past.first, past.last + 1) - forecast.sample) * past.period
     if forecast.closed:
         set_points = np.concatenate([past.reference, forecast.reference])
-        around = np.concatenate([known, forecast.time])
-        draw_set_point(output, around, set_points, 0.9, named=True)
+        draw_set_point(output, np.concatenate([known, forecast.time]), set_points, 0.9, named=True)
     for axes, band, before, after in (
         (output, forecast.output, past.output, None if measured is None else measured.output),
         (control, forecast.input, past.input, None if measured is None else measured.input),
