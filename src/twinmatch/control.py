@@ -185,6 +185,8 @@ class Loop:
         self._period = round(law.period * NANOSECONDS)
         self._max_age = round(max_age * NANOSECONDS)
         self._outputs: Signals = ()
+        self._taken: Signals = (math.nan,) * len(self._gains)
+        self._stood_in = [False] * len(self._gains)
         self._measured: int | None = None
         self._disturbances: tuple[float, ...] = ()
         self._number: int | None = None  # of the newest tick on the grid
@@ -207,17 +209,26 @@ class Loop:
         return not self.trouble
 
     def measure(
-        self, outputs: Sequence[float] | float, stamp: int, disturbances: Sequence[float] = ()
+        self,
+        outputs: Sequence[float] | float,
+        stamp: int,
+        disturbances: Sequence[float] = (),
+        taken: Sequence[float] = (),
     ) -> None:
         """Take the readings measured at `stamp` (ns), with the disturbances if they are measured too.
 
+        The law is given `taken` in place of the outputs; NaN, or none at all: the output itself. Where that
+        changes, its controller continues without a bump. Samples have the readings.
+
         Readings that are not finite or not one of each output, or that have some but not all of the plant's
-        disturbances, are only counted.
+        disturbances or of what is taken, are only counted.
         """
         read = point_values(outputs)
         whole = len(read) == len(self._pids) and len(disturbances) in (0, len(self._plant.disturbances))
+        whole = whole and len(taken) in (0, len(read)) and not any(map(math.isinf, taken))
         if whole and all(map(math.isfinite, (*read, *disturbances))):
             self._outputs, self._measured, self._disturbances = read, stamp, tuple(disturbances)
+            self._taken = tuple(taken) or (math.nan,) * len(read)
         else:
             self.refused += 1
 
@@ -259,9 +270,11 @@ class Loop:
 
     def _step(self, k: int, reference: float) -> float:
         """One step of a PID; returns what passes of its command."""
-        pid, output = self._pids[k], self._outputs[k]
-        if self._restart:
-            pid.state = self._continued(k, reference - output)
+        pid, stands_in = self._pids[k], not math.isnan(self._taken[k])
+        output = self._taken[k] if stands_in else self._outputs[k]
+        if self._restart or stands_in != self._stood_in[k]:
+            pid.state = self._continued(k, reference, output)
+        self._stood_in[k] = stands_in
         self.inputs[k] = float(pid.step(reference, output)[0])
         excess = max(0.0, self.inputs[k] - self.limits[k])
         if excess and self._gains[k].integral:  # it must not wind up
@@ -308,9 +321,9 @@ class Loop:
         wrong = next((each for each in references if not math.isfinite(each)), None)
         return "" if wrong is None else f"the set-point is {wrong}, not a finite number"
 
-    def _continued(self, k: int, error: float) -> FloatArray:
+    def _continued(self, k: int, reference: float, output: float) -> FloatArray:
         """The state of a PID whose output continues from the current one; without integral action it cannot,
         since the difference would stay for good."""
-        gains = self._gains[k]
+        gains, error = self._gains[k], reference - output
         integral = self.inputs[k] - gains.proportional * error if gains.integral else self._pids[k].state[0]
-        return np.array([integral, -self._outputs[k] if gains.on_measurement else error])
+        return np.array([integral, -output if gains.on_measurement else error])

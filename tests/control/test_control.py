@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 from dataclasses import replace
 
@@ -365,3 +366,29 @@ def test_two_loops_are_two_pids_on_one_grid():
 def test_a_plant_with_another_law_is_not_controlled():
     with pytest.raises(ControlError, match="give a PID for each of its 2 outputs and 2 drives"):
         Loop(TCLabBoth, GAINS)
+
+
+def test_a_law_takes_what_stands_in_for_a_reading_and_samples_keep_the_reading():
+    """Loop 1 continues without a bump when its sensor is replaced, and when it is back."""
+    loop, other = Loop(TCLabBoth), Loop(TCLabBoth)
+    steps = []
+    for k in range(60):
+        lies = 20 <= k < 40
+        for one, first in ((loop, 45.0 if lies else 40.0), (other, 40.0)):
+            taken = (40.0, math.nan) if lies and one is loop else ()
+            one.measure((first, 30.0), k * 10**9, taken=taken)
+        sample, same = (one.tick(k * 10**9, lambda _: (42.0, 33.0)) for one in (loop, other))
+        steps.append((sample, same))
+    assert [sample.outputs[0] for sample, _ in steps[20:40]] == [45.0] * 20
+    assert max(abs(a.inputs[1] - b.inputs[1]) for a, b in steps) == 0.0
+    # Where a controller continues, its integral is set for the command of the tick before: a tick of growth.
+    growth = max(abs(b.inputs[0] - a.inputs[0]) for (_, a), (_, b) in itertools.pairwise(steps[1:]))
+    assert max(abs(a.inputs[0] - b.inputs[0]) for a, b in steps) <= 2.0 * growth
+
+
+@pytest.mark.parametrize("taken", [(40.0,), (math.inf, 30.0), (40.0, -math.inf)])
+def test_what_stands_in_has_a_number_for_each_output(taken):
+    loop = Loop(TCLabBoth)
+    loop.measure((40.0, 30.0), 0, taken=taken)
+    assert loop.refused == 1
+    assert loop.tick(0, lambda _: (42.0, 33.0)) is None

@@ -157,3 +157,39 @@ def test_while_no_sensor_is_right_none_is_read_through() -> None:
     assert told[-1] == set()
     assert [alarm.signal for alarm in monitor.alarms[-2:]] == ["temperature", "second_temperature"]
     assert monitor.alarms[-1].reason.endswith("; no sensor is right, so none can be read through")
+
+
+def test_beside_a_sensor_that_is_read_through_none_is_rehearsed() -> None:
+    """Their rehearsals would take its readings."""
+    monitor = ChannelMonitor(typical(), 1.0)
+    for sample in islice(run(100, "T1 frozen"), BEGINS + 60):
+        monitor.push(sample)
+        through = bool(monitor.competition.through)
+        assert not (through and any(each.on for each in monitor.competition._rehearsals))
+    assert (monitor.alarms[-1].fault, monitor.alarms[-1].signal) == (Fault.SENSOR_FROZEN, "temperature")
+
+
+def test_an_impossible_sensor_is_read_through_by_the_newest_filter() -> None:
+    """No filter has taken such readings, so the best one needs no forecast from before them."""
+    monitor, estimates = ChannelMonitor(typical(), 1.0), []
+    for sample in islice(run(21, "nothing"), BEGINS + 30):
+        off = changed(sample, "outputs", 0, more=math.nan) if sample.index >= BEGINS else sample
+        monitor.push(off)
+        estimates += [(each, sample.outputs[0]) for each in monitor.estimates]
+    first, _ = estimates[0]
+    assert (first.signal, monitor.competition.through[0].rehearsed) == ("temperature", 0)
+    assert max(abs(each.value - true) - each.band for each, true in estimates) < 0.3  # a step of the display
+
+
+def test_a_drive_that_is_given_back_ends_no_reading_through() -> None:
+    """Drive 2 and sensor 2 have one number; the drive works again, the sensor still lies."""
+    monitor = ChannelMonitor(typical(), 1.0)
+    for sample in islice(run(21, "nothing"), BEGINS + 420):
+        off = sample
+        if sample.index >= BEGINS:
+            off = changed(off, "outputs", 1, more=5.0)
+        if BEGINS + 60 <= sample.index < BEGINS + 180:
+            off = changed(off, "inputs", 1, factor=3.0)
+        monitor.push(off)
+        if sample.index >= BEGINS + 20:
+            assert [each.signal for each in monitor.estimates] == ["second_temperature"], sample.index

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 import signal
+import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -19,10 +20,13 @@ from tests.support.heaters import UNWATCHED, HeaterRig
 from tests.support.kits import BenchKit
 from tests.support.processes import Process, Start
 from tests.support.ros import Listener
+from tests.support.verdicts import verdict
 from tests.support.waiting import wait_for
+from twinmatch.comparing import TrustLevel
+from twinmatch.nodes.messages import message_of
 from twinmatch.nodes.tclab_bridge import TCLabBridge
 from twinmatch.plants import TCLab
-from twinmatch_msgs.msg import PlantApplied, PlantCommand, PlantReading
+from twinmatch_msgs.msg import EstimatedReading, ModelScore, PlantApplied, PlantCommand, PlantReading
 
 pytestmark = pytest.mark.ros
 
@@ -45,6 +49,8 @@ class Rig(HeaterRig):
         self.readings = listener.hear(PlantReading, "plant/reading", qos_profile_sensor_data)
         self._commands = listener.node.create_publisher(PlantCommand, "plant/command", 10)
         self.sent: list[float] | None = None
+        self.beside: Callable[[], None] = lambda: None
+        """Called before each command."""
         self.begin()
 
     def drive(self, kit: BenchKit, *powers: float) -> None:
@@ -56,6 +62,7 @@ class Rig(HeaterRig):
         self.until(lambda: kit.heaters == [0.0, 0.0], "zero")
 
     def feed(self) -> None:
+        self.beside()
         if self.sent is not None:
             message = PlantCommand(index=7, input=self.sent)
             message.header.stamp.sec, message.header.stamp.nanosec = divmod(time.time_ns(), 10**9)
@@ -158,6 +165,48 @@ def test_the_node_is_killed_or_stands_still(
     else:
         process.kill()
     wait_for(lambda: kit.heaters == [0.0, 0.0], "zero")
+
+
+def test_the_law_runs_on_an_estimate_as_long_as_there_is_one(start: Start, rig: Rig, kit: BenchKit) -> None:
+    """By the operator's word only, of a trusted twin only, and never back onto the sensor by silence."""
+    bridge(start, kit, *BOTH, "-p", "read_through:=[temperature]")
+    scores = rig.listener.node.create_publisher(ModelScore, "twin/model_score", 10)
+    estimates = rig.listener.node.create_publisher(EstimatedReading, "plant/estimate", 10)
+    alive = threading.Event()
+
+    def feed() -> None:
+        if alive.is_set():
+            estimates.publish(
+                EstimatedReading(signal="temperature", value=40.0, band=0.5, wide=1.5, good=600.0)
+            )
+
+    def say(level: TrustLevel, sample: int, **more: Any) -> None:
+        scores.publish(message_of(verdict(level, sample, **more), time.time_ns()))
+
+    rig.beside = feed
+    rig.drive(kit, 50.0, 30.0)
+    rig.until(lambda: scores.get_subscription_count() and estimates.get_subscription_count(), "the bridge")
+    alive.set()
+    say(TrustLevel.TRUSTED, 360)
+    off = {"fault": "sensor-drift", "fault_signal": "temperature", "fault_since": 365, "reason": "off"}
+    say(TrustLevel.FAULT, 370, **off)
+    rig.until(lambda: list(rig.readings[-1].taken)[:1] == [40.0], "the estimate")
+    assert math.isnan(rig.readings[-1].taken[1])
+    say(TrustLevel.TRUSTED, 380)
+    rig.until(lambda: all(map(math.isnan, rig.readings[-1].taken)), "the sensor")
+    assert rig.fault == ""
+    say(TrustLevel.FAULT, 390, **off)
+    rig.until(lambda: list(rig.readings[-1].taken)[:1] == [40.0], "the estimate")
+    alive.clear()  # as if the twin were killed
+    rig.faulted("estimate", kit)
+    assert "temperature is not believed, and there is no estimate" in rig.fault
+
+
+def test_of_a_single_sensor_nothing_else_says_what_it_should_read(start: Start, kit: BenchKit) -> None:
+    process = bridge(start, kit, *ONE, "-p", "read_through:=[temperature]")
+    assert process.wait() == 2
+    assert process.text.count("\n") == 1
+    assert "read_through needs plant tclab-both" in process.text
 
 
 def test_the_cable_is_pulled_and_put_back(start: Start, rig: Rig, kit: BenchKit) -> None:

@@ -4,17 +4,28 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from benchmarks.bank.kits import typical
 from tests.support.exchanging import Heaters
 from tests.support.laws import kit_session
 from twinmatch.comparing import Verdict
 from twinmatch.comparing.matrix_gap import matrix_nu_gap
 from twinmatch.comparing.plant_gap import LoopConditions, plant_gaps, spans_of
 from twinmatch.comparing.state_space import StateSpace
-from twinmatch.dynamics import PidGains, PidLoops, begin, linearised, simulate_closed_loop
+from twinmatch.control import Loop
+from twinmatch.dynamics import (
+    PidGains,
+    PidLoops,
+    advance,
+    begin,
+    linearised,
+    readings,
+    simulate_closed_loop,
+)
 from twinmatch.offline.judging import terms_from_files
 from twinmatch.plants import TCLabBoth
 from twinmatch.signals import Sample, Window
@@ -116,3 +127,33 @@ def test_a_real_kit_is_trusted_in_a_loop_of_another_law(tmp_path_factory: pytest
     assert later.count("trusted") >= 0.8 * len(later)
     inside = np.array([each.inside for each in verdicts[-1].signals])
     assert inside.shape == (2,)
+
+
+def test_a_law_that_ran_on_an_estimate_is_followed_with_that_and_not_matched() -> None:
+    """A controller whose first loop takes what the twin says T1 should read, as the kit's does: from the
+    beginning of the lie on it holds T1, and with `read_through` the twin knows what its law was given."""
+    loop, truth = Loop(TCLabBoth), typical()
+    settings = TwinSettings.of(TCLabBoth)
+    told, plain = Twin(replace(settings, read_through=("temperature",))), Twin(settings)
+    random, states, known = np.random.default_rng(5), begin(truth, [23.0, 23.0]), dict[str, float]()
+    errors: list[list[float]] = []
+    for k in range(1100):
+        level = 35.0 if k < 300 else 45.0
+        y = readings(truth, states) + 0.04 * random.standard_normal(2) + (5.0 if k >= 900 else 0.0, 0.0)
+        taken = (known.get("temperature", math.nan), math.nan)
+        loop.measure(tuple(y.tolist()), k * 10**9, taken=taken)
+        sample = loop.tick(k * 10**9, lambda _, level=level: (level, 40.0))  # type: ignore[misc]
+        assert sample is not None
+        outcome = told.push(sample)
+        plain.push(sample)
+        known = {each.signal: each.value for each in outcome.estimates}
+        states = advance(truth, states, np.array(sample.inputs), 1.0)
+        if known:
+            followed = [twin.discriminator.forecaster for twin in (told, plain)]
+            for forecaster in followed:
+                forecaster._catch_up()
+            errors.append([abs(each._controller[0] - loop._pids[0].state[0]) for each in followed])
+    assert len(errors) > 150
+    # What was known of the integral at the change decays with the time of the back-calculation, 15.5 s.
+    right, wrong = np.array(errors)[80:].max(axis=0)
+    assert right < 0.1 * wrong

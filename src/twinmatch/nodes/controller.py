@@ -280,7 +280,8 @@ class ControllerNode(TwinmatchNode):
         outputs = getattr(message, self._wiring.output)
         disturbances = tuple(getattr(message, "disturbances", ()))
         # A reading stamped in the future would never become stale; one without a stamp counts as new.
-        self._loop.measure(outputs, min(stamp, now) if stamp else now, disturbances)
+        taken = tuple(getattr(message, "taken", ()))
+        self._loop.measure(outputs, min(stamp, now) if stamp else now, disturbances, taken)
 
     def _on_applied(self, message: Any) -> None:
         """While a fault holds or limits the drive, a sample with another input would blame the drive."""

@@ -49,6 +49,7 @@ def check(message: Any, plant: Expected = None) -> None:
         _check_signals(message, plant)
     elif plant is not None and isinstance(message, ours.PlantReading):
         _check_size(message, len(plant.outputs), "output", of="the plant's outputs")
+        _check_size(message, len(plant.outputs), "taken", of="the plant's outputs", empty=True)
     elif plant is not None and isinstance(message, ours.PlantApplied):
         _check_size(message, len(plant.drives), "input", of="the plant's drives")
 

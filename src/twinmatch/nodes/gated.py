@@ -112,6 +112,12 @@ class OutputGate:
             return all(guard.armed for guard in self._guards)
 
     @property
+    def time(self) -> float:
+        """Now, s of the safety clock."""
+        with self._news:
+            return self._now()[0]
+
+    @property
     def clock_stopped(self) -> bool:
         """Whether the plant's clock stands still, or has not been seen to move."""
         with self._news:
@@ -462,8 +468,17 @@ class GatedNode(TwinmatchNode):
             fault=verdict.fault,
             reason=verdict.reason,
         )
-        if said is not None and self.gate.armed:
-            self.gate.trip(FaultKind.TWIN, said)
+        if said is not None and not self.reads_through(verdict):
+            self.end(FaultKind.TWIN, said)
+
+    def reads_through(self, _: Verdict) -> bool:
+        """Whether the drive continues without what a trusted twin accuses."""
+        return False
+
+    def end(self, kind: FaultKind, why: str) -> None:
+        """End the drive, if there is any."""
+        if self.gate.armed:
+            self.gate.trip(kind, why)
             self.note_fault()
 
     def _on_clear(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:

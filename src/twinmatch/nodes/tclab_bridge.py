@@ -2,24 +2,38 @@
 
 from __future__ import annotations
 
+import math
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import ClassVar
 
 from rclpy.qos import qos_profile_sensor_data
+from std_srvs.srv import Trigger
 
+from twinmatch.comparing import Verdict
 from twinmatch.links.kit_link import KitAbsentError, KitError, KitLink, KitReading, KitSilentError
 from twinmatch.nodes.gated import NAN, Decision, DriverPace, DriverThread, GatedNode, fault_text, gate_table
+from twinmatch.nodes.health import Level
 from twinmatch.nodes.messages import nanoseconds
 from twinmatch.nodes.topics import RELIABLE
 from twinmatch.parameters.declared import ParameterError, Setting
 from twinmatch.parameters.twin import unit_of
 from twinmatch.plants import PLANTS, TCLab, TCLabBoth
-from twinmatch.safety import BudgetLimits, FaultKind, GuardLimits, OutputGuard, RunawayLimits
-from twinmatch_msgs.msg import PlantApplied, PlantCommand, PlantReading
+from twinmatch.safety import (
+    ACCUSED,
+    BudgetLimits,
+    FaultKind,
+    GuardLimits,
+    OutputGuard,
+    RunawayLimits,
+    StandIn,
+)
+from twinmatch_msgs.msg import EstimatedReading, PlantApplied, PlantCommand, PlantReading
 
 _PORT = "Serial port of the kit, such as /dev/ttyACM0; empty: the first on the USB bus."
 _PLANT = "Whether heater 1 is driven or both."
+_READ_THROUGH = "Outputs for whose sensors the twin's estimate may stand in; needs both heaters."
 _DEADLINE = "Zero after this time without a command from this node, by the wall clock."
 
 
@@ -99,6 +113,7 @@ class TCLabBridge(GatedNode):
         Setting("port", "", _PORT),
         Setting("plant", TCLab.name, _PLANT, choices=(TCLab.name, TCLabBoth.name)),
         Setting("second", 0.0, "Power of heater 2 while heater 1 alone is driven.", "%", 0.0, 100.0),
+        Setting("read_through", list[str](), _READ_THROUGH, choices=tuple(TCLabBoth.outputs)),
         Setting("repeat", 0.25, "Interval between two exchanges with the kit.", "s", 0.05, 0.5),
         Setting("deadline", 1.0, _DEADLINE, "s", 0.6, 60.0),
         Setting("frame_id", "kit", "Frame of plant/reading and plant/applied."),
@@ -114,6 +129,15 @@ class TCLabBridge(GatedNode):
         if both and second:
             raise ParameterError(f"{self.NAME}: second is {second:g} %, but plant tclab-both drives heater 2")
         self.gate.beside = () if both else (second,)
+        if self.values["read_through"] and not both:
+            raise ParameterError(
+                f"{self.NAME}: read_through needs plant tclab-both: with one sensor, nothing else says what "
+                "it should read"
+            )
+        self._stand_ins = {
+            name: StandIn(name, self.LIMITS.highest, TCLab.output.unit)
+            for name in self.values["read_through"]
+        }
         self._link = KitLink(self.values["port"], self.values["deadline"])
 
     def output_guards(self, limits: GuardLimits) -> list[OutputGuard]:
@@ -146,11 +170,54 @@ class TCLabBridge(GatedNode):
         self.create_subscription(PlantCommand, "plant/command", self._on_command, qos_profile_sensor_data)
         self._readings = self.create_publisher(PlantReading, "plant/reading", qos_profile_sensor_data)
         self._applied = self.create_publisher(PlantApplied, "plant/applied", RELIABLE)
+        if self._stand_ins:
+            self.create_subscription(EstimatedReading, "plant/estimate", self._on_estimate, RELIABLE)
         driver = KitDriver(self._link, self.gate, self._tell, self.health, DriverPace(self.values["repeat"]))
         self.drive(driver, "plant/command", "plant/reading")
 
     def _on_command(self, message: PlantCommand) -> None:
         self.gate.command(message.input, message.index, nanoseconds(message.header.stamp))
+
+    def _on_estimate(self, estimate: EstimatedReading) -> None:
+        stand_in = self._stand_ins.get(estimate.signal)
+        if stand_in is not None:
+            stand_in.take(estimate.value, estimate.band, estimate.wide, self.gate.time)
+
+    def reads_through(self, verdict: Verdict) -> bool:
+        """Whether the sensor that is accused may be read through; from now on it is not believed."""
+        stand_in = self._stand_ins.get(verdict.fault_signal)
+        if stand_in is None or verdict.fault not in ACCUSED["sensor"]:
+            return False
+        stand_in.accuse(self.gate.time)
+        return True
+
+    def _on_clear(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        response = super()._on_clear(request, response)
+        if response.success:  # somebody vouches for the readings
+            for stand_in in self._stand_ins.values():
+                stand_in.give_back()
+        return response
+
+    def _on_verdict(self, verdict: Verdict) -> None:
+        super()._on_verdict(verdict)
+        for name, stand_in in self._stand_ins.items():
+            if not verdict.fault:
+                stand_in.give_back()
+            elif stand_in.accused and verdict.fault_signal != name and verdict.fault in ACCUSED["drive"]:
+                self.end(FaultKind.TWIN, f"{name} is read through, and the twin reports {verdict.fault}")
+
+    def _taken(self) -> Sequence[float]:
+        """What the law takes in place of the temperatures; nothing passes where nobody knows one."""
+        if not self._stand_ins:
+            return ()
+        values = dict.fromkeys(self._plant.outputs, NAN)
+        for name, stand_in in self._stand_ins.items():
+            values[name], trouble = stand_in.look(self.gate.time)
+            if trouble:
+                self.end(FaultKind.ESTIMATE, trouble)
+        on = " and ".join(name for name, value in values.items() if not math.isnan(value))
+        self.health.flag_if(bool(on), "estimate", Level.WARN, f"the law runs on the twin's estimate of {on}")
+        return list(values.values())
 
     def _tell(self, reading: KitReading | None, index: int) -> None:
         """Publish the kit's readings; called in the driver's thread."""
@@ -162,7 +229,9 @@ class TCLabBridge(GatedNode):
         else:
             temperatures, powers = reading[:2], reading[2:]
             self.gate.temperature(temperatures[:drives], stamp.nanoseconds)
-            message = PlantReading(output=temperatures[:drives], disturbances=powers[drives:])
+            message = PlantReading(
+                output=temperatures[:drives], taken=self._taken(), disturbances=powers[drives:]
+            )
             message.header = applied.header
             self._readings.publish(message)
             applied.input = powers[:drives]

@@ -174,6 +174,7 @@ def twin_table(
         Setting(
             "recent", 60, "Samples over which the live twin's residuals are averaged.", "samples", 1, 100000
         ),
+        *_stand_ins(plant),
         Setting("candidates", "", "File of initial candidates, for discriminator and matcher; empty: none."),
         Setting(
             "allow_fmu",
@@ -181,6 +182,13 @@ def twin_table(
             "File that adds FMUs as structures of the plant and permits running them; empty: none.",
         ),
     )
+
+
+def _stand_ins(plant: type[Plant]) -> tuple[Setting, ...]:
+    """What only plants with several outputs have: of one sensor nothing else says what it should read."""
+    text = "Outputs whose estimates the law takes while their sensors are not believed; as in the bridge."
+    outputs = tuple(plant.outputs)
+    return () if len(outputs) == 1 else (Setting("read_through", list[str](), text, choices=outputs),)
 
 
 def understood(place: str, given: Mapping[str, Any]) -> tuple[tuple[Setting, ...], dict[str, Any]]:
@@ -262,6 +270,7 @@ def settings_from(values: Mapping[str, Any]) -> TwinSettings:
         limits=TrustLimits(**group(values, "limits.")),
         health=replace(usual.health, **group(values, "health.")),
         forecasts=ForecastSettings(**forecasts),
+        read_through=tuple(values.get("read_through", ())),
     )
 
 
@@ -287,7 +296,8 @@ def values_of(settings: TwinSettings) -> Values:
             value = getattr(getattr(settings, owner), name) or type(parameter.default)()
             values[parameter.name] = list(value) if isinstance(value, tuple) else value
         elif hasattr(settings, owner):
-            values.setdefault(owner, getattr(settings, owner))
+            value = getattr(settings, owner)
+            values.setdefault(owner, list(value) if isinstance(value, tuple) else value)
     return values
 
 

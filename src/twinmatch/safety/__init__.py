@@ -4,7 +4,8 @@ State machines without clocks, wires or threads: the caller passes the time. `Ou
 reach the driver. It is fed by `SafetyClock`, a time that only runs forward, and judges what heats by what it
 does: `Runaway` checks that the plate follows the drive, `HeatBudget` that no more drive passes than the
 reading explains, `DriveObserver` that the sensor reads what the drive must have done; its `Ceiling` limits
-drive that takes the plant beyond set-point and reading. `Accusations` acts on what a trusted twin says.
+drive that takes the plant beyond set-point and reading. `Accusations` acts on what a trusted twin says, and
+`StandIn` lets its estimate stand in for a sensor where an operator has allowed it.
 """
 
 from twinmatch.safety.accusations import ACCUSED, Accusations
@@ -13,6 +14,7 @@ from twinmatch.safety.clock import ClockLimits, SafetyClock
 from twinmatch.safety.guard import FaultKind, GuardFault, GuardLimits, OutputGuard, is_limit
 from twinmatch.safety.observer import DriveObserver
 from twinmatch.safety.runaway import Runaway, RunawayLimits
+from twinmatch.safety.stand_in import StandIn, StandInState
 
 __all__ = [
     "ACCUSED",
@@ -28,5 +30,7 @@ __all__ = [
     "Runaway",
     "RunawayLimits",
     "SafetyClock",
+    "StandIn",
+    "StandInState",
     "is_limit",
 ]

@@ -36,6 +36,8 @@ class FaultKind(Enum):
     """The drive takes the plant beyond set-point and reading: not zero, but no more than holds it there."""
     TWIN = "twin"
     """The twin, trusted until then, no longer believes sensor or drive."""
+    ESTIMATE = "estimate"
+    """The law runs on an estimate of a reading, and that is no longer good enough."""
     DRIVER = "driver"
     """The motor driver reports a short circuit, over-temperature or under-voltage."""
     BOARD = "board"

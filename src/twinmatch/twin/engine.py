@@ -13,7 +13,7 @@ from twinmatch.errors import TwinmatchError
 from twinmatch.fitting import Status
 from twinmatch.fitting.match import not_determined
 from twinmatch.health import SLOW, Alarm, EstimatedReading, Health, HealthState, Monitor
-from twinmatch.signals import Sample, Window, point_values
+from twinmatch.signals import Sample, Signals, Window, point_values
 from twinmatch.twin.candidates import UNSCORED, CandidatePool
 from twinmatch.twin.door import Door
 from twinmatch.twin.forecaster import Forecaster, Snapshot
@@ -92,6 +92,8 @@ class Discriminator:
         self._recent: deque[Sample] = deque(maxlen=self.settings.schedule.stride)
         self._health: Health | None = None
         self._trusted: tuple[float, ...] = ()
+        self._stood_in: int | None = None
+        """Newest sample at which the law took an estimate in place of a reading."""
 
     @property
     def forecaster(self) -> Forecaster:
@@ -167,6 +169,9 @@ class Discriminator:
         if alarm is not None:
             reason = f"not matched: {alarm.fault.value} since sample {alarm.first}: {alarm.reason}"
             return [self._judge(trigger, MatchResult(REFUSED, reason))]
+        if self._stood_in is not None and trigger.window.first <= self._stood_in:
+            reason = f"not matched: the law ran on an estimate until sample {self._stood_in}"
+            return [self._judge(trigger, MatchResult(REFUSED, reason))]
         self._request = self._new_request(trigger)
         if not self._external:  # most of a match is compiled code, which releases the GIL
             with_match = ThreadPoolExecutor(1)
@@ -199,10 +204,11 @@ class Discriminator:
         self.stamps[sample.index] = sample.stamp
         if len(self.stamps) > MAX_STAMPS:
             del self.stamps[next(iter(self.stamps))]
+        taken = self._taken(sample)
         news = self._watch(sample)
         gone = self._remove_spoilt(news) if news is not None and news.last is None else ()
         if sample.usable:
-            self.forecaster.push(sample)
+            self.forecaster.push(sample, taken)
         if news is not None:
             reason = f"{news.fault.value} is over: the plant responds normally again"
             match = MatchResult(reason=news.reason if news.last is None else reason)
@@ -212,6 +218,15 @@ class Discriminator:
                 verdicts.append(self._told(self._known(sample.index, window, match, dismissed=gone)))
         self.forecaster.notes = self._notes()
         return verdicts
+
+    def _taken(self, sample: Sample) -> Signals | None:
+        """What the law took in place of a sample's outputs where sensors are read through: what was estimated
+        at the sample before; None: nothing."""
+        known = {e.signal: e.value for e in self.monitor.estimates if e.signal in self.settings.read_through}
+        if not known:
+            return None
+        self._stood_in = sample.index
+        return tuple(map(known.get, self.settings.plant.outputs, sample.outputs))
 
     def _watch(self, sample: Sample) -> Alarm | None:
         """Judge the plant's health; return the alarm that has just begun or ended."""

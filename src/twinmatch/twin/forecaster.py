@@ -27,7 +27,7 @@ from twinmatch.forecasting import (
     leads_of,
 )
 from twinmatch.forecasting.outlook import deviations
-from twinmatch.signals import FloatArray, Sample, finite, rms
+from twinmatch.signals import FloatArray, Sample, Signals, finite, rms
 from twinmatch.twin.entrants import Entrant, Entrants, Standings
 from twinmatch.twin.settings import ForecastSettings
 from twinmatch.twin.trust import BandCheck, LeaderConfidence, check_band
@@ -116,6 +116,8 @@ class Forecaster:
         self._run_in = tuple(round(stretch * scale / period) for stretch in _RUN_IN)
         self._recent: deque[Sample] = deque(maxlen=max(self._longest + self._stride, *self._run_in) + 1)
         self._waiting: list[Sample] = []
+        self._taken: dict[int, Signals] = {}
+        """What the law took in place of the outputs of samples that are waiting, by index."""
         self._controller = np.zeros(0)
         self._rows = np.zeros((0, 0))
         """Set-points, outputs, inputs, disturbances of the recent samples, and whether they were seen, one
@@ -155,8 +157,10 @@ class Forecaster:
         """Effective number of a candidate's forecasts that could be scored, older ones weighted less."""
         return 0.0 if self._ledger is None else self._ledger.forecasts(name)
 
-    def push(self, sample: Sample) -> None:
+    def push(self, sample: Sample, taken: Signals | None = None) -> None:
         """Take one sample: correct every twin, and learn from the forecasts whose horizon it completes.
+
+        The law was given `taken`; None: the outputs.
 
         Twins whose equations are not external take it later, with the next ones, before they are used.
         """
@@ -164,6 +168,8 @@ class Forecaster:
             self._begin()
         self._recent.append(sample)
         self._waiting.append(sample)
+        if taken is not None:
+            self._taken[sample.index] = taken
         self._arx.push(sample)
         for name in self._twins.external:
             with self._removing_lost(name):
@@ -191,11 +197,10 @@ class Forecaster:
         rows = np.concatenate([self._rows, came]) if self._rows.size else came
         self._rows = rows[-(self._recent.maxlen or 1) :]
         if self._law is not None:
-            references, outputs, inputs, _ = self._columns
-            for row in came:
-                self._controller = self._law.follow(
-                    self._controller, row[references], row[outputs], row[inputs]
-                )
+            references, _, inputs, _ = self._columns
+            for sample, row in zip(samples, came, strict=True):
+                y = np.array(self._taken.pop(sample.index, sample.outputs))
+                self._controller = self._law.follow(self._controller, row[references], y, row[inputs])
         self._followers.push([self._twins[name].state_filter for name in self._twins.native], samples)
 
     @property
@@ -351,6 +356,7 @@ class Forecaster:
         """Start over, also after a gap; what was learned stays."""
         self._recent.clear()
         self._waiting.clear()
+        self._taken.clear()
         self._departures.clear()
         self._rows = self._rows[:0]
         self._controller = np.zeros(0 if self._law is None else self._law.n_states)

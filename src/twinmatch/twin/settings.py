@@ -134,6 +134,8 @@ class TwinSettings:
     """Settings of the health monitor; their period is replaced by `period`."""
     forecasts: ForecastSettings = field(default_factory=ForecastSettings)
     """Horizons and intervals of the forecasts by which candidates are scored."""
+    read_through: tuple[str, ...] = ()
+    """Names of the outputs whose estimates the law takes while their sensors are not believed."""
     prior: Mapping[str, Prior] = field(default_factory=dict)
     """What earlier sessions have shown of the parameters, by structure and name."""
 

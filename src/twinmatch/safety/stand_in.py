@@ -1,0 +1,67 @@
+"""When an estimate may stand in for a sensor that a trusted twin does not believe."""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+PATIENCE: Final = 2.0
+"""Time without a usable estimate after which nothing says what the sensor should read, s."""
+
+
+class StandInState(NamedTuple):
+    """What the law takes now, and what is wrong."""
+
+    value: float
+    """What it takes in place of the reading, in its unit; NaN: the reading itself."""
+    trouble: str = ""
+    """Why nothing may be driven; empty while it may."""
+
+
+class StandIn:
+    """One sensor that an operator has allowed to be read through.
+
+        believed ──accused──▶ stands in ──given back──▶ believed
+                                  └──no usable estimate──▶ trouble
+
+    A verdict gives a sensor back, silence never does: a twin that ends must not hand the loop back to a
+    sensor that lies. All times are seconds of one clock that does not step back.
+    """
+
+    def __init__(self, name: str, highest: float, unit: str) -> None:
+        """Begin with a sensor that is believed; `highest` is the guard's limit, which holds for estimates."""
+        self._name, self._highest, self._unit = name, highest, unit
+        self._since = math.nan
+        self._newest, self._poor = (-math.inf, math.nan), ""
+
+    @property
+    def accused(self) -> bool:
+        """Whether the sensor is not believed."""
+        return not math.isnan(self._since)
+
+    def accuse(self, now: float) -> None:
+        """From now on the sensor is not believed."""
+        self._since = now
+
+    def give_back(self) -> None:
+        """The sensor is believed again."""
+        self._since = math.nan
+
+    def take(self, value: float, band: float, wide: float, now: float) -> None:
+        """Take an estimate, half of the width of its band, and that up to which it counts as good."""
+        self._poor = "" if math.isfinite(value) and band <= wide else f"± {band:.2g} {self._unit} wide"
+        if not self._poor:
+            self._newest = now, value
+
+    def look(self, now: float) -> StandInState:
+        """What the law takes now. Until the first estimate after an accusation that is the reading."""
+        if not self.accused:
+            return StandInState(math.nan)
+        at, value = self._newest
+        if now - at <= PATIENCE and not self._poor:
+            hot = f"{self._name} is estimated at {value:.1f} {self._unit}" if value > self._highest else ""
+            return StandInState(math.nan if hot else value, hot)
+        if now - self._since <= PATIENCE:
+            return StandInState(math.nan)
+        why = f"the estimate is {self._poor}" if self._poor else "there is no estimate"
+        return StandInState(math.nan, f"{self._name} is not believed, and {why}; measure it and clear this")
