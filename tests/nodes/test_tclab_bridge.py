@@ -169,7 +169,7 @@ def test_the_node_is_killed_or_stands_still(
 
 def test_the_law_runs_on_an_estimate_as_long_as_there_is_one(start: Start, rig: Rig, kit: BenchKit) -> None:
     """By the operator's word only, of a trusted twin only, and never back onto the sensor by silence."""
-    bridge(start, kit, *BOTH, "-p", "read_through:=[temperature]")
+    bridge(start, kit, *BOTH, "-p", "read_through:=T1")
     scores = rig.listener.node.create_publisher(ModelScore, "twin/model_score", 10)
     estimates = rig.listener.node.create_publisher(EstimatedReading, "plant/estimate", 10)
     alive = threading.Event()
@@ -202,8 +202,17 @@ def test_the_law_runs_on_an_estimate_as_long_as_there_is_one(start: Start, rig: 
     assert "temperature is not believed, and there is no estimate" in rig.fault
 
 
+def test_a_sensor_that_is_not_there_is_one_line(start: Start) -> None:
+    process = start("tclab_bridge", *BOTH, "-p", "read_through:=T1 T3")
+    assert process.wait() == 2
+    assert process.text == (
+        "tclab_bridge: read_through has T3, no output of plant tclab-both; give temperature or "
+        "second_temperature\n"
+    )
+
+
 def test_of_a_single_sensor_nothing_else_says_what_it_should_read(start: Start, kit: BenchKit) -> None:
-    process = bridge(start, kit, *ONE, "-p", "read_through:=[temperature]")
+    process = bridge(start, kit, *ONE, "-p", "read_through:=temperature")
     assert process.wait() == 2
     assert process.text.count("\n") == 1
     assert "read_through needs plant tclab-both" in process.text

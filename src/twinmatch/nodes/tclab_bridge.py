@@ -18,7 +18,7 @@ from twinmatch.nodes.health import Level
 from twinmatch.nodes.messages import nanoseconds
 from twinmatch.nodes.topics import RELIABLE
 from twinmatch.parameters.declared import ParameterError, Setting
-from twinmatch.parameters.twin import unit_of
+from twinmatch.parameters.twin import outputs_named, unit_of
 from twinmatch.plants import PLANTS, TCLab, TCLabBoth
 from twinmatch.safety import (
     ACCUSED,
@@ -33,7 +33,9 @@ from twinmatch_msgs.msg import EstimatedReading, PlantApplied, PlantCommand, Pla
 
 _PORT = "Serial port of the kit, such as /dev/ttyACM0; empty: the first on the USB bus."
 _PLANT = "Whether heater 1 is driven or both."
-_READ_THROUGH = "Outputs for whose sensors the twin's estimate may stand in; needs both heaters."
+_READ_THROUGH = (
+    "Outputs for whose sensors the twin's estimate may stand in; needs both heaters; with spaces between."
+)
 _DEADLINE = "Zero after this time without a command from this node, by the wall clock."
 
 
@@ -113,7 +115,7 @@ class TCLabBridge(GatedNode):
         Setting("port", "", _PORT),
         Setting("plant", TCLab.name, _PLANT, choices=(TCLab.name, TCLabBoth.name)),
         Setting("second", 0.0, "Power of heater 2 while heater 1 alone is driven.", "%", 0.0, 100.0),
-        Setting("read_through", list[str](), _READ_THROUGH, choices=tuple(TCLabBoth.outputs)),
+        Setting("read_through", "", _READ_THROUGH),
         Setting("repeat", 0.25, "Interval between two exchanges with the kit.", "s", 0.05, 0.5),
         Setting("deadline", 1.0, _DEADLINE, "s", 0.6, 60.0),
         Setting("frame_id", "kit", "Frame of plant/reading and plant/applied."),
@@ -136,7 +138,7 @@ class TCLabBridge(GatedNode):
             )
         self._stand_ins = {
             name: StandIn(name, self.LIMITS.highest, TCLab.output.unit)
-            for name in self.values["read_through"]
+            for name in outputs_named(self.NAME, self.values["read_through"], TCLabBoth)
         }
         self._link = KitLink(self.values["port"], self.values["deadline"])
 

@@ -8,6 +8,7 @@ ranges, are those of the selected `plant` and `structure`.
 from __future__ import annotations
 
 import math
+import unicodedata
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -187,8 +188,24 @@ def twin_table(
 def _stand_ins(plant: type[Plant]) -> tuple[Setting, ...]:
     """What only plants with several outputs have: of one sensor nothing else says what it should read."""
     text = "Outputs whose estimates the law takes while their sensors are not believed; as in the bridge."
-    outputs = tuple(plant.outputs)
-    return () if len(outputs) == 1 else (Setting("read_through", list[str](), text, choices=outputs),)
+    return () if len(plant.outputs) == 1 else (Setting("read_through", "", text),)
+
+
+def outputs_named(place: str, text: str, plant: type[Plant]) -> tuple[str, ...]:
+    """Names of outputs in a text with spaces between; each by its name or its symbol.
+
+    Raises:
+        ParameterError: the plant has no such output.
+    """
+    known = {unicodedata.normalize("NFKC", y.symbol): name for name, y in plant.outputs.items()}
+    known |= {name: name for name in plant.outputs}
+    words = text.split()
+    if wrong := next((word for word in words if word not in known), None):
+        outputs = " or ".join(plant.outputs)
+        raise ParameterError(
+            f"{place}: read_through has {wrong}, no output of plant {plant.name}; give {outputs}"
+        )
+    return tuple(known[word] for word in words)
 
 
 def understood(place: str, given: Mapping[str, Any]) -> tuple[tuple[Setting, ...], dict[str, Any]]:
@@ -270,7 +287,7 @@ def settings_from(values: Mapping[str, Any]) -> TwinSettings:
         limits=TrustLimits(**group(values, "limits.")),
         health=replace(usual.health, **group(values, "health.")),
         forecasts=ForecastSettings(**forecasts),
-        read_through=tuple(values.get("read_through", ())),
+        read_through=outputs_named("twin", values.get("read_through", ""), plant),
     )
 
 
@@ -297,7 +314,7 @@ def values_of(settings: TwinSettings) -> Values:
             values[parameter.name] = list(value) if isinstance(value, tuple) else value
         elif hasattr(settings, owner):
             value = getattr(settings, owner)
-            values.setdefault(owner, list(value) if isinstance(value, tuple) else value)
+            values.setdefault(owner, " ".join(value) if isinstance(value, tuple) else value)
     return values
 
 
