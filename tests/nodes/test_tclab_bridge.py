@@ -167,18 +167,26 @@ def test_the_node_is_killed_or_stands_still(
     wait_for(lambda: kit.heaters == [0.0, 0.0], "zero")
 
 
-def test_the_law_runs_on_an_estimate_as_long_as_there_is_one(start: Start, rig: Rig, kit: BenchKit) -> None:
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (lambda alive, _: alive.clear(), "temperature is not believed, and there is no estimate"),
+        (lambda _, told: told.update(value=61.0), "temperature is estimated at 61.0 °C"),
+    ],
+    ids=["as if the twin were killed", "too hot"],
+)
+def test_the_law_runs_on_an_estimate_as_long_as_there_is_one(
+    start: Start, rig: Rig, kit: BenchKit, spoil: Any, words: str
+) -> None:
     """By the operator's word only, of a trusted twin only, and never back onto the sensor by silence."""
-    bridge(start, kit, *BOTH, "-p", "read_through:=T1")
+    bridge(start, kit, *BOTH, "-p", "read_through:=T1", "-p", "highest:=60.0")
     scores = rig.listener.node.create_publisher(ModelScore, "twin/model_score", 10)
     estimates = rig.listener.node.create_publisher(EstimatedReading, "plant/estimate", 10)
-    alive = threading.Event()
+    alive, told = threading.Event(), {"value": 40.0}
 
     def feed() -> None:
         if alive.is_set():
-            estimates.publish(
-                EstimatedReading(signal="temperature", value=40.0, band=0.5, wide=1.5, good=600.0)
-            )
+            estimates.publish(EstimatedReading(signal="temperature", band=0.5, wide=1.5, good=600.0, **told))
 
     def say(level: TrustLevel, sample: int, **more: Any) -> None:
         scores.publish(message_of(verdict(level, sample, **more), time.time_ns()))
@@ -197,9 +205,9 @@ def test_the_law_runs_on_an_estimate_as_long_as_there_is_one(start: Start, rig: 
     assert rig.fault == ""
     say(TrustLevel.FAULT, 390, **off)
     rig.until(lambda: list(rig.readings[-1].taken)[:1] == [40.0], "the estimate")
-    alive.clear()  # as if the twin were killed
+    spoil(alive, told)
     rig.faulted("estimate", kit)
-    assert "temperature is not believed, and there is no estimate" in rig.fault
+    assert words in rig.fault
 
 
 def test_a_sensor_that_is_not_there_is_one_line(start: Start) -> None:

@@ -154,6 +154,9 @@ def test_a_law_that_ran_on_an_estimate_is_followed_with_that_and_not_matched() -
                 forecaster._catch_up()
             errors.append([abs(each._controller[0] - loop._pids[0].state[0]) for each in followed])
     assert len(errors) > 150
+    assert told.discriminator._stood_in == 1099
+    told.push(Sample(0, 0, sample.references, sample.outputs, sample.inputs))  # of another session
+    assert told.discriminator._stood_in is None
     # What was known of the integral at the change decays with the time of the back-calculation, 15.5 s.
     right, wrong = np.array(errors)[80:].max(axis=0)
     assert right < 0.1 * wrong

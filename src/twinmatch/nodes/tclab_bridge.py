@@ -137,7 +137,7 @@ class TCLabBridge(GatedNode):
                 "it should read"
             )
         self._stand_ins = {
-            name: StandIn(name, self.LIMITS.highest, TCLab.output.unit)
+            name: StandIn(name, self.values["highest"], TCLab.output.unit)
             for name in outputs_named(self.NAME, self.values["read_through"], TCLabBoth)
         }
         self._link = KitLink(self.values["port"], self.values["deadline"])
@@ -172,10 +172,12 @@ class TCLabBridge(GatedNode):
         self.create_subscription(PlantCommand, "plant/command", self._on_command, qos_profile_sensor_data)
         self._readings = self.create_publisher(PlantReading, "plant/reading", qos_profile_sensor_data)
         self._applied = self.create_publisher(PlantApplied, "plant/applied", RELIABLE)
+        inputs = ["plant/command", "plant/reading"]
         if self._stand_ins:
             self.create_subscription(EstimatedReading, "plant/estimate", self._on_estimate, RELIABLE)
+            inputs.append("plant/estimate")
         driver = KitDriver(self._link, self.gate, self._tell, self.health, DriverPace(self.values["repeat"]))
-        self.drive(driver, "plant/command", "plant/reading")
+        self.drive(driver, *inputs)
 
     def _on_command(self, message: PlantCommand) -> None:
         self.gate.command(message.input, message.index, nanoseconds(message.header.stamp))

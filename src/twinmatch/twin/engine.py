@@ -232,7 +232,7 @@ class Discriminator:
         """Judge the plant's health; return the alarm that has just begun or ended."""
         if self._recent and not sample.follows(self._recent[-1]):
             if not sample.continues(self._recent[-1]):  # another session: the old alarms have other indices
-                self.monitor = _monitor(self.settings)
+                self.monitor, self._stood_in = _monitor(self.settings), None
             self._recent.clear()
         if sample.usable:
             self._recent.append(sample)

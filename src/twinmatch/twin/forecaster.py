@@ -115,9 +115,8 @@ class Forecaster:
         self._departures: dict[int, _Departure] = {}
         self._run_in = tuple(round(stretch * scale / period) for stretch in _RUN_IN)
         self._recent: deque[Sample] = deque(maxlen=max(self._longest + self._stride, *self._run_in) + 1)
-        self._waiting: list[Sample] = []
-        self._taken: dict[int, Signals] = {}
-        """What the law took in place of the outputs of samples that are waiting, by index."""
+        self._waiting: list[tuple[Sample, Signals]] = []
+        """Samples, each with what the law was given as its outputs."""
         self._controller = np.zeros(0)
         self._rows = np.zeros((0, 0))
         """Set-points, outputs, inputs, disturbances of the recent samples, and whether they were seen, one
@@ -167,9 +166,7 @@ class Forecaster:
         if self._recent and not sample.follows(self._recent[-1]):
             self._begin()
         self._recent.append(sample)
-        self._waiting.append(sample)
-        if taken is not None:
-            self._taken[sample.index] = taken
+        self._waiting.append((sample, sample.outputs if taken is None else taken))
         self._arx.push(sample)
         for name in self._twins.external:
             with self._removing_lost(name):
@@ -189,7 +186,8 @@ class Forecaster:
         """Have the twins, and the controller's state, take the samples that are waiting."""
         if not self._waiting:
             return
-        samples, self._waiting = self._waiting, []
+        samples, given = map(list, zip(*self._waiting, strict=True))
+        self._waiting = []
         came = np.array([(*s.references, *s.outputs, *s.inputs, *s.disturbances, s.seen) for s in samples])
         if not finite(came):
             bad = samples[int(np.argmin(np.isfinite(came).all(axis=1)))].index
@@ -198,8 +196,7 @@ class Forecaster:
         self._rows = rows[-(self._recent.maxlen or 1) :]
         if self._law is not None:
             references, _, inputs, _ = self._columns
-            for sample, row in zip(samples, came, strict=True):
-                y = np.array(self._taken.pop(sample.index, sample.outputs))
+            for row, y in zip(came, np.array(given), strict=True):
                 self._controller = self._law.follow(self._controller, row[references], y, row[inputs])
         self._followers.push([self._twins[name].state_filter for name in self._twins.native], samples)
 
@@ -356,7 +353,6 @@ class Forecaster:
         """Start over, also after a gap; what was learned stays."""
         self._recent.clear()
         self._waiting.clear()
-        self._taken.clear()
         self._departures.clear()
         self._rows = self._rows[:0]
         self._controller = np.zeros(0 if self._law is None else self._law.n_states)
