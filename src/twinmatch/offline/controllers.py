@@ -11,7 +11,7 @@ import numpy as np
 
 from twinmatch.comparing import LEVEL_WORDS, TrustLevel, Verdict
 from twinmatch.controllers import ControllerError, Holding, TriedTwin, law_from, suited
-from twinmatch.dynamics import SKIPPED, Law, Plant, advance, simulate_window
+from twinmatch.dynamics import SKIPPED, Law, Plant, simulate_window
 from twinmatch.dynamics.pace import plant_scale, time_scale
 from twinmatch.errors import TwinmatchError
 from twinmatch.fitting import fit_session, in_parts
@@ -26,6 +26,7 @@ from twinmatch.sessions import Session
 from twinmatch.sessions.documents import parse_json, read_text
 from twinmatch.signals import MEDIAN_TO_SIGMA, FloatArray, Sample, stretches
 from twinmatch.twin import Outcome, Twin
+from twinmatch.twin.tried import tried_twins
 
 SHARE = 0.1
 """Step of the usual profile, as a share of the range of the set-points."""
@@ -164,7 +165,7 @@ def members_from(ground: Ground, *, watch: Watch | None = None) -> tuple[TriedTw
 
     def beside(twin: Twin, sample: Sample, _: Outcome) -> None:
         if sample is session.samples[-1]:
-            members.extend(_members(twin))
+            members.extend(tried_twins(twin.discriminator.forecaster.snapshot()))
 
     judged = judge(session, ground.terms, watch=watch, beside=beside)
     _require_trusted(session.name, judged.verdicts[-1] if judged.verdicts else None)
@@ -224,27 +225,6 @@ def remembered(
         )
         for each in found
     )
-
-
-def _members(twin: Twin) -> list[TriedTwin]:
-    forecaster, members = twin.discriminator.forecaster, []
-    for name in forecaster.names:
-        known = forecaster.outlook(name)
-        n, sample = known.states.size, known.sample
-        row = np.array(sample.disturbances) if sample.disturbances else None
-        after = advance(known.parameters, known.states, sample.inputs, known.period, row)
-        members.append(
-            TriedTwin(
-                name,
-                known.parameters,
-                known.unsure,
-                known.covariance[n:, n:],
-                after,
-                np.array(sample.inputs),
-                disturbances=row,
-            )
-        )
-    return members
 
 
 def _require_trusted(name: str, verdict: Verdict | None) -> None:
