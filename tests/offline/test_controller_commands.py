@@ -13,7 +13,7 @@ import pytest
 from tests.support.laws import kit_session, law_file
 from tests.support.lessons import comparison, lesson
 from tests.support.places import OTHERS, PROJECT, SHIPPED
-from twinmatch.cli import main, retune, try_controller
+from twinmatch.cli import experiment, main, retune, try_controller
 from twinmatch.controllers import (
     ControllerError,
     TriedTwin,
@@ -40,7 +40,7 @@ def ground() -> Ground:
 def judged_once(members_of: Callable[..., tuple[TriedTwin, ...]]) -> Iterator[None]:
     """Commands get the twins of a session that was judged before."""
     with pytest.MonkeyPatch.context() as patch:
-        for command in (try_controller, retune):
+        for command in (try_controller, retune, experiment):
             patch.setattr(command, "members_from", members_of)
         yield
 
@@ -65,6 +65,38 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert "law.json: fails on " in capsys.readouterr().out
     assert main([*base, "--loop", str(tmp_path / "no.json")]) == 2
     assert "cannot be read" in capsys.readouterr().err
+
+
+def test_the_next_experiment(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The course in words, as JSON and as a figure; what cannot be asked is one line."""
+    out, figure = tmp_path / "course.json", tmp_path / "course.svg"
+    base = ["experiment", str(SHIPPED)]
+    assert main([*base, "--minutes", "3", "--json", str(out), "--figure", str(figure)]) == 0
+    first, *rest = capsys.readouterr().out.splitlines()
+    assert re.match(r"hold temperature \d+ °C for .* characters for structure are expected", first)
+    assert [line.split(":")[0].strip() for line in rest] == ["proposed", "step", "PRBS", "nothing"]
+    document = json.loads(out.read_text("utf-8"))
+    course = document["courses"][0]
+    assert document["goal"] == "structure"
+    assert len(course["levels"][0]) <= 180
+    assert course["characters"] > max(other["characters"] for other in document["courses"][1:])
+    assert figure.read_text("utf-8").count("<svg") == 1
+    undecided = ["--loop", str(law_file(tmp_path, proportional=150, integral=10))]
+    assert main([*base, "--minutes", "2", "--for", "controller", *undecided]) == 0
+    assert "characters for controller are expected" in capsys.readouterr().out
+    for options, words in {
+        ("--for", "controller"): "--for controller and --loop FILE belong together",
+        ("--for", "fault"): "they leave no common mark",
+        ("--minutes", "0.1"): "6 samples of 1 s; give 30 to 20000 of them",
+        ("--within", "60", "50"): "give LOW below HIGH",
+        ("--within", "69", "71"): "no course keeps the bands of every twin within",
+    }.items():
+        assert main([*base, *options]) == 2
+        assert words in capsys.readouterr().err
+    for options, words in {(): "give a SESSION, or --live", (str(SHIPPED), "--live"): "--live takes"}.items():
+        with pytest.raises(SystemExit):
+            main(["experiment", *options])
+        assert words in capsys.readouterr().err
 
 
 def test_new_gains_are_tried_at_once_and_can_be_read(

@@ -86,6 +86,9 @@ RUNS = {
     f"{TW} try-controller SESSION --loop law.json": Runs(
         "law.json: safe for all that the data allow", {"SESSION": "bags/four_setpoints"}, needs=("law",)
     ),
+    f"{TW} experiment SESSION": Runs(
+        "characters for structure are expected", {"SESSION": "bags/four_setpoints"}
+    ),
     f"{TW} backtest SESSION": Runs("persistence", SHORT),
     f"{TW} verify SESSION": Runs(
         "are identical, bit for bit", {"SESSION": "attached --plant my_plant.py"}, needs=("attached",)

@@ -3,7 +3,8 @@
 A `TriedTwin` is a twin with what its recording leaves open. `try_controller` tries a law on every twin and on
 draws of its parameters: the eigenvalues of the `WholeLoop` decide, its margins say how far it is from
 instability, and the compiled loop with its limits says what happens. `pid_law` makes a linear law of PIDs
-with filters and set-point weights, `law_from` a law of a document.
+with filters and set-point weights, `law_from` a law of a document. `next_experiment` finds the course after
+which most is known.
 """
 
 from twinmatch.controllers.answer import (
@@ -18,6 +19,18 @@ from twinmatch.controllers.answer import (
 from twinmatch.controllers.guarantee import Guarantee
 from twinmatch.controllers.law_document import law_from, pid_document, suited
 from twinmatch.controllers.members import Holding, TriedTwin
+from twinmatch.controllers.next_experiment import (
+    GOALS,
+    Contender,
+    CourseWorth,
+    ExperimentTerms,
+    LearningGoal,
+    NextExperiment,
+    Staircase,
+    characters_by,
+    goal_named,
+    next_experiment,
+)
 from twinmatch.controllers.responses import CourseFigure
 from twinmatch.controllers.retuning import AIMS, Retuned, retune
 from twinmatch.controllers.stability import MemberStability
@@ -27,24 +40,34 @@ from twinmatch.dynamics.pids import FilteredPid, as_linear, pid_law
 
 __all__ = [
     "AIMS",
+    "GOALS",
+    "Contender",
     "ControllerAnswer",
     "ControllerDecision",
     "ControllerError",
     "ControllerQuestion",
     "CourseFigure",
+    "CourseWorth",
+    "ExperimentTerms",
     "FilteredPid",
     "Guarantee",
     "Holding",
     "LawComparison",
+    "LearningGoal",
     "MemberStability",
+    "NextExperiment",
     "Retuned",
     "Spread",
+    "Staircase",
     "TriedTwin",
     "WholeLoop",
     "as_linear",
+    "characters_by",
     "compared",
+    "goal_named",
     "law_from",
     "levels_words",
+    "next_experiment",
     "pid_document",
     "pid_law",
     "retune",

@@ -23,7 +23,7 @@ from twinmatch.dynamics.declarations import (
 )
 from twinmatch.dynamics.definition import Equations
 from twinmatch.dynamics.descent import Descended, box_step, descend
-from twinmatch.dynamics.experiment import Experiment, Known
+from twinmatch.dynamics.experiment import Experiment, Known, sensitivities
 from twinmatch.dynamics.forecasts import Foresight, LoopForecast, noise_scores
 from twinmatch.dynamics.laws import LawCode, commands_of
 from twinmatch.dynamics.linear import Linear, Rest, linearised, linearised_at, rest_at
@@ -129,6 +129,7 @@ __all__ = [
     "read",
     "readings",
     "rest_at",
+    "sensitivities",
     "simulate_closed_loop",
     "simulate_driven",
     "simulate_window",

@@ -247,5 +247,34 @@ class Experiment:
         return start
 
 
+def sensitivities(
+    parameters: Parameters,
+    free: Sequence[str],
+    inputs: FloatArray,
+    states: FloatArray,
+    *,
+    period: float,
+    disturbances: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Outputs under inputs, shape (N, m), from known states on, and their exact derivatives by the parameters
+    in `free`; shapes (N, o) and (N, o, n). Disturbances have shape (N, d), the period is in s.
+
+    Raises:
+        PlantError: the plant is too fast for the period.
+    """
+    model, kernels = parameters.model, parameters.model.kernels_by(free)
+    unread = np.zeros((len(model.plant.outputs) + len(model.plant.drives), len(inputs)))
+    code, memory = law_code(None)
+    none = np.zeros(0, dtype=np.int64)
+    references, known = np.ascontiguousarray(inputs), np.ascontiguousarray(disturbances)
+    which = _indices(kernels.UNKNOWN, free)
+    data = RunData(which, none, memory, references, known, unread, unread, False, float(period))
+    columns = np.zeros((states.size, len(free)))
+    start = Start(parameters.vector, code, states.copy(), columns, parameters.steps(period))
+    tangents, _ = kernels.run_with_tangents(start, data, True, np.inf)
+    by = tangents.by[: len(model.plant.outputs), :, : len(free)]
+    return tangents.outputs, np.moveaxis(by, 0, 1)
+
+
 def _indices(known: Sequence[str], names: Sequence[str]) -> NDArray[np.int64]:
     return np.array([known.index(name) for name in names], dtype=np.int64)

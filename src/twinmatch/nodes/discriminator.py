@@ -16,6 +16,7 @@ from twinmatch.comparing import Verdict
 from twinmatch.dynamics import PlantError
 from twinmatch.errors import TwinmatchError
 from twinmatch.forecasting import what_if
+from twinmatch.nodes.experimenter import Experimenter
 from twinmatch.nodes.health import Level
 from twinmatch.nodes.messages import (
     answer_message,
@@ -56,7 +57,8 @@ class ForecastPublisher:
     def __init__(self, node: TwinNode, horizons: tuple[int, ...]) -> None:
         """Create the topics and the service; the forecasts shown have these horizons, in samples."""
         self._node, self._health, self._horizons = node, node.health, horizons
-        self._snapshot = Snapshot()
+        self.newest = Snapshot()
+        """What questions are answered from."""
         self._leader: tuple[object, ...] = ()  # name and parameters
         self._ahead: tuple[int, ...] = ()
         self._made = 0
@@ -94,10 +96,10 @@ class ForecastPublisher:
 
     def take(self, snapshot: Snapshot) -> None:
         """Answer questions from this snapshot from now on."""
-        self._snapshot = snapshot
+        self.newest = snapshot
 
     def _on_question(self, request: WhatIf.Request, _: WhatIf.Response) -> WhatIf.Response:
-        snapshot = self._snapshot
+        snapshot = self.newest
         try:
             outlook = snapshot.outlook(request.candidate or None)
             answer = what_if(outlook, question_from(request))
@@ -144,6 +146,8 @@ class DiscriminatorNode(SampleNode):
         self._estimates = self.create_publisher(EstimatedReading, "plant/estimate", RELIABLE)
         self._requests = self.create_publisher(MatchRequest, "twin/match_request", RELIABLE)
         super().open()
+        stamps = self._discriminator.stamps
+        self._experimenter = Experimenter(self, lambda: self._forecasts.newest, lambda k: stamps.get(k, 0))
         self.create_subscription(Match, "twin/match", self._on_match, EVERYTHING)
         if self.step is not None:
             self.step.wait_for(self._behind)
@@ -199,6 +203,7 @@ class DiscriminatorNode(SampleNode):
             self._publish(verdict)
         if step.verdicts:  # a match may have brought a candidate
             self._forecasts.take(self._discriminator.forecaster.snapshot())
+        self._experimenter.take(step.settled, step.verdicts)
 
     def _request(self, request: MatchRequest) -> None:
         self._requested_at = time.monotonic()

@@ -24,6 +24,7 @@ from twinmatch.health import EstimatedReading
 from twinmatch.record import fill, object_of, parameters_of, parameters_tree, tree_of, tree_of_message
 from twinmatch.signals import NANOSECONDS, Sample, SignalError, Window, point_of, point_values
 from twinmatch.twin import MatchReport, MatchRequest, MirrorState
+from twinmatch.twin.experiment import ExperimentReport
 from twinmatch_msgs import msg as messages
 from twinmatch_msgs import srv as services
 
@@ -99,6 +100,7 @@ _RECORDS: Final[dict[Any, Any]] = {
     CandidateScore: messages.Candidate,
     ForecastScore: messages.ForecastScore,
     EstimatedReading: messages.EstimatedReading,
+    ExperimentReport: messages.ExperimentReport,
 }
 """The message of each record; all their fields have the same names."""
 

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from twinmatch.comparing import LEVEL_WORDS, TrustLevel, Verdict
-from twinmatch.controllers import ControllerError, Holding, TriedTwin, law_from, suited
+from twinmatch.controllers import ControllerError, ExperimentTerms, Holding, TriedTwin, law_from, suited
 from twinmatch.dynamics import SKIPPED, Law, Plant, simulate_window
 from twinmatch.dynamics.pace import plant_scale, time_scale
 from twinmatch.errors import TwinmatchError
@@ -236,6 +236,18 @@ def _require_trusted(name: str, verdict: Verdict | None) -> None:
             f"session {name}: its twin ends {verdict.level.name.lower()} ({reason}), so it cannot say what a "
             "controller would do; record until the twin is trusted"
         )
+
+
+def experiment_terms(
+    ground: Ground, minutes: float | None = None, within: Sequence[float] | None = None
+) -> ExperimentTerms:
+    """What an experiment on a session's plant may do, from its end on.
+
+    Raises:
+        ControllerError: as `ExperimentTerms.of`.
+    """
+    size = None if minutes is None else round(60.0 * minutes / ground.session.period)
+    return ExperimentTerms.of(ground.plant, ground.holding, ground.level, size=size, within=within)
 
 
 def usual_profile(plant: type[Plant], level: FloatArray, samples: int) -> FloatArray:

@@ -14,6 +14,7 @@ from twinmatch.controllers import (
     Guarantee,
     LawComparison,
     MemberStability,
+    NextExperiment,
     Retuned,
     Spread,
     levels_words,
@@ -70,6 +71,47 @@ def retuned_words(found: Retuned, answer: ControllerAnswer) -> list[str]:
     if max(limited, default=0.0) > MAX_LIMITED:
         lines.append(f"  the drive is at a limit {max(limited):.0f} % of the time: tuning is not the trouble")
     return lines
+
+
+def experiment_words(found: NextExperiment) -> list[str]:
+    """The course in one sentence, then what it brings beside others of its length."""
+    plant, rows, period = found.leader.parameters.model.plant, found.course.rows, found.terms.holding.period
+    signals = plant.drives if found.terms.holding.law is None else plant.outputs
+    changes = [0, *(np.flatnonzero(np.any(np.diff(rows, axis=0), axis=1)) + 1)]
+    plan = [
+        ", ".join(f"{name} {v:.4g} {s.unit}" for (name, s), v in zip(signals.items(), rows[k], strict=True))
+        + f" for {period * (end - k):.4g} s"
+        for k, end in zip(changes, [*changes[1:], len(rows)], strict=True)
+    ]
+    brings = f"{found.course.characters:.3g} characters for {found.goal.name}"
+    lines = [f"hold {', then '.join(plan)}: after {period * len(rows):.4g} s, {brings} are expected"]
+    for one in (found.course, *found.others):
+        spreads = zip(found.leader.free, one.spreads.tolist(), strict=False)
+        known = ", ".join(f"{name} ± {spread:.2g}" for name, spread in spreads)
+        left = "" if one.within else "; leaves the range"
+        lines.append(f"  {one.name}: {one.characters:.3g} characters; {known}{left}")
+    return lines
+
+
+def experiment_document(found: NextExperiment) -> dict[str, Any]:
+    """The course and the others beside it for JSON."""
+    return {
+        "goal": found.goal.name,
+        "contenders": [contender.twin.name for contender in found.goal.contenders],
+        "period": found.terms.holding.period,
+        "planned": "inputs" if found.terms.holding.law is None else "set-points",
+        "most": found.most,
+        "courses": [
+            {
+                "name": one.name,
+                "levels": one.rows.T.tolist(),
+                "characters": one.characters,
+                "within": one.within,
+                "spreads": dict(zip(found.leader.free, one.spreads.tolist(), strict=False)),
+            }
+            for one in (found.course, *found.others)
+        ],
+    }
 
 
 def guarantee_words(found: Guarantee, plant: type[Plant]) -> str:

@@ -1,4 +1,4 @@
-"""The candidates as twins on which controllers are tried, and courses foretold."""
+"""The candidates as twins on which controllers are tried, and courses predicted."""
 
 from __future__ import annotations
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 from textwrap import wrap
 from typing import TYPE_CHECKING, Final
 
-from twinmatch.controllers import ControllerAnswer
+import numpy as np
+
+from twinmatch.controllers import ControllerAnswer, NextExperiment
 from twinmatch.showing.figures.drawing import draw_set_point, new_figure, stack, styled
 from twinmatch.showing.quantities import with_unit
 from twinmatch.showing.style import CLOSED, PLANT
@@ -37,6 +39,34 @@ def draw_answer(answer: ControllerAnswer) -> Figure:
         each.set_ylabel(drive.unit if name.lower() == drive.unit.lower() else with_unit(name, drive.unit))
     axes[-1].set_xlabel("time / s")
     axes[0].set_title("\n".join(wrap(answer.sentence, _LETTERS)), size=9)
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
+    return figure
+
+
+@styled
+def draw_experiment(found: NextExperiment) -> Figure:
+    """A row for each output with the bands of all twins, then one for each command."""
+    plant, rows, terms = found.leader.parameters.model.plant, found.course.rows, found.terms
+    time = np.arange(len(rows), dtype=np.float64) * terms.holding.period
+    outputs, drives = list(plant.outputs.items()), list(plant.drives.items())
+    ratios = [2.0] * len(outputs) + [1.4] * len(drives)
+    figure = new_figure(9.0, 1.2 + 1.3 * sum(ratios))
+    axes = stack(figure, ratios)
+    for j, (name, signal) in enumerate([*outputs, *drives]):
+        axes[j].set_ylabel(with_unit(name.replace("_", " "), signal.unit))
+        axes[j].margins(x=0.01)
+    for j in range(len(outputs)):
+        if terms.holding.law is not None:
+            draw_set_point(axes[j], time, rows[:, j], 0.9, named=not j)
+        for k, run in enumerate(found.course.runs):
+            middle, half = run.outputs[:, j], run.bands[:, j]
+            label = "all twins, with their 90 % bands" if not k else None
+            axes[j].plot(time, middle, color=CLOSED, lw=0.8, label=label)
+            axes[j].fill_between(time, middle - half, middle + half, color=CLOSED, alpha=0.15, lw=0)
+    for i in range(len(drives)):
+        for run in found.course.runs:
+            axes[len(outputs) + i].plot(time, run.inputs[:, i], color=CLOSED, lw=0.8)
+    axes[-1].set_xlabel("time / s")
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
     return figure
 

@@ -1,0 +1,612 @@
+"""What next? The shortest safe course after which one knows most, from all twins of a family.
+
+A twin's outputs under a course are taken as linear in what its recording leaves open. With J, their
+derivatives by the open parameters in units of the noise, and P, the covariance of these, the course tells
+½ log₂ det(I + P JᵀJ) characters (of one bit each) of them. Commands are given: whatever the law did, readings
+differ from these outputs by their noise alone. Of two twins, one saves as many characters as its rival's
+misses cost after the rival was fitted again within its own P.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import permutations, product
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+
+from twinmatch.controllers.answer import ControllerAnswer, ControllerError
+from twinmatch.controllers.members import Holding, TriedTwin
+from twinmatch.controllers.responses import counted_range, state_holding, taken_by
+from twinmatch.dynamics import (
+    Law,
+    LinearLaw,
+    Plant,
+    PlantError,
+    TwoLevel,
+    sensitivities,
+    simulate_closed_loop,
+)
+from twinmatch.dynamics.pace import plant_scale
+from twinmatch.dynamics.pids import as_linear
+from twinmatch.signals import FloatArray
+
+NEARLY: Final = 0.9
+"""Share of the most that can be known which the shortest course has to reach."""
+LEAD: Final = 5.0
+"""Nats by which a structure has to lead to be decided: twice as much is twice the logarithm of the odds from
+which on the other has no support (Burnham and Anderson 2002)."""
+_NINE_IN_TEN: Final = 1.2816
+ENOUGH: Final = 0.5 * (_NINE_IN_TEN + math.sqrt(_NINE_IN_TEN**2 + 2.0 * LEAD)) ** 2 / math.log(2.0)
+"""Expected characters after which nine of ten runs decide: noise moves a lead of n nats by √(2 n)."""
+COURSE: Final = 600
+"""Length of an experiment, s, on a plant with a time constant of 100 s …"""
+MIN_COURSE: Final = 30
+MAX_COURSE: Final = 20_000
+"""… and samples of one, at least and at most."""
+LEAST: Final = 1.0
+"""Characters below which a course is not worth its time."""
+_BAND: Final = 1.645
+"""Half width of a band that holds nine in ten, standard deviations."""
+_SHARES: Final = (0.0, 0.25, 0.5, 0.75, 1.0)
+"""Levels of the table, as shares of their range …"""
+_STEPS: Final = (2, 4, 8)
+"""… and how often a course steps between two of them."""
+_PLAIN: Final = 0.1
+"""Size of a plain step, as a share of the range."""
+_MARKS: Final = 60
+"""Ends of a course that are considered."""
+_FEW: Final = 4
+"""Courses of the table that are tried with all twins …"""
+_POLISHED: Final = 2
+"""… and polished."""
+_MOVES: Final = (0.1, 0.03)
+"""Movements of levels and times in polishing, as shares of their ranges."""
+_WEAKER: Final = 0.8
+"""What a drive does that has become weak, as a share …"""
+_GROWN: Final = 4.0
+"""… and the largest factor by which losses may have grown that leave the same mark."""
+_UNSURE: Final = 0.25
+"""Standard deviation of a fault's size, as a share of what it changes."""
+
+
+@dataclass(frozen=True, eq=False)
+class ExperimentTerms:
+    """What a course may do, and where it begins."""
+
+    holding: Holding
+    """How the plant is held; set-points of its law are planned, without a law inputs."""
+    before: FloatArray
+    """Outputs, and with a law set-points, until now, shape (o,)."""
+    size: int
+    """Samples of a course, at most."""
+    levels: FloatArray
+    """Lowest and highest planned set-points or inputs, shape (2, c)."""
+    outputs: FloatArray
+    """Ends of the range that no band may leave, shape (2, o)."""
+    offset: float = 2.0
+    """Standard deviation of what stays between readings and a twin that is right, such as what a sensor does
+    not resolve, in the outputs' noise."""
+
+    @classmethod
+    def of(
+        cls,
+        plant: type[Plant],
+        holding: Holding,
+        before: FloatArray,
+        *,
+        size: int | None = None,
+        within: Sequence[float] | None = None,
+        ranges: Sequence[tuple[float, float]] = (),
+    ) -> ExperimentTerms:
+        """What a plant allows: the outputs stay where it is safe, and `within` these ends; a course of `size`
+        samples, by default in proportion to the plant's time constant; set-points in these `ranges`.
+
+        Raises:
+            ControllerError: the range is empty, or the course too short or too long.
+        """
+        period = holding.period
+        size = size or round(COURSE * plant_scale(plant, period) / period)
+        if not MIN_COURSE <= size <= MAX_COURSE:
+            raise ControllerError(
+                f"experiment: {size} samples of {period:g} s; give {MIN_COURSE} to {MAX_COURSE} of them"
+            )
+        ends = np.array([counted_range(output) for output in plant.outputs.values()]).T
+        if within is not None:
+            ends = np.array([np.maximum(ends[0], within[0]), np.minimum(ends[1], within[1])])
+        if not (ends[0] < ends[1]).all():
+            raise ControllerError(
+                "experiment: the range leaves nothing of the safe one; give LOW below HIGH, inside it"
+            )
+        if holding.law is None:
+            levels = np.array([drive.limits for drive in plant.drives.values()]).T
+        else:
+            each = np.array([output.set_points or output.span for output in plant.outputs.values()]).T
+            levels = np.clip(each, *ends)
+            for low, high in [np.transpose(ranges)] if ranges else []:
+                levels = np.clip(levels, low, high)
+        return cls(holding, before, size, levels, ends)
+
+
+class Staircase(NamedTuple):
+    """A course of levels, each held until the next."""
+
+    shares: tuple[float, ...]
+    """Levels, as shares of their range."""
+    ends: tuple[float, ...]
+    """Where each ends, as a share of the course; the last one is 1."""
+    column: int
+    """The set-point or input that moves; -1: all, each later than the one before."""
+
+    def rows(self, base: FloatArray, levels: FloatArray, size: int) -> FloatArray:
+        """Its levels, sample by sample, shape (N, c); others stay as in `base`, shape (c,)."""
+        rows, m = np.tile(base, (size, 1)), base.size
+        for j in range(m) if self.column < 0 else [self.column]:
+            late = round(size * self.ends[0] * j / m) if self.column < 0 else 0
+            ends = np.minimum(np.round(np.multiply(self.ends, size)).astype(int) + late, size)
+            for share, first, last in zip(self.shares, (late, *ends), ends, strict=False):
+                rows[first:last, j] = levels[0, j] + share * (levels[1, j] - levels[0, j])
+        return rows
+
+    def moved(self, by: float) -> Iterator[Staircase]:
+        """The same with one level or time moved by so much, up or down."""
+        for k, way in product(range(len(self.shares)), (by, -by)):
+            shares, ends = list(self.shares), list(self.ends)
+            shares[k] = min(max(shares[k] + way, 0.0), 1.0)
+            yield self._replace(shares=tuple(shares))
+            if k < len(ends) - 1:
+                ends[k] += way
+                if all(a < b for a, b in zip([0.0, *ends], ends, strict=False)):
+                    yield self._replace(ends=tuple(ends))
+
+
+class Contender(NamedTuple):
+    """A twin that may be the plant, with drives that do a share of what they are given."""
+
+    twin: TriedTwin
+    share: float = 1.0
+
+
+class PredictedRun(NamedTuple):
+    """What a contender does over a course."""
+
+    outputs: FloatArray
+    """Shape (N, o)."""
+    inputs: FloatArray
+    """The commands, shape (N, m)."""
+    slopes: FloatArray
+    """Derivatives of the outputs, in units of their noise, by what is open, in units of its spread; shape
+    (N, o, n)."""
+    noise: FloatArray
+    """Standard deviations of readings, shape (o,)."""
+
+    @property
+    def bands(self) -> FloatArray:
+        """Half widths of the bands of the readings, shape (N, o)."""
+        return np.asarray(_BAND * self.noise * np.sqrt(1.0 + np.sum(self.slopes**2, axis=2)))
+
+    def within(self, ends: FloatArray) -> bool:
+        """Whether the bands stay in a range, shape (2, o)."""
+        low, high = self.outputs - self.bands, self.outputs + self.bands
+        return bool((low >= ends[0]).all() and (high <= ends[1]).all())
+
+
+@dataclass(frozen=True, eq=False)
+class LearningGoal:
+    """What is to be known."""
+
+    name: str
+    contenders: tuple[Contender, ...]
+    pairs: bool = False
+    """Whether the contenders are to be told apart; else the open parameters of each are to be known …"""
+    directions: tuple[FloatArray, ...] = ()
+    """… or one combination of each: its derivatives by these, shape (n,)."""
+
+    def label(self, k: int) -> str:
+        """A contender by what it is suspected of."""
+        twin = self.contenders[k].twin
+        return twin.parameters.model.structure_name if self.name == "structure" else twin.name
+
+    @property
+    def most(self) -> float:
+        """Characters from which on more is not needed."""
+        return ENOUGH if self.pairs else math.inf
+
+
+class CourseWorth(NamedTuple):
+    """What a course brings."""
+
+    name: str
+    rows: FloatArray
+    """Set-points or inputs, shape (N, c)."""
+    characters: float
+    within: bool
+    """Whether every band stays in the range."""
+    spreads: FloatArray
+    """Standard deviations of the leader's open parameters after it, shape (n,)."""
+    runs: tuple[PredictedRun, ...]
+    """What each twin of the family does."""
+
+
+@dataclass(frozen=True, eq=False)
+class NextExperiment:
+    """The course, and others of its length beside it."""
+
+    goal: LearningGoal
+    leader: TriedTwin
+    terms: ExperimentTerms
+    course: CourseWorth
+    others: tuple[CourseWorth, ...]
+    most: float
+    """Characters of the best course of full length."""
+
+
+def goal_named(
+    name: str | None,
+    members: Sequence[TriedTwin],
+    terms: ExperimentTerms,
+    answer: ControllerAnswer | None = None,
+) -> LearningGoal:
+    """A goal by its name, by default the first that is undecided; "controller" takes a law's `answer`.
+
+    Raises:
+        ControllerError: there is nothing to decide.
+    """
+    if not members:
+        raise ControllerError("experiment: there is no twin to predict its courses")
+    for each in ("structure", "parameters") if name is None else (name,):
+        found = GOALS[each](members, terms, answer)
+        if isinstance(found, LearningGoal):
+            return found
+    raise ControllerError(f"experiment: {found}")
+
+
+def _structure(members: Sequence[TriedTwin], *_: Any) -> LearningGoal | str:
+    first = {each.parameters.model.structure_name: Contender(each) for each in reversed(members)}
+    if len(first) < 2:
+        return f"all twins have the structure {next(iter(first))}; choose --for parameters"
+    return LearningGoal("structure", tuple(first.values()), pairs=True)
+
+
+def _parameters(members: Sequence[TriedTwin], *_: Any) -> LearningGoal | str:
+    kept = tuple(Contender(each) for each in members if each.free and each.covariance is not None)
+    return (
+        LearningGoal("parameters", kept) if kept else "no twin leaves a parameter open; record more samples"
+    )
+
+
+def _controller(*asked: Any) -> LearningGoal | str:
+    """What the largest eigenvalue hangs on: its slopes by the open parameters, from the draws."""
+    answer: ControllerAnswer | None = asked[-1]
+    if answer is None:
+        return "--for controller needs the law in question; give --loop FILE"
+    contenders, directions = [], []
+    for one in answer.stability:
+        if not one.sound and one.member.free and len(one.drawn) > len(one.member.free):
+            values = np.array([[drawn[name] for name in one.member.free] for drawn in one.drawn])
+            sizes = np.where(np.isfinite(one.eigenvalues), one.eigenvalues, 2.0)
+            slopes = np.linalg.lstsq(values - values.mean(axis=0), sizes - sizes.mean(), rcond=None)[0]
+            contenders.append(Contender(one.member))
+            directions.append(slopes)
+    if not contenders:
+        return f"the law is not undecided for its stability ({answer.sentence})"
+    return LearningGoal("controller", tuple(contenders), directions=tuple(directions))
+
+
+def _fault(members: Sequence[TriedTwin], terms: ExperimentTerms, _: Any) -> LearningGoal | str:
+    """A weak drive, and losses that have grown until they need the same command where the plant is held now:
+    there they leave one mark."""
+    leader, before = members[0], terms.before.tolist()
+    declared, parameters = leader.parameters.model.declared, leader.parameters
+    lost = next((name for name in leader.free if declared[name].role == "losses"), None)
+    if lost is None:
+        return "the plant file has no open parameter with role='losses', with which a weak drive is confused"
+
+    def command(factor: float) -> float:
+        held = terms.holding.linear(parameters.replace(**{lost: factor * parameters[lost]}), before)
+        return float(held.rest.inputs[0] - parameters.model.rest[0])
+
+    try:
+        needed = command(1.0) / _WEAKER
+        factor = float(brentq(lambda factor: command(factor) - needed, 1.0, _GROWN, xtol=1e-6))
+    except (PlantError, ValueError):
+        return f"at {before} no growth of {lost} needs the command of a weak drive: they leave no common mark"
+    sick = parameters.replace(**{lost: factor * parameters[lost]})
+    known = np.array(
+        leader.covariance if leader.covariance is not None else np.zeros((len(leader.free),) * 2)
+    )
+    known[leader.free.index(lost), leader.free.index(lost)] += (_UNSURE * sick[lost]) ** 2
+    losses = replace(leader, name="grown losses", parameters=sick, covariance=known, states=None)
+    drive = replace(leader, name="weak drive", states=None)
+    return LearningGoal("fault", (Contender(drive, _WEAKER), Contender(losses)), pairs=True)
+
+
+GOALS: Final[dict[str, Callable[..., LearningGoal | str]]] = {
+    "structure": _structure,
+    "parameters": _parameters,
+    "controller": _controller,
+    "fault": _fault,
+}
+"""What can be asked; a text says why there is nothing to decide."""
+
+
+def next_experiment(
+    members: Sequence[TriedTwin],
+    goal: LearningGoal,
+    terms: ExperimentTerms,
+    watch: Callable[[int, int], None] | None = None,
+    *,
+    running: FloatArray | None = None,
+) -> NextExperiment:
+    """The shortest course that brings nearly as much as the best; `watch` is called with work done and all.
+
+    The rest of a course that runs already, `running`, shape (N, c), is kept unless its bands leave the
+    range or another brings a character more.
+
+    Raises:
+        ControllerError: no course keeps to the range, or a twin cannot be held where it begins.
+    """
+    search = _Search(members, goal, terms)
+    table = _staircases(terms)
+    ranked = []
+    for done, each in enumerate(table):
+        curve = search.curve(each, leaders=True)
+        if curve is not None:
+            ranked.append((curve, each))
+        if watch is not None:
+            watch(done, 2 * len(table))
+    ranked.sort(key=lambda one: -one[0][-1])
+    tried: list[tuple[FloatArray, Staircase]] = []
+    for _, each in ranked:
+        curve = search.curve(each)
+        tried += [] if curve is None else [(curve, each)]
+        if len(tried) == _FEW:
+            break
+    if not tried:
+        low, high = terms.outputs
+        raise ControllerError(
+            f"experiment: no course keeps the bands of every twin within {low.tolist()} to {high.tolist()}; "
+            "widen --within, or begin further from its ends"
+        )
+    far = sorted(tried, key=lambda one: -one[0][-1])[:_POLISHED]
+    tried += [search.polished(each, curve, lambda row: -row[-1]) for curve, each in far if not goal.pairs]
+    reach = min(NEARLY * max(float(curve.max()) for curve, _ in tried), goal.most)
+    delay = partial(_delay, reach=reach)
+    early = sorted(ranked, key=lambda one: delay(one[0]))[: 2 * _FEW]
+    tried += [(curve, each) for _, each in early if (curve := search.curve(each)) is not None]
+    curve, best = min(tried, key=lambda one: delay(one[0]))
+    curve, best = search.polished(best, curve, delay)
+    most = max(float(curve.max()) for curve, _ in tried)
+    size = int(search.marks[min(_reaching(curve, reach), len(curve) - 1)])
+    course = search.worth("proposed", search.rows(best)[:size])
+    if running is not None:
+        rest = search.worth("proposed", running)
+        if rest.within and rest.characters > course.characters - LEAST:
+            course = rest
+    others = [
+        search.worth(name, rows) for name, rows in _plain(course.rows, search.base, terms.levels).items()
+    ]
+    return NextExperiment(goal, members[0], terms, course, tuple(others), most)
+
+
+def characters_by(found: NextExperiment, outputs: FloatArray, inputs: FloatArray) -> FloatArray:
+    """What readings, shape (N, o), under commands, shape (N, m), say of each contender, in characters, shape
+    (contenders,): of those to be told apart how well each predicted them, of others how much narrower their
+    parameters are."""
+    search, each = _Search([found.leader], found.goal, found.terms), []
+    for contender in found.goal.contenders:
+        run = search.run(contender, outputs, inputs)
+        whole = _information(run.slopes, np.array([len(outputs)]))
+        if not found.goal.pairs:
+            each.append(_characters_of(whole, len(_root(contender)))[0])
+            continue
+        miss = (outputs - run.outputs) / run.noise
+        pull = np.einsum("ko,koi->i", miss, run.slopes)
+        cost = np.sum(miss**2) - pull @ np.linalg.solve(whole[0], pull)
+        each.append(-_characters_of(whole, 0)[0] - 0.5 * cost / math.log(2.0))
+    return np.array(each)
+
+
+def _delay(curve: FloatArray, reach: float) -> float:
+    """Mean share of what is to be reached that is missing, over the longest course."""
+    return float(np.mean(np.maximum(reach - curve, 0.0))) / reach
+
+
+def _reaching(curve: FloatArray, reach: float) -> int:
+    reached = np.flatnonzero(curve >= reach)
+    return int(reached[0]) if reached.size else curve.size
+
+
+def _staircases(terms: ExperimentTerms) -> list[Staircase]:
+    """The table: every pair of levels, every number of steps, for every set-point or input and for all."""
+    count = terms.levels.shape[1]
+    columns = [*range(count), *([-1] if count > 1 else [])]
+    table = [Staircase((share,), (1.0,), column) for share, column in product(_SHARES, columns)]
+    for pair, steps, column in product(permutations(_SHARES, 2), _STEPS, columns):
+        ends = tuple(((np.arange(steps) + 1) / steps).tolist())
+        table.append(Staircase((*pair,) * (steps // 2), ends, column))
+    return table
+
+
+def _plain(rows: FloatArray, base: FloatArray, levels: FloatArray) -> dict[str, FloatArray]:
+    """What one would do without a computer in the same time: a step by a tenth of the range, to the side with
+    more room, a random binary sequence of as much to both sides, nothing."""
+    from scipy.signal import max_len_seq  # noqa: PLC0415 — slow to load
+
+    by = _PLAIN * (levels[1] - levels[0])
+    by = np.where(levels[1] - base >= base - levels[0], by, -by)
+    bits = np.resize(np.repeat(max_len_seq(5)[0], max(len(rows) // 31, 1)), len(rows)).astype(bool)
+    binary = np.clip(np.where(bits[:, None], base + by, base - by), *levels)
+    return {
+        "step": np.tile(base + by, (len(rows), 1)),
+        "PRBS": binary,
+        "nothing": np.tile(base, (len(rows), 1)),
+    }
+
+
+class _Search:
+    def __init__(self, members: Sequence[TriedTwin], goal: LearningGoal, terms: ExperimentTerms) -> None:
+        self.goal, self.terms = goal, terms
+        known = [each.twin for each in goal.contenders]
+        self.others = [Contender(each) for each in members if each not in known]
+        self.family = [Contender(each) for each in members]
+        plant, law = members[0].parameters.model.plant, terms.holding.law
+        if law is not None:
+            law = taken_by(plant, law if isinstance(law, TwoLevel) else as_linear(law))
+        self.law = law
+        self.starts = {id(each.twin): _start(each, terms) for each in (*goal.contenders, *self.family)}
+        self.base = terms.before if law is not None else self.starts[id(members[0])][1]
+        self.marks = np.unique(np.linspace(1, terms.size, _MARKS).round().astype(int))
+
+    def rows(self, staircase: Staircase) -> FloatArray:
+        return staircase.rows(self.base, self.terms.levels, self.terms.size)
+
+    def curve(self, staircase: Staircase, *, leaders: bool = False) -> FloatArray | None:
+        """Characters at every mark, of the first contender or of all; None if a band leaves the range."""
+        rows = self.rows(staircase)
+        contenders = self.goal.contenders if self.goal.pairs or not leaders else self.goal.contenders[:1]
+        runs = [self.run(each, rows) for each in contenders]
+        others = [] if leaders else (self.run(each, rows) for each in self.others)
+        if not all(run.within(self.terms.outputs) for each in (runs, others) for run in each):
+            return None
+        return self._characters(runs, self.marks)
+
+    def polished(
+        self, staircase: Staircase, curve: FloatArray, cost: Callable[[FloatArray], float]
+    ) -> tuple[FloatArray, Staircase]:
+        """The one of least cost that small movements of levels and times lead to."""
+        for by in _MOVES:
+            for moved in staircase.moved(by):
+                found = self.curve(moved)
+                if found is not None and cost(found) < cost(curve):
+                    curve, staircase = found, moved
+        return curve, staircase
+
+    def worth(self, name: str, rows: FloatArray) -> CourseWorth:
+        runs, end = [self.run(each, rows) for each in self.goal.contenders], np.array([len(rows)])
+        family = tuple(self.run(each, rows) for each in self.family)
+        fits = all(run.within(self.terms.outputs) for run in (*runs, *family))
+        root = _root(self.family[0])
+        inside = np.linalg.inv(_information(family[0].slopes, end)[0])[: len(root), : len(root)]
+        after = root @ inside @ root.T
+        characters = float(self._characters(runs, end)[0])
+        return CourseWorth(name, rows, characters, fits, np.sqrt(np.diag(after)), family)
+
+    def run(self, contender: Contender, rows: FloatArray, commands: FloatArray | None = None) -> PredictedRun:
+        """A contender over a course, or under these commands."""
+        twin, (states, inputs), terms = contender.twin, self.starts[id(contender.twin)], self.terms
+        model, period = twin.parameters.model, terms.holding.period
+        steady = np.tile(model.disturbance_row(twin.disturbances), (len(rows), 1))
+        rest, share = model.rest, contender.share
+        if commands is None and self.law is not None:
+            law = self.law if share == 1.0 else _weakened(self.law, share, rest)
+            at = model.kernels.outputs_at(twin.parameters.vector, states, inputs, steady[0])[0]
+            held = state_holding(law, terms.before, at, inputs)
+            run = simulate_closed_loop(
+                twin.parameters, rows, states=states, law=law, controller=held, disturbances=steady
+            )
+            commands = rest + (run.inputs - rest) / share
+        commands = rows if commands is None else commands
+        free = twin.free if twin.covariance is not None else ()
+
+        def under(part: float) -> tuple[FloatArray, FloatArray]:
+            acting = rest + part * (commands - rest)
+            return sensitivities(twin.parameters, free, acting, states, period=period, disturbances=steady)
+
+        noise = model.noise if twin.noise is None else twin.noise
+        outputs, by = under(share)
+        slopes = by @ _root(contender) if free else by
+        if share != 1.0:
+            size = (under(share * 1.01)[0] - outputs) / 0.01 * _UNSURE
+            slopes = np.concatenate([slopes, size[:, :, None]], axis=2)
+        slopes = slopes / noise[:, None]
+        if terms.offset:
+            constant = np.tile(terms.offset * np.eye(noise.size), (len(outputs), 1, 1))
+            slopes = np.concatenate([slopes, constant], axis=2)
+        return PredictedRun(outputs, commands, slopes, noise)
+
+    def _characters(self, runs: Sequence[PredictedRun], marks: NDArray[np.int64]) -> FloatArray:
+        """What is known at these ends of a course."""
+        goal, contenders = self.goal, self.goal.contenders
+        if goal.pairs:
+            apart = {
+                (a, b): self._apart(runs[a], contenders[b], marks)
+                for a, b in permutations(range(len(runs)), 2)
+            }
+            nearest = [
+                np.min([apart[a, b] for b in range(len(runs)) if b != a], axis=0) for a in range(len(runs))
+            ]
+            return np.asarray(np.mean(np.minimum(nearest, ENOUGH), axis=0))
+        found = []
+        for k, run in enumerate(runs):
+            whole, root = _information(run.slopes, marks), _root(contenders[k])
+            if not goal.directions:
+                found.append(_characters_of(whole, len(root)))
+                continue
+            way = np.zeros(whole.shape[1])
+            way[: len(root)] = root.T @ goal.directions[k]
+            left = np.linalg.solve(whole, np.tile(way, (len(marks), 1))[:, :, None])[:, :, 0] @ way
+            found.append(0.5 * np.log2(way @ way / left))
+        return np.asarray(np.mean(found, axis=0))
+
+    def _apart(self, run: PredictedRun, rival: Contender, marks: NDArray[np.int64]) -> FloatArray:
+        """Characters that a contender's readings cost its rival, fitted to them again, at these ends."""
+        other = self.run(rival, run.outputs, run.inputs)
+        miss = (run.outputs - other.outputs) / other.noise
+        whole = _information(other.slopes, marks)
+        pull = np.cumsum(np.einsum("ko,koi->ki", miss, other.slopes), axis=0)[marks - 1]
+        explained = np.einsum("ki,ki->k", pull, np.linalg.solve(whole, pull[:, :, None])[:, :, 0])
+        costs = np.cumsum(np.sum(miss**2, axis=1))[marks - 1] - explained
+        return np.asarray(0.5 * costs / math.log(2.0))
+
+
+def _information(slopes: FloatArray, marks: NDArray[np.int64]) -> FloatArray:
+    """I + JᵀJ of the samples before every mark, shape (marks, n, n)."""
+    sums = np.cumsum(np.einsum("koi,koj->kij", slopes, slopes), axis=0)[marks - 1]
+    return np.asarray(np.eye(slopes.shape[2]) + sums)
+
+
+def _characters_of(whole: FloatArray, known: int) -> FloatArray:
+    """What readings tell of the first parameters, given I + JᵀJ of all, shape (marks, n, n)."""
+    others = whole[:, known:, known:]
+    return np.asarray(0.5 * (np.linalg.slogdet(whole)[1] - np.linalg.slogdet(others)[1]) / math.log(2.0))
+
+
+def _root(contender: Contender) -> FloatArray:
+    """A root of the covariance of what is open, shape (n, n)."""
+    if contender.twin.covariance is None:
+        return np.zeros((0, 0))
+    values, modes = np.linalg.eigh(contender.twin.covariance)
+    return np.asarray(modes * np.sqrt(np.maximum(values, 0.0)))
+
+
+def _start(contender: Contender, terms: ExperimentTerms) -> tuple[FloatArray, FloatArray]:
+    """States and acting inputs at the first sample: the twin's own, or where it is held."""
+    twin = contender.twin
+    if twin.states is not None and twin.inputs is not None:
+        return twin.states, twin.inputs
+    try:
+        rest = terms.holding.linear(twin.parameters, terms.before.tolist(), twin.disturbances).rest
+    except PlantError as error:
+        raise ControllerError(f"experiment: {twin.name}: {error}") from error
+    return rest.states, rest.inputs
+
+
+def _weakened(law: Law, share: float, rest: FloatArray) -> Law:
+    """The same law if its drives do a share of what they are given."""
+    if isinstance(law, TwoLevel):
+        off, on = (float(rest[0] + share * (level - rest[0])) for level in (law.off, law.on))
+        return replace(law, off=off, on=on)
+    assert isinstance(law, LinearLaw)  # noqa: S101 (the search converts)
+    kept = (1.0 - share) * rest
+    changed = {name: share * getattr(law, name) + kept for name in ("offset", "low", "high")}
+    drives = None if law.drives is None else share * law.drives + kept
+    return replace(
+        law, C=share * law.C, D=share * law.D, E=share * law.E, G=law.G / share, drives=drives,
+        shift=law.shift - law.G @ kept / share, **changed,
+    )  # fmt: skip

@@ -1,0 +1,175 @@
+"""An experiment on the running plant: its course, what it brings, and when it ends."""
+
+from __future__ import annotations
+
+import math
+from itertools import chain, groupby
+
+import numpy as np
+
+from twinmatch.comparing import TrustLevel, Verdict
+from twinmatch.controllers import (
+    ControllerError,
+    ExperimentTerms,
+    Holding,
+    LearningGoal,
+    NextExperiment,
+    characters_by,
+    goal_named,
+    next_experiment,
+)
+from twinmatch.controllers.next_experiment import LEAD, LEAST, MIN_COURSE, NEARLY
+from twinmatch.errors import TwinmatchError
+from twinmatch.signals import FloatArray, Sample
+from twinmatch.twin.experiment import ExperimentPhase, ExperimentReport, Wish
+from twinmatch.twin.forecaster import Snapshot
+from twinmatch.twin.matcher import one_thread
+from twinmatch.twin.settings import TwinSettings
+from twinmatch.twin.tried import tried_twins
+
+
+class LiveExperiment:
+    """A course of set-points for a plant that is followed by its twins, judged again with every verdict.
+
+    What it brings is what its readings say: of contenders that are to be told apart, how much better the best
+    predicted them than the next; of parameters, how much narrower they are.
+    """
+
+    def __init__(self, settings: TwinSettings, wish: Wish, snapshot: Snapshot) -> None:
+        """Find the course that begins after the snapshot's sample.
+
+        Raises:
+            ControllerError: there is nothing to decide, or no course keeps to the range.
+            ForecastError: there is no candidate yet.
+        """
+        self._settings, self._wish = settings, wish
+        newest = snapshot.outlook().sample
+        self._first = newest.index + 1
+        self._before = newest.references
+        self._samples: list[Sample] = []
+        self._planned_at = 0
+        """Samples after which the newest course was found."""
+        size = None if wish.minutes is None else round(60.0 * wish.minutes / settings.period)
+        self._begun = self._found = self._planned(snapshot, size)
+        self._expected = self._begun.course.characters
+        self.report = self._reported(newest.index, ExperimentPhase.PROPOSED, 0.0)
+        """The newest."""
+
+    def push(self, sample: Sample) -> None:
+        """Take a sample."""
+        if sample.index >= self._first and sample.usable:
+            self._samples.append(sample)
+
+    def run(self) -> ExperimentReport:
+        """The report of its start: the controller follows it from now on."""
+        self.report = self._reported(self.report.sample, ExperimentPhase.RUNNING, 0.0)
+        return self.report
+
+    def ended(self, reason: str, phase: ExperimentPhase = ExperimentPhase.ENDED) -> ExperimentReport:
+        """The report of its end: the set-point returns to where it was."""
+        last = self._samples[-1].index if self._samples else self.report.sample
+        brought = self.brought
+        told = f"{reason}; it brought {brought:.3g} characters, {self._expected:.3g} were expected"
+        self.report = ExperimentReport(
+            last, phase, self.goal.name, self._first, self._expected, brought, reason=told
+        )
+        return self.report
+
+    @property
+    def goal(self) -> LearningGoal:
+        """What is to be known."""
+        return self._begun.goal
+
+    @property
+    def brought(self) -> float:
+        """Characters that the samples so far have brought."""
+        return self._lead[1]
+
+    def judged(self, verdict: Verdict, snapshot: Snapshot) -> ExperimentReport:
+        """What to do after a verdict: another course for the rest of its time, or the end."""
+        best, brought = self._lead
+        if brought >= self._enough:
+            return self.ended(best or "as much is known as was expected", ExperimentPhase.DECIDED)
+        if reason := self._over(verdict, snapshot, brought):
+            return self.ended(reason)
+        self.report = self._reported(verdict.sample, ExperimentPhase.RUNNING, brought)
+        return self.report
+
+    def _over(self, verdict: Verdict, snapshot: Snapshot, brought: float) -> str:
+        """Why it ends undecided; if it does not, its course is the best for the rest of its time."""
+        left, indices = len(self._rest), [s.index for s in self._samples]
+        if verdict.level is TrustLevel.FAULT:
+            return f"stopped: {verdict.level_reason}"
+        if indices != list(range(self._first, self._first + len(indices))):
+            return "stopped: samples are missing"
+        if not left:
+            return "its time is over"
+        if left < MIN_COURSE or self.goal.name == "fault":  # whose contenders begin at rest
+            return ""
+        try:
+            found = self._planned(snapshot, left, self._rest)
+        except TwinmatchError as error:
+            return f"stopped: {error}"
+        self._found, self._planned_at = found, len(self._samples)
+        self._expected = brought + found.course.characters
+        return "" if found.course.characters >= LEAST else "its rest would tell nothing more"
+
+    @property
+    def _rest(self) -> FloatArray:
+        """Set-points still to come, shape (N, r)."""
+        return self._found.course.rows[len(self._samples) - self._planned_at :]
+
+    @property
+    def _enough(self) -> float:
+        """Characters with which it is decided."""
+        return LEAD / math.log(2.0) if self.goal.pairs else NEARLY * self._begun.course.characters
+
+    @property
+    def _lead(self) -> tuple[str, float]:
+        """Of contenders to be told apart the best, and what the samples have brought, in characters."""
+        if not self._samples:
+            return "", 0.0
+        rows = [np.array([getattr(s, name) for s in self._samples]) for name in ("outputs", "inputs")]
+        with one_thread():
+            each = characters_by(self._begun, *rows)
+        if not self.goal.pairs:
+            return "", float(each.mean())
+        second, first = np.sort(each)[-2:]
+        return self.goal.label(int(each.argmax())), float(first - second)
+
+    def _planned(
+        self, snapshot: Snapshot, size: int | None, rest: FloatArray | None = None
+    ) -> NextExperiment:
+        settings, members = self._settings, tried_twins(snapshot)
+        if settings.law is None:
+            raise ControllerError(
+                "experiment: the law of the loop is not known, so its set-points are not either"
+            )
+        holding = Holding(settings.law, settings.period, settings.schedule.span)
+        terms = ExperimentTerms.of(
+            settings.plant,
+            holding,
+            np.array(self._before),
+            size=size,
+            within=self._wish.within,
+            ranges=self._wish.ranges,
+        )
+        with one_thread():
+            goal = goal_named(self._wish.goal, members, terms)
+            return next_experiment(members, goal, terms, running=rest)
+
+    def _reported(self, sample: int, phase: ExperimentPhase, brought: float) -> ExperimentReport:
+        period = self._settings.period
+        steps = [(level, len(list(run))) for level, run in groupby(map(tuple, self._rest.tolist()))]
+        steps.append((self._before, 1))  # should nobody be there at its end, the set-point returns by itself
+        levels, held = tuple(chain.from_iterable(level for level, _ in steps)), [n for _, n in steps]
+        return ExperimentReport(
+            sample, phase, self.goal.name, self._first, self._expected, brought,
+            levels, tuple(n * period for n in held), _beside(self._found),
+        )  # fmt: skip
+
+
+def _beside(found: NextExperiment) -> str:
+    """What other courses of its length bring."""
+    others = ", ".join(f"{one.name} {one.characters:.3g}" for one in found.others)
+    return f"{found.course.characters:.3g} characters; in the same time {others}"
