@@ -16,8 +16,9 @@ from itertools import accumulate, repeat
 import numpy as np
 from numpy.typing import ArrayLike
 
-from twinmatch.dynamics import Controller, Law, Plant, law_of, pids_of
+from twinmatch.dynamics import Controller, Law, PidGains, Plant, law_of, pids_of
 from twinmatch.errors import TwinmatchError
+from twinmatch.safety import Trial, TrialPhase
 from twinmatch.signals import NANOSECONDS, FloatArray, Sample, Signals, one_of_each, point_values
 
 __all__ = ["ControlError", "Loop", "Profile"]
@@ -179,6 +180,13 @@ class Loop:
         """The most that passes: samples have no higher inputs, and the controller continues from there."""
         rows = repeat(None) if state is None else np.reshape(state, (len(self._gains), -1))
         self._pids = [Controller(gains, row) for gains, row in zip(self._gains, rows, strict=False)]
+        self.trial: Trial | None = None
+        """Watches a law on trial; None: there never was one."""
+        self._beside: tuple[PidGains, ...] = ()
+        """Gains of the law that does not drive: the one on trial, later the one before."""
+        self.shadow: tuple[float, ...] = ()
+        """What the law in the shadow would command now."""
+        self._shadows: list[Controller] = []
         self._restart = state is None
         self.period = law.period
         """Between two ticks, s."""
@@ -207,6 +215,11 @@ class Loop:
     def running(self) -> bool:
         """Whether the newest tick made a sample."""
         return not self.trouble
+
+    @property
+    def trying(self) -> bool:
+        """Whether a law is on trial, in the shadow or driving."""
+        return self.trial is not None and not self.trial.ended
 
     def measure(
         self,
@@ -251,6 +264,8 @@ class Loop:
         trouble = self._doubt(now, references)
         if trouble or references is None:
             self.trouble, self.inputs, self._restart = trouble, [0.0] * len(self._pids), True
+            if self.trying:
+                self.take_back(trouble)
             if self._number is not None:
                 self.idle += 1
                 self._number = number
@@ -260,13 +275,65 @@ class Loop:
         elif number != self._number + 1:
             self._restart = True
         self._number, self.trouble = number, ""
+        if self.trying and (self.held or min(self.limits) < math.inf):
+            self.take_back("the guard holds or limits the drive")
         if self.held:
             self.inputs, self._restart = [drive.rest for drive in self._plant.drives.values()], True
             passed = self.inputs
         else:
+            if self.trial is not None and self.trying:
+                self._watch(self.trial, references)
             passed = [self._step(k, references[k]) for k in range(len(self._pids))]
             self._restart = False
         return Sample(number, now, references, self._outputs, tuple(passed), self._disturbances)
+
+    def try_law(self, law: Law, trial: Trial) -> None:
+        """Put a law on trial: in the shadow of the one that runs, or driving from the next tick on.
+
+        Whichever drives takes over without a bump: its integral is set so that the command does not move.
+
+        Raises:
+            ControlError: it is not a PID for each output at this loop's period, or another is on trial.
+        """
+        gains = pids_of(law)
+        if len(gains) != len(self._gains) or law.period != self.period:
+            raise ControlError(
+                f"loop: a law on trial is {len(self._gains)} PIDs, every {self.period:g} s; give those"
+            )
+        if not all(each.integral for each in gains):
+            raise ControlError("loop: a law without integral gain cannot take over without a bump; give one")
+        if self.trying:
+            raise ControlError("loop: a law is on trial already; take it back first, or wait")
+        self.trial, self._beside, self._shadows = trial, gains, [Controller(each) for each in gains]
+        if trial.drives:
+            self._exchange()
+
+    def take_back(self, reason: str) -> None:
+        """Give the plant back to the law before, if one on trial drives it; end the trial."""
+        if self.trial is None or self.trial.phase is TrialPhase.BACK:
+            return
+        drove = self.trial.drives
+        self.trial.take_back(reason)
+        self.shadow = ()
+        if drove:
+            self._exchange()
+
+    def _exchange(self) -> None:
+        """Have the other law drive, continued from the current command."""
+        self._gains, self._beside, self.shadow = self._beside, self._gains, ()
+        self._pids, self._restart = [Controller(each) for each in self._gains], True
+
+    def _watch(self, trial: Trial, references: Signals) -> None:
+        """Show a trial the readings of this tick; compute the law in the shadow."""
+        drove, before = trial.drives, self.shadow
+        trial.push(self._outputs)
+        if trial.drives != drove:
+            self._exchange()
+        if not trial.drives and not trial.ended:
+            for k, pid in enumerate(self._shadows if not before else ()):
+                pid.state = self._continued(k, references[k], self._outputs[k], self._beside[k])
+            each = zip(self._shadows, references, self._outputs, strict=True)
+            self.shadow = tuple(float(pid.step(r, y)[0]) for pid, r, y in each)
 
     def _step(self, k: int, reference: float) -> float:
         """One step of a PID; returns what passes of its command."""
@@ -321,9 +388,11 @@ class Loop:
         wrong = next((each for each in references if not math.isfinite(each)), None)
         return "" if wrong is None else f"the set-point is {wrong}, not a finite number"
 
-    def _continued(self, k: int, reference: float, output: float) -> FloatArray:
+    def _continued(
+        self, k: int, reference: float, output: float, gains: PidGains | None = None
+    ) -> FloatArray:
         """The state of a PID whose output continues from the current one; without integral action it cannot,
         since the difference would stay for good."""
-        gains, error = self._gains[k], reference - output
+        gains, error = gains or self._gains[k], reference - output
         integral = self.inputs[k] - gains.proportional * error if gains.integral else self._pids[k].state[0]
         return np.array([integral, -output if gains.on_measurement else error])

@@ -35,6 +35,7 @@ from twinmatch.controllers.responses import CourseFigure
 from twinmatch.controllers.retuning import AIMS, Retuned, retune
 from twinmatch.controllers.stability import MemberStability
 from twinmatch.controllers.track_record import LawComparison, compared, widened
+from twinmatch.controllers.trying import TrialAnswer, try_now
 from twinmatch.controllers.whole_loop import WholeLoop
 from twinmatch.dynamics.pids import FilteredPid, as_linear, pid_law
 
@@ -59,6 +60,7 @@ __all__ = [
     "Retuned",
     "Spread",
     "Staircase",
+    "TrialAnswer",
     "TriedTwin",
     "WholeLoop",
     "as_linear",
@@ -73,5 +75,6 @@ __all__ = [
     "retune",
     "suited",
     "try_controller",
+    "try_now",
     "widened",
 ]

@@ -1,0 +1,56 @@
+"""What a law on trial is to do: bands for its readings while the set-points are held."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from twinmatch.controllers.answer import (
+    ControllerAnswer,
+    ControllerDecision,
+    ControllerError,
+    ControllerQuestion,
+    try_controller,
+)
+from twinmatch.controllers.members import Holding, TriedTwin
+from twinmatch.dynamics import Law
+from twinmatch.signals import FloatArray
+
+_WIDER: Final = 1.5
+"""Factor on the bands of nine draws in ten: a law is taken back for what hardly any sound one does …"""
+_NOISE: Final = 3.0
+"""… and what is added on both sides, in the outputs' noise: what a sensor does not resolve."""
+DRAWS: Final = 80
+"""Draws of the parameters over all twins, so that an operator waits for two seconds."""
+
+
+class TrialAnswer(NamedTuple):
+    """Whether a law may be run now, and where its readings are to be if it is."""
+
+    answer: ControllerAnswer
+    low: FloatArray
+    """Shape (N, o)."""
+    high: FloatArray
+
+
+def try_now(members: Sequence[TriedTwin], law: Law, holding: Holding, before: FloatArray) -> TrialAnswer:
+    """Try a law on twins as they are now, with the set-points held for as long as the plant takes to settle.
+
+    The bands of a law that is safe are its own. One that is not is to do as well as the one that runs: its
+    own bands would allow what makes it unsafe.
+
+    Raises:
+        ControllerError: there is no twin, or the law that runs is not known.
+        PlantError: the law is for another number of signals.
+    """
+    if holding.law is None:
+        raise ControllerError("controller: the law that runs is not known, so none could be given back")
+    references = np.tile(before, (holding.samples, 1))
+    answer = try_controller(members, ControllerQuestion(law, references, before, holding, DRAWS))
+    safe = answer.decision is ControllerDecision.SAFE
+    courses = answer.courses if safe or answer.running is None else answer.running
+    low, middle, high = courses.outputs
+    half = _WIDER * np.maximum(high - middle, middle - low) + _NOISE * members[0].parameters.model.noise
+    return TrialAnswer(answer, middle - half, middle + half)

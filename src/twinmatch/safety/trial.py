@@ -1,0 +1,111 @@
+"""A law on trial: in the shadow of the one that runs, driving within its predicted bands, kept or taken back."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from twinmatch.errors import TwinmatchError
+from twinmatch.signals import FloatArray
+
+
+class TrialError(TwinmatchError):
+    """A law cannot be put on trial like this."""
+
+
+class TrialPhase(Enum):
+    """How far a trial is."""
+
+    SHADOW = "shadow"
+    """The law is computed, and another one drives."""
+    DRIVING = "driving"
+    KEPT = "kept"
+    """It drives, and its predictions have ended."""
+    BACK = "back"
+    """The law before drives again."""
+
+
+@dataclass(frozen=True, eq=False)
+class TrialBands:
+    """Where the outputs are to be while a law drives.
+
+    Raises:
+        TrialError: a value is not finite, ends are not in order, or times are not positive.
+    """
+
+    low: FloatArray
+    """Lower ends of the outputs at every sample, shape (N, o)."""
+    high: FloatArray
+    shadow: int = 0
+    """Samples in the shadow first."""
+    patience: int = 10
+    """Samples outside, less those inside since, after which the law is taken back."""
+
+    def __post_init__(self) -> None:
+        whole = self.low.ndim == 2 and self.low.shape == self.high.shape and self.low.size > 0
+        if not (whole and np.isfinite([self.low, self.high]).all() and (self.low < self.high).all()):
+            raise TrialError("trial: the bands are not pairs of finite ends in increasing order")
+        if self.shadow < 0 or not 1 <= self.patience <= len(self.low):
+            raise TrialError(
+                f"trial: {self.shadow} samples in the shadow and a patience of {self.patience}; give at least 0, "
+                f"and 1 to {len(self.low)}"
+            )
+
+
+class Trial:
+    """Watches one law, sample by sample; depends on nothing but these.
+
+    shadow ──its time──▶ driving ──its bands end──▶ kept
+       └──operator, guard──▶ back ◀──missed, operator, guard──┘
+    """
+
+    def __init__(self, bands: TrialBands) -> None:
+        """Begin in the shadow, or driving."""
+        self._bands = bands
+        self.phase = TrialPhase.SHADOW if bands.shadow else TrialPhase.DRIVING
+        self.reason = ""
+        """Why it was taken back; empty before."""
+        self._done = 0
+        self._missed = 0
+
+    @property
+    def drives(self) -> bool:
+        """Whether its law drives the plant."""
+        return self.phase in {TrialPhase.DRIVING, TrialPhase.KEPT}
+
+    @property
+    def ended(self) -> bool:
+        """Whether nothing is left to watch."""
+        return self.phase in {TrialPhase.KEPT, TrialPhase.BACK}
+
+    def take_back(self, reason: str) -> None:
+        """The law before drives again."""
+        if self.phase is not TrialPhase.BACK:
+            self.phase, self.reason = TrialPhase.BACK, reason
+
+    def push(self, outputs: Sequence[float]) -> TrialPhase:
+        """Take the readings of a sample; they count while the law drives within its bands."""
+        self._done += 1
+        if self.phase is TrialPhase.SHADOW and self._done >= self._bands.shadow:
+            self.phase, self._done = TrialPhase.DRIVING, 0
+        elif self.phase is TrialPhase.DRIVING:
+            self._judge(np.array(outputs, dtype=np.float64))
+        return self.phase
+
+    def _judge(self, outputs: FloatArray) -> None:
+        k, bands = self._done - 1, self._bands
+        inside = (bands.low[k] <= outputs) & (outputs <= bands.high[k])
+        self._missed = max(self._missed + (-1 if inside.all() else 1), 0)
+        if self._missed >= bands.patience:
+            j = int(np.argmin(inside))
+            ends = f"{bands.low[k, j]:.4g} to {bands.high[k, j]:.4g}"
+            said = "nothing" if math.isnan(outputs[j]) else f"{outputs[j]:.4g}"
+            self.take_back(
+                f"output {j + 1} was outside its bands for {self._missed} samples: {said}, not {ends}"
+            )
+        elif self._done == len(bands.low):
+            self.phase = TrialPhase.KEPT
