@@ -50,7 +50,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
     bumps = []
     for k in range(options.number):
         if k % 6 < 2:
-            plant = (Peltier, TCLab)[k % 2]
             lessons = [taught(p, TRUE[p.name], options.seed + k) for p in (Peltier, TCLab)]
         bench, members, terms = lessons[k % 2]
         plant, bench, rng = bench.plant, copy.deepcopy(bench), np.random.default_rng(options.seed + k)
@@ -81,12 +80,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
             wrongly += trial.phase is TrialPhase.BACK
             kept += trial.phase is TrialPhase.KEPT
         said = found.answer.decision.value
-        print(
-            f"  {plant.name}: really {really.decision.value}, said {said}, {trial.phase.value} {at:g} {trial.reason}",
-            flush=True,
-        )
+        words = f"really {really.decision.value}, said {said}, {trial.phase.value} {at:g} {trial.reason}"
+        print(f"  {plant.name}: {words}", flush=True)
     print(
-        f"{unsound} unsound laws: taken back after {median(back):g} s in the median, {back.count(math.inf)} never; "
+        f"{unsound} unsound laws: back after {median(back):g} s in the median, {back.count(math.inf)} never; "
         f"{sound} sound ones: {wrongly} taken back, {kept} kept; {beyond} samples beyond the range; "
         f"bump at most {max(bumps):.2g} of the noise"
     )

@@ -32,6 +32,7 @@ _COMMANDS: Final[dict[str, str]] = {
     "forecast": "forecast from chosen samples of a session, with a prediction band",
     "try-controller": "may a controller be run? answered from recorded sessions, before it runs",
     "retune": "better gains for the PID of a recorded session, with a margin on every twin",
+    "apply": "have the running controller try another law, watched within predicted bands, with a way back",
     "experiment": "what next? the shortest safe course after which most is known, from a recorded session",
     "verify": "judge a recorded session again and compare the verdicts, bit for bit",
     "backtest": "score the twin's forecasts of recorded sessions against the measurements and against other "

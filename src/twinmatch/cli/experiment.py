@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 
 from twinmatch.cli.shared import (
@@ -11,6 +10,7 @@ from twinmatch.cli.shared import (
     Progress,
     add_options,
     check_writable,
+    node_words,
     open_shown,
     positive,
     write_json,
@@ -121,10 +121,7 @@ def _ask(options: argparse.Namespace) -> int:
         )
     within = "" if options.within is None else " ".join(map(str, options.within))
     asked = {"goal": options.goal, "minutes": options.minutes, "within": within or None, "run": options.go}
-    words = ["experiment", "--ros-args"]
-    for name, value in asked.items():
-        words += [] if value is None else ["-p", f"{name}:={json.dumps(value)}"]
     from twinmatch.nodes.runner import run as run_nodes  # noqa: PLC0415
-    from twinmatch.showing.experiments import Asking  # noqa: PLC0415 — needs ROS
+    from twinmatch.showing.asking import ExperimentAsking  # noqa: PLC0415 — needs ROS
 
-    return run_nodes([Asking], words)
+    return run_nodes([ExperimentAsking], node_words("experiment", asked))

@@ -10,7 +10,7 @@ import os
 import re
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from operator import methodcaller
 from pathlib import Path
@@ -280,13 +280,19 @@ def serving_words(command: str, options: argparse.Namespace, library: str, **par
         raise ServingError(f"{command}: {library} is not installed; pip install 'twinmatch[{command}]'")
     if options.namespace and re.fullmatch(r"(/?[A-Za-z_][A-Za-z0-9_]*)+", options.namespace) is None:
         raise ServingError(f"{command}: {options.namespace!r} is not a namespace; give one such as /rig_a")
-    words = [command, "--ros-args"]
     given = {name: getattr(options, name) for name in ("address", "port", "hosts")}
-    for name, value in {**given, **parameters}.items():
+    words = node_words(command, {**given, **parameters})
+    return [*words, "-r", f"__ns:=/{options.namespace.removeprefix('/')}"] if options.namespace else words
+
+
+def node_words(name: str, parameters: Mapping[str, Any]) -> list[str]:
+    """The command line of a node with these parameters; None: left out."""
+    words = [name, "--ros-args"]
+    for key, value in parameters.items():
         if value is not None:
             text = json.dumps(str(value) if isinstance(value, Path) else value, ensure_ascii=False)
-            words += ["-p", f"{name}:={text}"]
-    return [*words, "-r", f"__ns:=/{options.namespace.removeprefix('/')}"] if options.namespace else words
+            words += ["-p", f"{key}:={text}"]
+    return words
 
 
 def session_to_record(options: argparse.Namespace) -> Path | None:

@@ -17,7 +17,7 @@ from twinmatch.controllers.answer import (
     try_controller,
 )
 from twinmatch.controllers.guarantee import Guarantee
-from twinmatch.controllers.law_document import law_from, pid_document, suited
+from twinmatch.controllers.law_document import gains_from, law_from, pid_document, suited
 from twinmatch.controllers.members import Holding, TriedTwin
 from twinmatch.controllers.next_experiment import (
     GOALS,
@@ -66,6 +66,7 @@ __all__ = [
     "as_linear",
     "characters_by",
     "compared",
+    "gains_from",
     "goal_named",
     "law_from",
     "levels_words",

@@ -100,6 +100,37 @@ def pid_document(gains: PidGains) -> dict[str, Any]:
     return {"kind": "pid", "period": gains.period} | known
 
 
+def gains_from(document: Any, plant: type[Plant], period: float) -> tuple[PidGains, ...]:
+    """The PIDs that a document describes, one for each output, as a controller of this package runs them.
+
+    Raises:
+        ControllerError: as `law_from`, or it is no PID, or one with a filter, weights or an offset.
+        PlantError: the law itself is not possible.
+    """
+    law_from(document, plant, period)
+    if document.get("kind") != "pid":
+        raise ControllerError("is not of kind pid; the controller of a rig runs one PID for each output")
+    given = {key: value for key, value in document.items() if key not in _ABOUT}
+    found = []
+    for pid in _pids(given, plant):
+        plain = FilteredPid.of(
+            gains := PidGains(
+                pid.proportional,
+                pid.integral,
+                pid.derivative,
+                pid.back_calculation,
+                pid.low,
+                pid.high,
+                period,
+                on_measurement=pid.derivative_weight == 0.0,
+            )
+        )
+        if plain != pid:
+            raise ControllerError("has a filter, weights or an offset; the controller of a rig has none")
+        found.append(gains)
+    return tuple(found)
+
+
 def _check_about(about: _About, plant: type[Plant]) -> None:
     for key, named, declared in (
         ("outputs", about.outputs, plant.outputs),
@@ -152,6 +183,10 @@ def _limits(plant: type[Plant], number: int) -> FloatArray:
 
 
 def _pid(given: Mapping[str, Any], plant: type[Plant], period: float) -> Law:
+    return pid_law(_pids(given, plant), period)
+
+
+def _pids(given: Mapping[str, Any], plant: type[Plant]) -> list[FilteredPid]:
     """One PID, whose gains are in the document itself, or one per output in the list `loops`."""
     rows = _read(_Loops, given).loops if "loops" in given else [given]
     if len(rows) != len(plant.outputs):
@@ -163,7 +198,7 @@ def _pid(given: Mapping[str, Any], plant: type[Plant], period: float) -> Law:
     for k, (row, low, high) in enumerate(zip(rows, *_limits(plant, len(rows)), strict=True)):
         gains = given_keys(_read(_Pid, row, f"loops[{k}]" if "loops" in given else ""))
         pids.append(FilteredPid(**({"low": low, "high": high} | gains)))
-    return pid_law(pids, period)
+    return pids
 
 
 def _two_level(given: Mapping[str, Any], plant: type[Plant], period: float) -> Law:

@@ -20,7 +20,7 @@ from twinmatch.signals import FloatArray
 
 _WIDER: Final = 1.5
 """Factor on the bands of nine draws in ten: a law is taken back for what hardly any sound one does …"""
-_NOISE: Final = 3.0
+_NOISE: Final = 5.0
 """… and what is added on both sides, in the outputs' noise: what a sensor does not resolve."""
 DRAWS: Final = 80
 """Draws of the parameters over all twins, so that an operator waits for two seconds."""

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
 
+import numpy as np
 from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.time import Time
@@ -14,17 +16,21 @@ from sensor_msgs.msg import Temperature
 from std_msgs.msg import Float64, Float64MultiArray
 
 from twinmatch.control import ControlError, Loop, Profile
-from twinmatch.dynamics import Controller, Output, Plant, PlantError, pids_of
+from twinmatch.dynamics import Controller, Output, PidLoops, Plant, PlantError, pids_of
+from twinmatch.errors import TwinmatchError
 from twinmatch.nodes.health import Level, Report
-from twinmatch.nodes.messages import sample_message, time_message
+from twinmatch.nodes.messages import message_of, sample_message, time_message
 from twinmatch.nodes.node import READERS, Missed, Readers, TwinmatchNode
 from twinmatch.nodes.topics import LATCHED, NEWEST, RELIABLE
 from twinmatch.parameters.declared import ParameterError, Setting, Values
 from twinmatch.parameters.twin import joined_units, loop_parameters, one_or_each, running_law
 from twinmatch.plants import Peltier, find_plant, written_name
-from twinmatch.safety import is_limit
+from twinmatch.safety import LawReport, Trial, TrialBands, TrialPhase, is_limit
+from twinmatch.safety.trial import GAINS
 from twinmatch.signals import Signals, point_values
+from twinmatch_msgs.msg import LawReport as LawMessage
 from twinmatch_msgs.msg import LoopSample, PlantApplied, PlantCommand, PlantReading, PwmApplied, PwmCommand
+from twinmatch_msgs.srv import ApplyLaw
 
 _SOURCE = "Where the set-point comes from: the profile below, or the topic plant/reference."
 _LOWEST = "Lowest accepted set-point, also from the topic; it can only be raised while the node runs."
@@ -175,6 +181,8 @@ PELTIER = PlantTopics(
 
 ROUNDED = 0.5
 """Difference of applied and commanded drive that is rounding, in the drive's unit."""
+EXPIRES = 120
+"""Samples after which an answer about a law has expired."""
 RESEND = 0.2
 """Interval at which the command is repeated in step, wall s."""
 
@@ -214,6 +222,8 @@ class ControllerNode(TwinmatchNode):
         self._missed = Missed(self.health)
         self._wiring = PELTIER if self._plant is Peltier else GENERAL
         self._commands: Any = None
+        self._on_trial = LawReport(0, TrialPhase.KEPT)
+        """What was reported last of a law on trial."""
 
     def open(self) -> None:
         """Subscribe to readings and start to tick."""
@@ -237,6 +247,8 @@ class ControllerNode(TwinmatchNode):
                 )
         else:
             self._references = self.create_publisher(kind, "plant/reference", LATCHED)
+        self._laws = self.create_publisher(LawMessage, "plant/law", LATCHED)
+        self.create_service(ApplyLaw, "plant/apply_law", self._on_law)
         every = self.create_timer if self.step is None else self.step.every
         every(self._loop.period, self._on_tick)
         every(self.values["command_period"], self._on_repeat)
@@ -300,6 +312,9 @@ class ControllerNode(TwinmatchNode):
 
     def _on_reference(self, message: Any) -> None:
         given, outputs = point_values(message.data), self._plant.outputs
+        if self._loop.trying:
+            self.health.flag("set-point", Level.WARN, "set-point refused: a law is on trial, which holds it")
+            return
         if len(given) != len(outputs):
             text = f"{len(given)} set-points refused; give one of each output: {', '.join(outputs)}"
             self.health.flag("set-point", Level.ERROR, text)
@@ -313,12 +328,56 @@ class ControllerNode(TwinmatchNode):
         self.health.withdraw("set-point")
         self._set_points = given
 
+    def _on_law(self, asked: ApplyLaw.Request, _: ApplyLaw.Response) -> ApplyLaw.Response:
+        """Put a law on trial, or give the law before back, by the operator's word."""
+        loop, size = self._loop, len(self._pids)
+        try:
+            if asked.back:
+                if loop.trial is None or loop.trial.phase is TrialPhase.BACK:
+                    return ApplyLaw.Response(success=False, message="the law of the configuration drives")
+                loop.take_back("given back by the operator")
+            else:
+                if asked.decision != "safe" and not asked.although:
+                    raise ControlError(f"loop: the law is {asked.decision or 'not tried'}, not safe")
+                if not (loop.running and 0 <= self._index - asked.sample <= EXPIRES):
+                    raise ControlError(
+                        f"loop: the answer is from sample {asked.sample}, and now is {self._index}; ask again"
+                    )
+                rows = zip(*(getattr(asked, name) for name in GAINS), strict=True)
+                gains = [
+                    replace(own, **dict(zip(GAINS, row, strict=True)))
+                    for own, row in zip(self._pids, rows, strict=True)
+                ]
+                low, high = (np.reshape(ends, (-1, size)) for ends in (asked.low, asked.high))
+                trial = Trial(TrialBands(low, high, asked.shadow, asked.patience))
+                loop.try_law(gains[0] if size == 1 else PidLoops.of(*gains), trial)
+                report = LawReport(
+                    self._index, TrialPhase.ANSWERED, asked.decision, asked.family, asked.although
+                )
+                self._on_trial = report.of(gains)
+        except (TwinmatchError, ValueError) as error:
+            return ApplyLaw.Response(success=False, message=str(error))
+        self._report_law()
+        return ApplyLaw.Response(success=True, message="done; plant/law has what comes of it")
+
+    def _report_law(self) -> None:
+        """Publish how far a trial is, when that changes."""
+        trial = self._loop.trial
+        if trial is not None and trial.phase is not self._on_trial.phase:
+            self._on_trial = replace(
+                self._on_trial, sample=self._index, phase=trial.phase, reason=trial.reason
+            )
+            self._laws.publish(message_of(self._on_trial, self._now()))
+            self.get_logger().warning(f"law on trial: {trial.phase.value} {trial.reason}".rstrip())
+            self.health.set("law on trial", trial.phase.value)
+
     def _on_tick(self) -> None:
         if not self._readers.there():
             return
         if self.step is not None:
             self.step.drive()
         sample = self._loop.tick(self._now(), self._reference)
+        self._report_law()
         if self.exit_code is not None:
             return
         if sample is not None:
@@ -340,6 +399,9 @@ class ControllerNode(TwinmatchNode):
 
     def _reference(self, at: float) -> Signals | None:
         """The set-points at a time since sample 0 (s); published when they change."""
+        if self._loop.trying:  # its bands are for this set-point; the profile waits
+            self._begun += self._loop.period
+            return self._set_points
         if self._profiles is None:
             return self._set_points
         at -= self._begun

@@ -1,7 +1,7 @@
 """Judges the family of matches: samples and matches in, verdicts out, and a forecast at every sample.
 
 It publishes `twin/model_score`, `twin/nominal`, `twin/leader`, `twin/forecast`, `twin/match_request` and
-`plant/estimate`, and serves `twin/what_if`.
+`plant/estimate`, and serves `twin/what_if`, `twin/experiment` and `twin/try_law`.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from twinmatch.errors import TwinmatchError
 from twinmatch.forecasting import what_if
 from twinmatch.nodes.experimenter import Experimenter
 from twinmatch.nodes.health import Level
+from twinmatch.nodes.law_desk import LawDesk
 from twinmatch.nodes.messages import (
     answer_message,
     forecast_message,
@@ -147,7 +148,8 @@ class DiscriminatorNode(SampleNode):
         self._requests = self.create_publisher(MatchRequest, "twin/match_request", RELIABLE)
         super().open()
         stamps = self._discriminator.stamps
-        self._experimenter = Experimenter(self, lambda: self._forecasts.newest, lambda k: stamps.get(k, 0))
+        asked = self, lambda: self._forecasts.newest, lambda k: stamps.get(k, 0)
+        self._experimenter, self._laws = Experimenter(*asked), LawDesk(*asked)
         self.create_subscription(Match, "twin/match", self._on_match, EVERYTHING)
         if self.step is not None:
             self.step.wait_for(self._behind)

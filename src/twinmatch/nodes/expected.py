@@ -29,7 +29,7 @@ from twinmatch.plants import UnknownPlantError
 from twinmatch.signals import counted, incomplete
 from twinmatch.twin import MatchRequest
 from twinmatch_msgs import msg as ours
-from twinmatch_msgs.srv import Experiment, Past, WhatIf
+from twinmatch_msgs.srv import ApplyLaw, Experiment, Past, TryLaw, WhatIf
 
 LARGEST: Final = 1e12
 """Largest magnitude of a signal, in any unit."""
@@ -254,6 +254,10 @@ def _check_experiment(message: Any) -> None:
         _finite(message, "expected", "brought", "levels", "holds")
 
 
+def _check_law(message: Any) -> None:
+    _finite(message, "proportional", "integral", "derivative")
+
+
 def _check_candidate(candidate: Any) -> None:
     _check_point(candidate)
     _among([candidate.chosen_order], [one.order for one in candidate.orders], "chosen_order")
@@ -411,6 +415,7 @@ MESSAGES: Final[dict[Any, MessageRules]] = {
     ours.ForecastScore: MessageRules(_check_score, converted.record_of),
     ours.EstimatedReading: MessageRules(_check_estimate, converted.record_of),
     ours.ExperimentReport: MessageRules(_check_experiment, converted.record_of),
+    ours.LawReport: MessageRules(_check_law, converted.record_of),
     ours.PlantDescription: MessageRules(_check_description),
     Clock: MessageRules(departs=_clock_departs, owned=True),
     Image: MessageRules(_check_image),
@@ -425,8 +430,8 @@ MESSAGES: Final[dict[Any, MessageRules]] = {
     **dict.fromkeys((ours.PlantReading, ours.PlantCommand, ours.PwmCommand, Temperature), MessageRules()),
     # Ranges are judged where the plant is known.
     **dict.fromkeys((ours.PlantApplied, ours.PwmApplied, Float64, Float64MultiArray), MessageRules()),
-    **dict.fromkeys(
-        (Past.Request, WhatIf.Request, Experiment.Request, ListParameters.Request), MessageRules()
-    ),
+    # Refused in words by the services themselves.
+    **dict.fromkeys((Experiment.Request, TryLaw.Request, ApplyLaw.Request), MessageRules()),
+    **dict.fromkeys((Past.Request, WhatIf.Request, ListParameters.Request), MessageRules()),
 }
 """All types that a node reads; others pass."""

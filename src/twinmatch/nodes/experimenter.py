@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -26,34 +27,59 @@ from twinmatch_msgs.srv import Experiment
 if TYPE_CHECKING:
     from twinmatch.twin.live_experiment import LiveExperiment
 
+Newest = Callable[[], Snapshot]
+StampOf = Callable[[int], int]
+
 _PROFILE: Final = ("profile.levels", "profile.holds", "profile.repeat", "profile.ramp")
 """Parameters of the controller that an experiment sets, and gives back."""
 _ASKED: Final = (*_PROFILE, "profile.lowest", "profile.highest", "reference_source")
 
 
-class Experimenter:
+class Desk:
+    """Does what a service is asked for in a thread of its own, one job after the other."""
+
+    def __init__(self, node: TwinNode, newest: Newest, stamp_of: StampOf) -> None:
+        """Create the thread.
+
+        `newest` returns the newest snapshot of all candidates, `stamp_of` the stamp of a sample, ns.
+        """
+        self._node, self._newest, self._stamp_of = node, newest, stamp_of
+        self._jobs: deque[None] = deque()  # a mark for each that is not done
+        self._worker: Worker[Callable[[], None]] = Worker(self._do, node.health)
+        node.beside.append(self._worker)
+        if node.step is not None:
+            node.step.wait_for(lambda: bool(self._jobs))
+
+    @abstractmethod
+    def refuse(self, reason: str) -> None:
+        """Report that nothing comes of a request."""
+
+    def _put(self, work: Callable[..., None], *given: Any) -> None:
+        self._jobs.append(None)
+        self._worker.put(partial(work, *given))
+
+    def _do(self, job: Callable[[], None]) -> None:
+        try:
+            job()
+        except TwinmatchError as error:
+            self.refuse(str(error))
+        finally:
+            self._jobs.pop()
+
+
+class Experimenter(Desk):
     """Serves `twin/experiment`, and publishes there what comes of it.
 
     Courses are sought in a thread of their own, so that no verdict waits for them. A course that runs ends
     where the set-point was before, so that nobody has to live to end it. The guard acts as ever.
     """
 
-    def __init__(
-        self, node: TwinNode, newest: Callable[[], Snapshot], stamp_of: Callable[[int], int]
-    ) -> None:
-        """Create service, topic and thread.
-
-        `newest` returns the newest snapshot of all candidates, `stamp_of` the stamp of a sample, ns.
-        """
-        self._node, self._newest, self._stamp_of = node, newest, stamp_of
+    def __init__(self, node: TwinNode, newest: Newest, stamp_of: StampOf) -> None:
+        """Create service and topic; as for a `Desk`."""
+        super().__init__(node, newest, stamp_of)
         self._live: LiveExperiment | None = None
         self._running = False
-        self._jobs: deque[None] = deque()  # a mark for each that is not done
         self._usual: Mapping[str, Any] = {}
-        self._worker: Worker[Callable[[], None]] = Worker(self._do, node.health)
-        node.beside.append(self._worker)
-        if node.step is not None:
-            node.step.wait_for(lambda: bool(self._jobs))
         self._reports = node.create_publisher(messages.ExperimentReport, "twin/experiment", LATCHED)
         self._get = node.create_client(GetParameters, "controller/get_parameters")
         self._set = node.create_client(SetParametersAtomically, "controller/set_parameters_atomically")
@@ -91,18 +117,9 @@ class Experimenter:
             self._put(self._seek, wish, False)
         return Experiment.Response(success=True, message="seeking; twin/experiment has what comes of it")
 
-    def _put(self, work: Callable[..., None], *given: Any) -> None:
-        self._jobs.append(None)
-        self._worker.put(partial(work, *given))
-
-    def _do(self, job: Callable[[], None]) -> None:
-        try:
-            job()
-        except TwinmatchError as error:
-            refused = ExperimentReport(0, ExperimentPhase.REFUSED, "", 0, reason=str(error))
-            self._publish(refused)
-        finally:
-            self._jobs.pop()
+    def refuse(self, reason: str) -> None:
+        """Report that nothing comes of a request."""
+        self._publish(ExperimentReport(0, ExperimentPhase.REFUSED, "", 0, reason=reason))
 
     def _seek(self, wish: Wish, run: bool, said: Any = None) -> None:
         """Find the course for a wish, given the controller's answer."""

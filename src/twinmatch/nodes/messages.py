@@ -22,6 +22,7 @@ from twinmatch.dynamics import Parameters, PlantError
 from twinmatch.forecasting import Band, Forecast, Question, WhatIfResult
 from twinmatch.health import EstimatedReading
 from twinmatch.record import fill, object_of, parameters_of, parameters_tree, tree_of, tree_of_message
+from twinmatch.safety import LawReport
 from twinmatch.signals import NANOSECONDS, Sample, SignalError, Window, point_of, point_values
 from twinmatch.twin import MatchReport, MatchRequest, MirrorState
 from twinmatch.twin.experiment import ExperimentReport
@@ -101,6 +102,7 @@ _RECORDS: Final[dict[Any, Any]] = {
     ForecastScore: messages.ForecastScore,
     EstimatedReading: messages.EstimatedReading,
     ExperimentReport: messages.ExperimentReport,
+    LawReport: messages.LawReport,
 }
 """The message of each record; all their fields have the same names."""
 

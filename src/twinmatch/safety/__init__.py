@@ -16,7 +16,7 @@ from twinmatch.safety.guard import FaultKind, GuardFault, GuardLimits, OutputGua
 from twinmatch.safety.observer import DriveObserver
 from twinmatch.safety.runaway import Runaway, RunawayLimits
 from twinmatch.safety.stand_in import StandIn, StandInState
-from twinmatch.safety.trial import Trial, TrialBands, TrialError, TrialPhase
+from twinmatch.safety.trial import LawReport, Trial, TrialBands, TrialError, TrialPhase
 
 __all__ = [
     "ACCUSED",
@@ -28,6 +28,7 @@ __all__ = [
     "GuardFault",
     "GuardLimits",
     "HeatBudget",
+    "LawReport",
     "OutputGuard",
     "Runaway",
     "RunawayLimits",

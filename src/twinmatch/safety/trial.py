@@ -1,16 +1,20 @@
-"""A law on trial: in the shadow of the one that runs, driving within its predicted bands, kept or taken back."""
+"""A law on trial: in the shadow of the one that runs, driving within its bands, kept or taken back."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
+from typing import Final
 
 import numpy as np
 
+from twinmatch.dynamics import PidGains
 from twinmatch.errors import TwinmatchError
 from twinmatch.signals import FloatArray
+
+GAINS: Final = ("proportional", "integral", "derivative", "back_calculation", "on_measurement")
+"""What a law on trial may change of a PID."""
 
 
 class TrialError(TwinmatchError):
@@ -20,6 +24,9 @@ class TrialError(TwinmatchError):
 class TrialPhase(Enum):
     """How far a trial is."""
 
+    ANSWERED = "answered"
+    """Its law was tried on the twins; nothing drives."""
+    REFUSED = "refused"
     SHADOW = "shadow"
     """The law is computed, and another one drives."""
     DRIVING = "driving"
@@ -27,6 +34,31 @@ class TrialPhase(Enum):
     """It drives, and its predictions have ended."""
     BACK = "back"
     """The law before drives again."""
+
+
+@dataclass(frozen=True)
+class LawReport:
+    """A law on trial at a sample: what the twin answers about it, or what the controller does with it."""
+
+    sample: int
+    """Index of the newest sample."""
+    phase: TrialPhase
+    decision: str = ""
+    """What was answered: safe, fails or undecided; empty: nothing yet."""
+    family: str = ""
+    """Stands for the twins and the law that were asked."""
+    although: bool = False
+    """Whether it drives although it was not found safe."""
+    proportional: tuple[float, ...] = ()
+    integral: tuple[float, ...] = ()
+    derivative: tuple[float, ...] = ()
+    reason: str = ""
+    """The answer in a sentence; why it is refused, or was taken back."""
+
+    def of(self, gains: Sequence[PidGains]) -> LawReport:
+        """The same about the law of these PIDs."""
+        each = [tuple(getattr(one, name) for one in gains) for name in GAINS[:3]]
+        return replace(self, proportional=each[0], integral=each[1], derivative=each[2])
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,8 +83,8 @@ class TrialBands:
             raise TrialError("trial: the bands are not pairs of finite ends in increasing order")
         if self.shadow < 0 or not 1 <= self.patience <= len(self.low):
             raise TrialError(
-                f"trial: {self.shadow} samples in the shadow and a patience of {self.patience}; give at least 0, "
-                f"and 1 to {len(self.low)}"
+                f"trial: {self.shadow} samples in the shadow and a patience of {self.patience}; give at "
+                f"least 0, and 1 to {len(self.low)}"
             )
 
 
@@ -103,9 +135,6 @@ class Trial:
         if self._missed >= bands.patience:
             j = int(np.argmin(inside))
             ends = f"{bands.low[k, j]:.4g} to {bands.high[k, j]:.4g}"
-            said = "nothing" if math.isnan(outputs[j]) else f"{outputs[j]:.4g}"
-            self.take_back(
-                f"output {j + 1} was outside its bands for {self._missed} samples: {said}, not {ends}"
-            )
+            self.take_back(f"output {j + 1} is {outputs[j]:.4g}, not {ends}, for {self._missed} samples")
         elif self._done == len(bands.low):
             self.phase = TrialPhase.KEPT
