@@ -32,7 +32,7 @@ AFTER = 900
 def gains_of(bench: Bench, rng: np.random.Generator) -> PidGains:
     """The plant's own PID with each gain changed by up to a factor."""
     [own] = pids_of(law_of(bench.plant, 1.0))
-    far = math.exp(rng.uniform(-0.7, 4.0))
+    far = math.exp(rng.uniform(-0.7, 6.5))
     names = ("proportional", "integral", "derivative")
     return replace(own, **{n: getattr(own, n) * far * math.exp(rng.uniform(-0.3, 0.3)) for n in names})
 

@@ -22,6 +22,8 @@ _WIDER: Final = 1.5
 """Factor on the bands of nine draws in ten: a law is taken back for what hardly any sound one does …"""
 _NOISE: Final = 5.0
 """… and what is added on both sides, in the outputs' noise: what a sensor does not resolve."""
+_STILL: Final = 10.0
+"""How far outputs may still move under the law that runs before another is tried, in their noise."""
 DRAWS: Final = 80
 """Draws of the parameters over all twins, so that an operator waits for two seconds."""
 
@@ -42,7 +44,7 @@ def try_now(members: Sequence[TriedTwin], law: Law, holding: Holding, before: Fl
     own bands would allow what makes it unsafe.
 
     Raises:
-        ControllerError: there is no twin, or the law that runs is not known.
+        ControllerError: there is no twin, the law that runs is not known, or the outputs have not settled.
         PlantError: the law is for another number of signals.
     """
     if holding.law is None:
@@ -50,6 +52,9 @@ def try_now(members: Sequence[TriedTwin], law: Law, holding: Holding, before: Fl
     references = np.tile(before, (holding.samples, 1))
     answer = try_controller(members, ControllerQuestion(law, references, before, holding, DRAWS))
     safe = answer.decision is ControllerDecision.SAFE
+    moving = np.ptp(answer.running.outputs[1], axis=0) if answer.running else np.zeros(before.size)
+    if (moving > _STILL * members[0].parameters.model.noise).any():
+        raise ControllerError("controller: the outputs have not settled yet; wait until they rest")
     courses = answer.courses if safe or answer.running is None else answer.running
     low, middle, high = courses.outputs
     half = _WIDER * np.maximum(high - middle, middle - low) + _NOISE * members[0].parameters.model.noise

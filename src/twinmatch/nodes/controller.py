@@ -352,7 +352,7 @@ class ControllerNode(TwinmatchNode):
                 trial = Trial(TrialBands(low, high, asked.shadow, asked.patience))
                 loop.try_law(gains[0] if size == 1 else PidLoops.of(*gains), trial)
                 report = LawReport(
-                    self._index, TrialPhase.ANSWERED, asked.decision, asked.family, asked.although
+                    self._index, TrialPhase.ANSWERED, 0, asked.decision, asked.family, asked.although
                 )
                 self._on_trial = report.of(gains)
         except (TwinmatchError, ValueError) as error:
@@ -364,8 +364,13 @@ class ControllerNode(TwinmatchNode):
         """Publish how far a trial is, when that changes."""
         trial = self._loop.trial
         if trial is not None and trial.phase is not self._on_trial.phase:
+            begun = trial.phase is TrialPhase.DRIVING
             self._on_trial = replace(
-                self._on_trial, sample=self._index, phase=trial.phase, reason=trial.reason
+                self._on_trial,
+                sample=self._index,
+                phase=trial.phase,
+                first=self._index if begun else self._on_trial.first,
+                reason=trial.reason,
             )
             self._laws.publish(message_of(self._on_trial, self._now()))
             self.get_logger().warning(f"law on trial: {trial.phase.value} {trial.reason}".rstrip())

@@ -6,6 +6,7 @@ It publishes `twin/model_score`, `twin/nominal`, `twin/leader`, `twin/forecast`,
 
 from __future__ import annotations
 
+import math
 import time
 from collections import deque
 
@@ -31,8 +32,10 @@ from twinmatch.nodes.messages import (
 from twinmatch.nodes.samples import SampleNode, TwinNode
 from twinmatch.nodes.topics import EVERYTHING, LATCHED, RELIABLE
 from twinmatch.parameters.candidates import candidates_in
+from twinmatch.safety import LawReport, TrialPhase
 from twinmatch.signals import Sample
 from twinmatch.twin import Discriminator, MatchReport, Snapshot, Step
+from twinmatch_msgs import msg as messages
 from twinmatch_msgs.msg import (
     Candidate,
     EstimatedReading,
@@ -151,6 +154,7 @@ class DiscriminatorNode(SampleNode):
         asked = self, lambda: self._forecasts.newest, lambda k: stamps.get(k, 0)
         self._experimenter, self._laws = Experimenter(*asked), LawDesk(*asked)
         self.create_subscription(Match, "twin/match", self._on_match, EVERYTHING)
+        self.create_subscription(messages.LawReport, "plant/law", self.put, LATCHED)
         if self.step is not None:
             self.step.wait_for(self._behind)
         self.wall_timer(CHECK, self._repeat)
@@ -160,8 +164,13 @@ class DiscriminatorNode(SampleNode):
         request = self._discriminator.request
         return request is not None and (self._watch.last or 0) - request.sample > BEHIND
 
-    def work(self, item: Sample | MatchReport) -> None:
+    def work(self, item: Sample | MatchReport | LawReport) -> None:
         """Take one sample or match, publish the verdicts now due, and request the match they need."""
+        if isinstance(item, LawReport):
+            if item.first:
+                last = item.sample if item.phase is TrialPhase.BACK else math.inf
+                self._discriminator.tell_of_trial(item.first, last)
+            return
         if isinstance(item, MatchReport):
             step = self._discriminator.push_match(item)
         else:

@@ -65,7 +65,7 @@ class LawDesk(Desk):
         vectors = [one.parameters.vector.tobytes() for one in snapshot.outlooks.values()]
         family = hashlib.blake2b(b"".join([*vectors, repr(gains).encode()]), digest_size=6).hexdigest()
         decision, reason = found.answer.decision.value, found.answer.sentence
-        answer = LawReport(sample.index, TrialPhase.ANSWERED, decision, family, reason=reason)
+        answer = LawReport(sample.index, TrialPhase.ANSWERED, 0, decision, family, reason=reason)
         self._publish(answer.of(gains))
         if not request.run:
             return

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -21,6 +23,7 @@ from twinmatch.offline.summary import SessionSummary, summarise
 from twinmatch.parameters.candidates import parse_candidates, read_candidates
 from twinmatch.parameters.twin import at_period, read_settings, recorded_values, settings_from
 from twinmatch.sessions import Session, samples_of
+from twinmatch.sessions.messages import decoded
 from twinmatch.sessions.metadata import CANDIDATES, parameters_of
 from twinmatch.signals import Sample, Window, rms, stretches
 from twinmatch.twin import MatchReport, Outcome, Twin, TwinSettings
@@ -159,9 +162,18 @@ def judge(
         given=terms.given,
         matching=terms.matching,
         notes=session.notes,
+        trials=_trials(session),
         watch=watch,
         beside=beside,
     )
+
+
+def _trials(session: Session) -> dict[int, float]:
+    """First and last samples between which laws on trial drove, from the controller's reports."""
+    name = f"{prefix_of(session)}plant/law"
+    reports = map(decoded, session.messages([name]) if name in session.counts else ())
+    driving = [report for report in reports if report.first]
+    return {one.first: one.sample if one.phase_name == "back" else math.inf for one in driving}
 
 
 def judge_samples(
@@ -172,6 +184,7 @@ def judge_samples(
     given: Sequence[Candidate] = (),
     matching: TwinSettings | None = None,
     notes: Sequence[str] = (),
+    trials: Mapping[int, float] = MappingProxyType({}),
     watch: Watch | None = None,
     beside: Callable[[Twin, Sample, Outcome], None] | None = None,
 ) -> Judgement:
@@ -181,6 +194,8 @@ def judge_samples(
     in its current state, the sample and the outcome.
     """
     twin = Twin(settings, given, matching=matching)
+    for first, last in trials.items():
+        twin.discriminator.tell_of_trial(first, last)
     matches: list[MatchReport] = []
     verdicts: list[Verdict] = []
     settled: list[Sample] = []

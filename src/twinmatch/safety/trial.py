@@ -43,6 +43,8 @@ class LawReport:
     sample: int
     """Index of the newest sample."""
     phase: TrialPhase
+    first: int = 0
+    """The first sample at which it drove."""
     decision: str = ""
     """What was answered: safe, fails or undecided; empty: nothing yet."""
     family: str = ""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -94,6 +95,18 @@ class Discriminator:
         self._trusted: tuple[float, ...] = ()
         self._stood_in: int | None = None
         """Newest sample at which the law took an estimate in place of a reading."""
+        self._trials: dict[int, float] = {}
+        """First samples of which a law on trial drove, and last ones; infinite: it still drives."""
+
+    def tell_of_trial(self, first: int, last: float = math.inf) -> None:
+        """A law on trial drove from one sample to another. Nothing is matched or learned of these, since
+        forecasts are for the law before."""
+        self._trials[first] = last
+
+    def _trial_between(self, first: int, last: int) -> str:
+        """That a law on trial drove between two samples, in words; empty if none did."""
+        found = [(a, b) for a, b in self._trials.items() if a <= last and b >= first]
+        return "".join(f"a law on trial has driven since sample {a}" for a, _ in found[-1:])
 
     @property
     def forecaster(self) -> Forecaster:
@@ -172,6 +185,8 @@ class Discriminator:
         if self._stood_in is not None and trigger.window.first <= self._stood_in:
             reason = f"not matched: the law ran on an estimate until sample {self._stood_in}"
             return [self._judge(trigger, MatchResult(REFUSED, reason))]
+        if reason := self._trial_between(trigger.window.first, trigger.window.last):
+            return [self._judge(trigger, MatchResult(REFUSED, f"not matched: {reason}"))]
         self._request = self._new_request(trigger)
         if not self._external:  # most of a match is compiled code, which releases the GIL
             with_match = ThreadPoolExecutor(1)
@@ -232,7 +247,7 @@ class Discriminator:
         """Judge the plant's health; return the alarm that has just begun or ended."""
         if self._recent and not sample.follows(self._recent[-1]):
             if not sample.continues(self._recent[-1]):  # another session: the old alarms have other indices
-                self.monitor, self._stood_in = _monitor(self.settings), None
+                self.monitor, self._stood_in, self._trials = _monitor(self.settings), None, {}
             self._recent.clear()
         if sample.usable:
             self._recent.append(sample)
@@ -328,7 +343,9 @@ class Discriminator:
         """How the newest samples lie in the bands that the leader forecast for them."""
         if not self._recent:
             return BandCheck()
-        samples = min(self.settings.schedule.stride, len(window))
+        samples, newest = min(self.settings.schedule.stride, len(window)), self._recent[-1].index
+        if self._trial_between(newest - samples - max(self.forecaster.horizons), newest):
+            return BandCheck()
         check = self.forecaster.check_bands(samples)
         if check is None:
             return BandCheck()
@@ -351,6 +368,8 @@ class Discriminator:
         """Reservations on forecasts at this sample, and structures that no longer take part."""
         lost = tuple(f"{model.structure_name}: {model.lost}" for model in self._external if model.lost)
         health, since = self._health, self._bands.since
+        if self._settled is not None and (trial := self._trial_between(self._settled, self._settled)):
+            return (f"{trial}: this forecast is for the law before", *lost)
         if health is not None and health.state is HealthState.FAULT and health.fault is not None:
             fault = f"the plant has shown {health.fault.value} since sample {health.since}"
             return (f"{fault}: this forecast is for a healthy plant", *lost)
@@ -360,8 +379,8 @@ class Discriminator:
         return lost
 
     def _spoilt(self, first: int, last: int) -> bool:
-        """Whether the plant was known to be at fault between two samples."""
-        return self.monitor.fault_between(first, last) is not None
+        """Whether the plant was known to be at fault, or another law drove it, between two samples."""
+        return self.monitor.fault_between(first, last) is not None or bool(self._trial_between(first, last))
 
     def _admit(self, trigger: Trigger, report: MatchReport) -> MatchResult:
         match, window = report.match, trigger.window
