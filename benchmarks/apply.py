@@ -20,7 +20,7 @@ from benchmarks.experiment import Bench, taught
 from twinmatch.controllers import ControllerDecision, ControllerQuestion, TriedTwin, try_controller, try_now
 from twinmatch.dynamics import PidGains, law_of, pids_of
 from twinmatch.plants import Peltier, TCLab
-from twinmatch.safety import Trial, TrialBands, TrialPhase
+from twinmatch.safety import LawTrial, TrialBands, TrialPhase
 
 PATIENCE = {"peltier": 10, "tclab": 10}
 """Samples outside, less those inside since."""
@@ -60,7 +60,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             [truth], ControllerQuestion(gains, level, terms.before, terms.holding, draws=1)
         )
         found = try_now(members, gains, terms.holding, terms.before)
-        trial = Trial(TrialBands(found.low, found.high, 0, PATIENCE[plant.name]))
+        trial = LawTrial(TrialBands(found.low, found.high, 0, PATIENCE[plant.name]))
         before = bench.loop.input
         bench.loop.try_law(gains, trial)
         first = bench.sample(float(terms.before[0]))

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from twinmatch.dynamics import Controller, Law, PidGains, Plant, law_of, pids_of
 from twinmatch.errors import TwinmatchError
-from twinmatch.safety import Trial, TrialPhase
+from twinmatch.safety import LawTrial, TrialPhase
 from twinmatch.signals import NANOSECONDS, FloatArray, Sample, Signals, one_of_each, point_values
 
 __all__ = ["ControlError", "Loop", "Profile"]
@@ -180,7 +180,7 @@ class Loop:
         """The most that passes: samples have no higher inputs, and the controller continues from there."""
         rows = repeat(None) if state is None else np.reshape(state, (len(self._gains), -1))
         self._pids = [Controller(gains, row) for gains, row in zip(self._gains, rows, strict=False)]
-        self.trial: Trial | None = None
+        self.trial: LawTrial | None = None
         """Watches a law on trial; None: there never was one."""
         self._beside: tuple[PidGains, ...] = ()
         """Gains of the law that does not drive: the one on trial, later the one before."""
@@ -287,7 +287,7 @@ class Loop:
             self._restart = False
         return Sample(number, now, references, self._outputs, tuple(passed), self._disturbances)
 
-    def try_law(self, law: Law, trial: Trial) -> None:
+    def try_law(self, law: Law, trial: LawTrial) -> None:
         """Put a law on trial: in the shadow of the one that runs, or driving from the next tick on.
 
         Whichever drives takes over without a bump: its integral is set so that the command does not move.
@@ -323,7 +323,7 @@ class Loop:
         self._gains, self._beside, self.shadow = self._beside, self._gains, ()
         self._pids, self._restart = [Controller(each) for each in self._gains], True
 
-    def _watch(self, trial: Trial, references: Signals) -> None:
+    def _watch(self, trial: LawTrial, references: Signals) -> None:
         """Show a trial the readings of this tick; compute the law in the shadow."""
         drove, before = trial.drives, self.shadow
         trial.push(self._outputs)

@@ -104,7 +104,7 @@ def gains_from(document: Any, plant: type[Plant], period: float) -> tuple[PidGai
     """The PIDs that a document describes, one for each output, as a controller of this package runs them.
 
     Raises:
-        ControllerError: as `law_from`, or it is no PID, or one with a filter, weights or an offset.
+        ControllerError: as `law_from`, or it is not a PID, or one with a filter, weights or an offset.
         PlantError: the law itself is not possible.
     """
     law_from(document, plant, period)

@@ -20,7 +20,7 @@ from twinmatch.signals import FloatArray
 
 _WIDER: Final = 1.5
 """Factor on the bands of nine draws in ten: a law is taken back for what hardly any sound one does …"""
-_NOISE: Final = 5.0
+_NOISE: Final = 8.0
 """… and what is added on both sides, in the outputs' noise: what a sensor does not resolve."""
 _STILL: Final = 10.0
 """How far outputs may still move under the law that runs before another is tried, in their noise."""

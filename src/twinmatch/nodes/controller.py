@@ -25,7 +25,7 @@ from twinmatch.nodes.topics import LATCHED, NEWEST, RELIABLE
 from twinmatch.parameters.declared import ParameterError, Setting, Values
 from twinmatch.parameters.twin import joined_units, loop_parameters, one_or_each, running_law
 from twinmatch.plants import Peltier, find_plant, written_name
-from twinmatch.safety import LawReport, Trial, TrialBands, TrialPhase, is_limit
+from twinmatch.safety import LawReport, LawTrial, TrialBands, TrialPhase, is_limit
 from twinmatch.safety.trial import GAINS
 from twinmatch.signals import Signals, point_values
 from twinmatch_msgs.msg import LawReport as LawMessage
@@ -330,35 +330,43 @@ class ControllerNode(TwinmatchNode):
 
     def _on_law(self, asked: ApplyLaw.Request, _: ApplyLaw.Response) -> ApplyLaw.Response:
         """Put a law on trial, or give the law before back, by the operator's word."""
-        loop, size = self._loop, len(self._pids)
+        loop = self._loop
         try:
             if asked.back:
                 if loop.trial is None or loop.trial.phase is TrialPhase.BACK:
                     return ApplyLaw.Response(success=False, message="the law of the configuration drives")
                 loop.take_back("given back by the operator")
             else:
-                if asked.decision != "safe" and not asked.although:
-                    raise ControlError(f"loop: the law is {asked.decision or 'not tried'}, not safe")
-                if not (loop.running and 0 <= self._index - asked.sample <= EXPIRES):
-                    raise ControlError(
-                        f"loop: the answer is from sample {asked.sample}, and now is {self._index}; ask again"
-                    )
-                rows = zip(*(getattr(asked, name) for name in GAINS), strict=True)
-                gains = [
-                    replace(own, **dict(zip(GAINS, row, strict=True)))
-                    for own, row in zip(self._pids, rows, strict=True)
-                ]
-                low, high = (np.reshape(ends, (-1, size)) for ends in (asked.low, asked.high))
-                trial = Trial(TrialBands(low, high, asked.shadow, asked.patience))
-                loop.try_law(gains[0] if size == 1 else PidLoops.of(*gains), trial)
-                report = LawReport(
-                    self._index, TrialPhase.ANSWERED, 0, asked.decision, asked.family, asked.although
-                )
-                self._on_trial = report.of(gains)
+                self._try(asked)
         except (TwinmatchError, ValueError) as error:
             return ApplyLaw.Response(success=False, message=str(error))
         self._report_law()
         return ApplyLaw.Response(success=True, message="done; plant/law has what comes of it")
+
+    def _try(self, asked: ApplyLaw.Request) -> None:
+        """Put a law on trial.
+
+        Raises:
+            TwinmatchError: it is not safe, its answer has expired, or gains or bands cannot be used.
+            ValueError: the bands are not whole rows.
+        """
+        loop, size = self._loop, len(self._pids)
+        if asked.decision != "safe" and not asked.although:
+            raise ControlError(f"loop: the law is {asked.decision or 'not tried'}, not safe")
+        if not (loop.running and 0 <= self._index - asked.sample <= EXPIRES):
+            raise ControlError(
+                f"loop: the answer is from sample {asked.sample}, and now is {self._index}; ask again"
+            )
+        if {len(getattr(asked, name)) for name in GAINS} != {size}:
+            raise ControlError(f"loop: give {size} of each gain, one for each output")
+        rows = zip(*(getattr(asked, name) for name in GAINS), strict=True)
+        each = zip(self._pids, rows, strict=True)
+        gains = [replace(own, **dict(zip(GAINS, row, strict=True))) for own, row in each]
+        low, high = (np.reshape(ends, (-1, size)) for ends in (asked.low, asked.high))
+        trial = LawTrial(TrialBands(low, high, asked.shadow, asked.patience))
+        loop.try_law(gains[0] if size == 1 else PidLoops.of(*gains), trial)
+        found = self._index, TrialPhase.ANSWERED, 0, asked.decision, asked.family, asked.although
+        self._on_trial = LawReport(*found).of(gains)
 
     def _report_law(self) -> None:
         """Publish how far a trial is, when that changes."""

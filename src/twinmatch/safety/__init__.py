@@ -5,8 +5,8 @@ reach the driver. It is fed by `SafetyClock`, a time that only runs forward, and
 does: `Runaway` checks that the plate follows the drive, `HeatBudget` that no more drive passes than the
 reading explains, `DriveObserver` that the sensor reads what the drive must have done; its `Ceiling` limits
 drive that takes the plant beyond set-point and reading. `Accusations` acts on what a trusted twin says, and
-`StandIn` lets its estimate stand in for a sensor where an operator has allowed it. `Trial` watches a law that
-an operator wants to try, and says when the law before is to drive again.
+`StandIn` lets its estimate stand in for a sensor where an operator has allowed it. `LawTrial` watches a law
+that an operator wants to try, and says when the law before is to drive again.
 """
 
 from twinmatch.safety.accusations import ACCUSED, Accusations
@@ -16,7 +16,7 @@ from twinmatch.safety.guard import FaultKind, GuardFault, GuardLimits, OutputGua
 from twinmatch.safety.observer import DriveObserver
 from twinmatch.safety.runaway import Runaway, RunawayLimits
 from twinmatch.safety.stand_in import StandIn, StandInState
-from twinmatch.safety.trial import LawReport, Trial, TrialBands, TrialError, TrialPhase
+from twinmatch.safety.trial import LawReport, LawTrial, TrialBands, TrialError, TrialPhase
 
 __all__ = [
     "ACCUSED",
@@ -29,13 +29,13 @@ __all__ = [
     "GuardLimits",
     "HeatBudget",
     "LawReport",
+    "LawTrial",
     "OutputGuard",
     "Runaway",
     "RunawayLimits",
     "SafetyClock",
     "StandIn",
     "StandInState",
-    "Trial",
     "TrialBands",
     "TrialError",
     "TrialPhase",

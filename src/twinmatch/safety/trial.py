@@ -90,7 +90,7 @@ class TrialBands:
             )
 
 
-class Trial:
+class LawTrial:
     """Watches one law, sample by sample; depends on nothing but these.
 
     shadow ──its time──▶ driving ──its bands end──▶ kept

@@ -84,7 +84,7 @@ class Asking(TwinmatchNode):
             self._asked = True
             self.ask(self.request)
         elif time.monotonic() > self._until:
-            self.end(1, f"{self.NAME}: nobody answers here (no service {self._service.srv_name}); start live")
+            self.end(1, f"{self.NAME}: no twin runs here (no service {self._service.srv_name}); start live")
 
     def _on_answer(self, said: Any) -> None:
         answer = said.result()
@@ -107,7 +107,7 @@ class ExperimentAsking(Asking):
     )
 
     def open(self) -> None:
-        """Find the twin, and hear what it reports."""
+        """Find the twin, and subscribe to its reports."""
         self._described, self._follows = UNDESCRIBED, False
         self.create_subscription(messages.PlantDescription, "plant/description", self._on_plant, LATCHED)
         self.create_subscription(messages.ExperimentReport, "twin/experiment", self._on_report, RELIABLE)
@@ -156,7 +156,7 @@ class LawAsking(Asking):
     )
 
     def open(self) -> None:
-        """Find the twin, and hear what it and the controller report."""
+        """Find the twin, and subscribe to its reports and the controller's."""
         self._runs = False
         self.create_subscription(messages.LawReport, "twin/law", self._on_twin, RELIABLE)
         self.create_subscription(messages.LawReport, "plant/law", self._on_controller, RELIABLE)

@@ -1,0 +1,135 @@
+"""Laws on trial through real nodes: the controller watches alone; the twin answers before anything is run."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import Any
+
+import pytest
+
+from tests.nodes.test_controller import FAST, Bench
+from tests.support.processes import Start
+from tests.support.rig import GAINS
+from tests.support.ros import Listener
+from twinmatch.nodes.topics import EVERYTHING, LATCHED
+from twinmatch.signals import Sample
+from twinmatch_msgs import msg as messages
+from twinmatch_msgs.srv import ApplyLaw, TryLaw
+
+pytestmark = pytest.mark.ros
+
+PATIENCE = 10
+
+
+class Operator:
+    """Calls one of the services."""
+
+    def __init__(self, listener: Listener, kind: Any, name: str) -> None:
+        self._listener, self._client = listener, listener.node.create_client(kind, name)
+        self._kind = kind
+
+    def __call__(self, bench: Bench | None = None, **fields: Any) -> Any:
+        wait = self._listener.spin_until if bench is None else bench.feed
+        wait(self._client.service_is_ready, "the service")
+        answer = self._client.call_async(self._kind.Request(**fields))
+        wait(answer.done, "an answer")
+        return answer.result()
+
+
+def law(bench: Bench, half: float = 2.0, **fields: Any) -> dict[str, Any]:
+    """A law that is to hold 40 °C, as the twin would send it."""
+    asked = {
+        "proportional": [GAINS.proportional / 2],
+        "integral": [GAINS.integral / 2],
+        "derivative": [0.0],
+        "back_calculation": [1.0],
+        "on_measurement": [False],
+        "low": [40.0 - half] * 1000,
+        "high": [40.0 + half] * 1000,
+        "patience": PATIENCE,
+        "decision": "safe",
+        "sample": bench.samples[-1].index,
+    }
+    return asked | fields
+
+
+def test_the_controller_takes_a_law_back_by_itself(start: Start, listener: Listener) -> None:
+    """There is no twin, and no node but the controller: the readings decide. Before it, what it refuses;
+    after it, the operator takes another one back."""
+    bench, operator = Bench(listener), Operator(listener, ApplyLaw, "plant/apply_law")
+    reports = listener.hear(messages.LawReport, "plant/law", LATCHED)
+    bench.temperature = 40.0
+    start("controller", *FAST, "-p", "profile.levels:=[40.0]", "-p", "profile.holds:=[1000.0]")
+    bench.feed(lambda: len(bench.samples) >= 20, "samples")
+    for fields, words in (
+        ({"decision": "fails"}, "the law is fails, not safe"),
+        ({"decision": ""}, "the law is not tried, not safe"),
+        ({"sample": 10**6}, "the answer is from sample 1000000"),
+        ({"proportional": [math.nan]}, "a value that is not finite"),
+        ({"integral": [0.0]}, "without integral gain"),
+        ({"proportional": []}, "give 1 of each gain"),
+        ({"high": [math.nan] * 1000}, "pairs of finite ends"),
+        ({"low": []}, "pairs of finite ends"),
+        ({"patience": 0}, "a patience of 0"),
+    ):
+        said = operator(bench, **law(bench, **fields))
+        assert not said.success, fields
+        assert words in said.message
+    assert not operator(bench, back=True).success
+    assert operator(bench, **law(bench, decision="fails", although=True)).success
+    listener.spin_until(lambda: reports, "a report")
+    assert (reports[-1].phase_name, reports[-1].decision, reports[-1].although) == ("driving", "fails", True)
+    assert list(reports[-1].proportional) == [GAINS.proportional / 2]
+    assert "on trial already" in operator(bench, **law(bench)).message
+    bench.pass_time(0.5)
+    assert reports[-1].phase_name == "driving"
+    bench.temperature = 43.0
+    bench.feed(lambda: reports[-1].phase_name == "back", "the law before")
+    assert reports[-1].reason.startswith("output 1 is 43, not 38 to 42, for 10 samples")
+    assert reports[-1].sample - reports[-1].first >= PATIENCE - 1
+    bench.temperature = 40.0
+    assert operator(bench, **law(bench, shadow=2)).success
+    bench.feed(lambda: reports[-1].phase_name == "driving", "the shadow's end")
+    assert operator(bench, back=True).success
+    bench.feed(lambda: reports[-1].phase_name == "back", "the operator's word")
+    assert reports[-1].reason == "given back by the operator"
+
+
+DOCUMENT = {"kind": "pid", "proportional": 60, "integral": 2.0, "derivative": 13, "back_calculation": 1.0}
+
+
+def test_the_twin_answers_before_anything_is_run(
+    start_process: Start, listener: Listener, steps: list[Sample]
+) -> None:
+    """A document it cannot use, no twin yet, no controller; then an answer for the family that there is. The
+    discriminator that gives it can be killed: nothing that drives depends on it."""
+    ask = Operator(listener, TryLaw, "twin/try_law")
+    reports = listener.hear(messages.LawReport, "twin/law", EVERYTHING)
+    start_process("matcher")
+    start_process("discriminator")
+    text = json.dumps(DOCUMENT)
+    assert "no controller is here" in ask(law=text, run=True).message
+    for asked, words in (
+        (text, "there is no candidate yet"),
+        ("{", "law"),
+        (json.dumps(DOCUMENT | {"filter": 2.0}), "has a filter"),
+        (json.dumps({"kind": "two-level", "off": 0, "on": 9, "low": 1, "high": 2}), ""),
+    ):
+        seen = len(reports)
+        assert ask(law=asked).success
+        listener.spin_until(lambda seen=seen: len(reports) > seen, "a report")
+        assert reports[-1].phase_name == "refused"
+        assert words in reports[-1].reason
+    listener.wait_for_nodes("twin/match", "twin/match_request")
+    listener.send(steps)
+
+    def answered() -> bool:
+        said = ask(law=text)
+        return bool(said.success) and any(report.phase_name == "answered" for report in reports)
+
+    listener.spin_until(answered, "an answer")
+    report = next(report for report in reports if report.phase_name == "answered")
+    assert report.decision in {"safe", "fails", "undecided"}
+    assert len(report.family) == 12
+    assert list(report.integral) == [2.0]
