@@ -5,15 +5,15 @@ from __future__ import annotations
 import sys
 import time
 from abc import abstractmethod
-from collections.abc import Sequence
 from typing import Any, ClassVar, Final
 
-from twinmatch.description import UNDESCRIBED, Description
+from twinmatch.description import UNDESCRIBED
 from twinmatch.nodes.messages import description_from
 from twinmatch.nodes.node import TwinmatchNode
 from twinmatch.nodes.topics import LATCHED, RELIABLE
 from twinmatch.parameters.declared import Setting
 from twinmatch.safety import LawReport, TrialPhase
+from twinmatch.showing.experiments import report_words
 from twinmatch.twin.experiment import GOALS, LEAST, ExperimentPhase, ExperimentReport
 from twinmatch_msgs import msg as messages
 from twinmatch_msgs.srv import ApplyLaw, Experiment, TryLaw
@@ -24,28 +24,6 @@ ENDS: Final = {ExperimentPhase.DECIDED: 0, ExperimentPhase.ENDED: 3, ExperimentP
 """Exit codes of experiments …"""
 DECISIONS: Final = {"safe": 0, "fails": 1, "undecided": 3}
 """… and of answers about a law."""
-
-
-def course_words(
-    levels: Sequence[float], holds: Sequence[float], described: Description = UNDESCRIBED
-) -> str:
-    """Set-points and how long each is held, without the last, at which the plant rests afterwards."""
-    of = described.references
-    rows = list(zip(*[iter(levels)] * len(of), strict=True))
-    return ", then ".join(
-        f"{' and '.join(f'{v:.4g} {q.unit}'.rstrip() for v, q in zip(row, of, strict=True))} for {hold:.4g} s"
-        for row, hold in zip(rows[:-1], holds, strict=False)
-    )
-
-
-def report_words(report: ExperimentReport, described: Description = UNDESCRIBED) -> str:
-    """What an experiment has come to, in a sentence."""
-    if not report.levels:
-        return f"{report.phase.value}: {report.reason}"
-    plan = course_words(report.levels, report.holds, described)
-    so_far = f"{report.brought:.3g} of {report.expected:.3g} characters"
-    brought = so_far if report.phase is ExperimentPhase.RUNNING else f"{report.expected:.3g} characters"
-    return f"{report.phase.value}, for {report.goal}: {brought}; hold {plan} ({report.reason})"
 
 
 class Asking(TwinmatchNode):

@@ -18,10 +18,12 @@ from bokeh.models import ColumnDataSource
 from tests.support.colours import contrast
 from twinmatch.forecasting import Band, Forecast
 from twinmatch.offline.judging import Judgement
+from twinmatch.safety import LawReport, TrialPhase
 from twinmatch.showing.page.charts import POINTS, ChartFeed, stride_for
 from twinmatch.showing.page.state import DashboardState, RollingTable, TwinRow, WhatIfAnswer
-from twinmatch.showing.page.tab import Tab, question_form
+from twinmatch.showing.page.tab import Tab, question_form, rig_form
 from twinmatch.signals import Sample
+from twinmatch.twin.experiment import ExperimentPhase, ExperimentReport
 
 
 class Nothing:
@@ -31,6 +33,9 @@ class Nothing:
 
     def what_if(self, level: float, hold: float | None) -> None:
         raise AssertionError(level, hold)
+
+    def next_experiment(self, *, run: bool = False, stop: bool = False) -> None:
+        raise AssertionError(run, stop)
 
 
 def fill(state: DashboardState, first: int, number: int, period: float = 0.1) -> None:
@@ -215,10 +220,20 @@ def test_an_answer_stays_until_the_next_and_goes_with_the_session() -> None:
 
 def test_the_form_asks_what_is_entered() -> None:
     heard: list[tuple[float, float | None]] = []
+    asked: list[tuple[bool, bool]] = []
 
     class Asked(Nothing):
         def what_if(self, level: float, hold: float | None) -> None:
             heard.append((level, hold))
+
+        def next_experiment(self, *, run: bool = False, stop: bool = False) -> None:
+            asked.append((run, stop))
+
+        def law_back(self) -> None: ...
+
+        def clear_fault(self) -> None: ...
+
+        def stop(self) -> None: ...
 
     level, time, button = question_form(Asked(), "set-point / °C").children
     button._trigger_event(ButtonClick(button))
@@ -227,6 +242,35 @@ def test_the_form_asks_what_is_entered() -> None:
         level.value, time.value = 55.0, hold
         button._trigger_event(ButtonClick(button))
     assert heard == [(55.0, None), (55.0, 90.0)]
+    buttons = rig_form(Asked(), "").children
+    for button in buttons[:3]:
+        button._trigger_event(ButtonClick(button))
+    assert asked == [(False, False), (True, False), (False, True)]
+
+
+def test_experiments_and_laws_on_trial_are_events() -> None:
+    """The page says what was proposed, what runs and why it ended."""
+    state = DashboardState()
+    fill(state, 0, 2, period=1.0)
+    page, document = opened(state)
+    running = ExperimentReport(
+        1, ExperimentPhase.RUNNING, "structure", 0, 9.0, 2.0, (30.0, 25.0), (60.0, 1.0), "…"
+    )
+    state.push_experiment(running)
+    assert state.notice is None
+    state.push_experiment(
+        replace(running, phase=ExperimentPhase.DECIDED, levels=(), holds=(), reason="held sink")
+    )
+    assert state.notice == (True, "decided: held sink")
+    state.push_law(LawReport(1, TrialPhase.BACK, 1, reason="output 1 is 90, not 39 to 41"))
+    page.update()
+    events = document.get_model_by_name("events").text
+    for words in (
+        "running, for structure: 2 of 9 characters; hold 30 for 60 s",
+        "law on trial: back",
+        "is 90, not",
+    ):
+        assert words in events
 
 
 def test_without_control_the_document_has_no_button_for_it() -> None:

@@ -31,6 +31,7 @@ from twinmatch.showing.page.tab import Tab
 from twinmatch.showing.serving import Hosts, place_settings, warn_if_open
 from twinmatch.signals import OperatingPoint
 from twinmatch.twin import TwinSettings
+from twinmatch_msgs import msg as messages
 from twinmatch_msgs.msg import (
     EstimatedReading,
     Forecast,
@@ -95,6 +96,9 @@ class Dashboard(TwinmatchNode):
             (LoopSample, "plant/sample", lambda sample: state.push_sample(sample, time.monotonic()), ALL),
             (TwinState, "twin/state", take_twin, ALL),
             (EstimatedReading, "plant/estimate", state.push_estimate, ALL),
+            (messages.ExperimentReport, "twin/experiment", state.push_experiment, LATCHED),
+            (messages.LawReport, "twin/law", state.push_law, ALL),
+            (messages.LawReport, "plant/law", state.push_law, LATCHED),
             (Forecast, "twin/forecast", state.push_forecast, ALL),
             (ModelScore, "twin/model_score", state.push_verdict, ALL),
             (PwmApplied, "plant/pwm_applied", lambda m: drive(m, m.pwm, m.current), ALL),

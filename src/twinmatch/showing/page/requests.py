@@ -19,7 +19,7 @@ from twinmatch.nodes.topics import RELIABLE
 from twinmatch.showing.forecasts import forecast_words
 from twinmatch.showing.page.state import DashboardState, WhatIfAnswer
 from twinmatch.twin import TwinSettings
-from twinmatch_msgs.srv import WhatIf
+from twinmatch_msgs.srv import ApplyLaw, Experiment, WhatIf
 
 SOURCE = ("reference_source", "profile.lowest", "profile.highest")
 """Parameters of the controller that show whether it follows a set-point from outside."""
@@ -49,6 +49,8 @@ class Requests:
         self._rate = node.create_client(SetParameters, "player/set_parameters")
         self._what_if = node.create_client(WhatIf, "twin/what_if")
         if control:
+            self._experiment = node.create_client(Experiment, "twin/experiment")
+            self._law = node.create_client(ApplyLaw, "plant/apply_law")
             self._clear = node.create_client(Trigger, "plant/clear_fault")
             self._stop = node.create_client(Trigger, "plant/stop")
             self._limits = node.create_client(GetParameters, "controller/get_parameters")
@@ -88,6 +90,17 @@ class Requests:
 
         show_text("waiting for the forecast")
         self._call(self._what_if, request, "the discriminator", show, show_text)
+
+    def next_experiment(self, *, run: bool = False, stop: bool = False) -> None:
+        """Ask what to do next, have it run, or stop it."""
+        if self.control:
+            request = Experiment.Request(run=run, stop=stop)
+            self._call(self._experiment, request, "the discriminator", self._show_result)
+
+    def law_back(self) -> None:
+        """Give the law before one on trial back."""
+        if self.control:
+            self._call(self._law, ApplyLaw.Request(back=True), "the controller", self._show_result)
 
     def clear_fault(self) -> None:
         """Allow the output to be driven again after a fault."""

@@ -21,7 +21,8 @@ from twinmatch.errors import TwinmatchError
 from twinmatch.forecasting import Forecast
 from twinmatch.health import EstimatedReading
 from twinmatch.offline.summary import Tally, conclude
-from twinmatch.safety import is_limit
+from twinmatch.safety import LawReport, TrialPhase, is_limit
+from twinmatch.showing.experiments import report_words
 from twinmatch.showing.page.health import NodeReports
 from twinmatch.showing.summary import sentence
 from twinmatch.showing.verdicts import (
@@ -32,6 +33,7 @@ from twinmatch.showing.verdicts import (
 )
 from twinmatch.signals import FloatArray, OperatingPoint, Sample, point_values
 from twinmatch.twin import TwinSettings, filled_stretches
+from twinmatch.twin.experiment import ExperimentPhase, ExperimentReport
 
 LOOP: Final = ("reference", "output", "input")
 """Columns of the plant, of several signals those of the first."""
@@ -292,6 +294,20 @@ class DashboardState:
         """Take what a sensor should read."""
         with self.lock:
             self.estimates[estimate.signal] = estimate
+
+    def push_experiment(self, report: ExperimentReport) -> None:
+        """Take what an experiment has come to."""
+        mark = Mark.BAD if report.phase is ExperimentPhase.REFUSED else Mark.NOTE
+        with self.lock:
+            self._note(EventKind.NODE, mark, "experiment", report_words(report, self.described))
+            if report.phase is not ExperimentPhase.RUNNING:
+                self.notice = Notice(mark is Mark.NOTE, report_words(report, self.described))
+
+    def push_law(self, report: LawReport) -> None:
+        """Take what has become of a law on trial."""
+        mark = Mark.BAD if report.phase in {TrialPhase.REFUSED, TrialPhase.BACK} else Mark.NOTE
+        with self.lock:
+            self._note(EventKind.NODE, mark, f"law on trial: {report.phase.value}", report.reason)
 
     def push_verdict(self, verdict: Verdict) -> None:
         """Take a verdict."""
