@@ -152,7 +152,8 @@ class DiscriminatorNode(SampleNode):
         super().open()
         stamps = self._discriminator.stamps
         asked = self, lambda: self._forecasts.newest, lambda k: stamps.get(k, 0)
-        self._experimenter, self._laws = Experimenter(*asked), LawDesk(*asked)
+        self._experimenter, self._laws, self._on_trial = Experimenter(*asked), LawDesk(*asked), ""
+        self._experimenter.busy, self._laws.busy = lambda: self._on_trial, lambda: self._experimenter.runs
         self.create_subscription(Match, "twin/match", self._on_match, EVERYTHING)
         self.create_subscription(messages.LawReport, "plant/law", self.put, LATCHED)
         if self.step is not None:
@@ -167,6 +168,8 @@ class DiscriminatorNode(SampleNode):
     def work(self, item: Sample | MatchReport | LawReport) -> None:
         """Take one sample or match, publish the verdicts now due, and request the match they need."""
         if isinstance(item, LawReport):
+            tried = item.phase in {TrialPhase.SHADOW, TrialPhase.DRIVING}
+            self._on_trial = "a law is on trial, which holds the set-point; wait" if tried else ""
             if item.first:
                 last = item.sample if item.phase is TrialPhase.BACK else math.inf
                 self._discriminator.tell_of_trial(item.first, last)

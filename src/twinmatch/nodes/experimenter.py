@@ -44,6 +44,8 @@ class Desk:
         `newest` returns the newest snapshot of all candidates, `stamp_of` the stamp of a sample, ns.
         """
         self._node, self._newest, self._stamp_of = node, newest, stamp_of
+        self.busy: Callable[[], str] = str
+        """Why nothing can be run now, since something else moves the plant; empty if it can."""
         self._jobs: deque[None] = deque()  # a mark for each that is not done
         self._worker: Worker[Callable[[], None]] = Worker(self._do, node.health)
         node.beside.append(self._worker)
@@ -85,6 +87,11 @@ class Experimenter(Desk):
         self._set = node.create_client(SetParametersAtomically, "controller/set_parameters_atomically")
         node.create_service(Experiment, "twin/experiment", self._on_request)
 
+    @property
+    def runs(self) -> str:
+        """That an experiment runs, in words; empty if none does."""
+        return "an experiment runs; stop it first" if self._running else ""
+
     def take(self, samples: Sequence[Sample], verdicts: Sequence[Verdict]) -> None:
         """Pass on what the twin has settled and judged."""
         if self._running or self._jobs:
@@ -94,20 +101,11 @@ class Experimenter(Desk):
                 self._put(self._judge, verdict, self._newest())
 
     def _on_request(self, request: Experiment.Request, _: Experiment.Response) -> Experiment.Response:
+        if why := self._against(request):
+            return Experiment.Response(success=False, message=why)
         if request.stop:
-            if not self._running:
-                return Experiment.Response(success=False, message="no experiment runs")
             self._put(self._end, "stopped by the operator")
             return Experiment.Response(success=True, message="the set-point returns to where it was")
-        if self._running or self._jobs:
-            why = "an experiment runs, or is being sought; stop it first, or wait"
-            return Experiment.Response(success=False, message=why)
-        if request.run and not self._set.service_is_ready():
-            why = f"no controller is here (no service {self._set.srv_name}): give these set-points yourself"
-            return Experiment.Response(success=False, message=why)
-        if len(request.within) not in (0, 2):
-            why = f"within has {len(request.within)} values; give the lowest and the highest, or none"
-            return Experiment.Response(success=False, message=why)
         low_high = (request.within[0], request.within[1]) if request.within else None
         wish = Wish(request.goal or None, request.minutes or None, low_high)
         if self._get.service_is_ready():
@@ -116,6 +114,18 @@ class Experimenter(Desk):
         else:
             self._put(self._seek, wish, False)
         return Experiment.Response(success=True, message="seeking; twin/experiment has what comes of it")
+
+    def _against(self, request: Experiment.Request) -> str:
+        """Why a request is refused; empty if it is not."""
+        if request.stop:
+            return "" if self._running else "no experiment runs"
+        if self._running or self._jobs:
+            return "an experiment runs, or is being sought; stop it first, or wait"
+        if request.run and not self._set.service_is_ready():
+            return f"no controller is here (no service {self._set.srv_name}): give these set-points yourself"
+        if len(request.within) not in (0, 2):
+            return f"within has {len(request.within)} values; give the lowest and the highest, or none"
+        return self.busy() if request.run else ""
 
     def refuse(self, reason: str) -> None:
         """Report that nothing comes of a request."""

@@ -42,6 +42,8 @@ class LawDesk(Desk):
     def _on_request(self, request: TryLaw.Request, _: TryLaw.Response) -> TryLaw.Response:
         if self._jobs:
             return TryLaw.Response(success=False, message="another law is being tried; wait for its answer")
+        if request.run and (why := self.busy()):
+            return TryLaw.Response(success=False, message=why)
         if request.run and not self._apply.service_is_ready():
             why = f"no controller is here (no service {self._apply.srv_name}): run the law yourself"
             return TryLaw.Response(success=False, message=why)
