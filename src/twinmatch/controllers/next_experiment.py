@@ -345,8 +345,8 @@ def next_experiment(
 ) -> NextExperiment:
     """The shortest course that brings nearly as much as the best; `watch` is called with work done and all.
 
-    The rest of a course that runs already, `running`, shape (N, c), is kept unless its bands leave the
-    range or another brings a character more.
+    Nothing is moved, and the rest of a course that runs already, `running`, shape (N, c), is kept, unless
+    the bands leave the range or another course brings a character more.
 
     Raises:
         ControllerError: no course keeps to the range, or a twin cannot be held where it begins.
@@ -384,10 +384,11 @@ def next_experiment(
     most = max(float(curve.max()) for curve, _ in tried)
     size = int(search.marks[min(_reaching(curve, reach), len(curve) - 1)])
     course = search.worth("proposed", search.rows(best)[:size])
-    if running is not None:
-        rest = search.worth("proposed", running)
-        if rest.within and rest.characters > course.characters - LEAST:
-            course = rest
+    calm = np.tile(search.base, (len(course.rows), 1))
+    for rows in [calm] if running is None else [calm, running]:
+        known = search.worth("proposed", rows)
+        if known.within and known.characters > course.characters - LEAST:
+            course = known
     others = [
         search.worth(name, rows) for name, rows in _plain(course.rows, search.base, terms.levels).items()
     ]
