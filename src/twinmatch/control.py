@@ -187,6 +187,8 @@ class Loop:
         self.shadow: tuple[float, ...] = ()
         """What the law in the shadow would command now."""
         self._shadows: list[Controller] = []
+        self._tried_at: Signals = ()
+        """Set-points of the first tick of a trial."""
         self._restart = state is None
         self.period = law.period
         """Between two ticks, s."""
@@ -274,6 +276,8 @@ class Loop:
             self._origin, number = now, 0
         elif number != self._number + 1:
             self._restart = True
+            if self.trial is not None and self.trying:
+                self._lose(self.trial, number - self._number - 1)
         self._number, self.trouble = number, ""
         if self.trying and (self.held or min(self.limits) < math.inf):
             self.take_back("the guard holds or limits the drive")
@@ -305,6 +309,7 @@ class Loop:
         if self.trying:
             raise ControlError("loop: a law is on trial already; take it back first, or wait")
         self.trial, self._beside, self._shadows = trial, gains, [Controller(each) for each in gains]
+        self._tried_at = ()
         if trial.drives:
             self._exchange()
 
@@ -323,8 +328,20 @@ class Loop:
         self._gains, self._beside, self.shadow = self._beside, self._gains, ()
         self._pids, self._restart = [Controller(each) for each in self._gains], True
 
+    def _lose(self, trial: LawTrial, ticks: int) -> None:
+        """Show a trial that nothing was read at so many ticks."""
+        drove = trial.drives
+        for _ in range(ticks):
+            trial.push([math.nan] * len(self._gains))
+        if trial.drives != drove:
+            self._exchange()
+
     def _watch(self, trial: LawTrial, references: Signals) -> None:
         """Show a trial the readings of this tick; compute the law in the shadow."""
+        if references != (self._tried_at or references):
+            self.take_back("the set-point has moved, for which its bands are not")
+            return
+        self._tried_at = references
         drove, before = trial.drives, self.shadow
         trial.push(self._outputs)
         if trial.drives != drove:

@@ -37,7 +37,7 @@ class Bench:
         self.truth = Peltier.model("sink with mass").parameters()
         self.loop, self.states, self.k = Loop(Peltier), begin(self.truth, [23.0]), 0
         self.random = np.random.default_rng(3)
-        self.off, self.silent = 0.0, False
+        self.off, self.silent, self.level = 0.0, False, LEVEL
         for _ in range(SETTLED):
             self.step()
 
@@ -46,7 +46,7 @@ class Bench:
         noisy = readings(self.truth, self.states) + 0.1 * self.random.standard_normal(1) + self.off
         if not self.silent:
             self.loop.measure(tuple(noisy.tolist()), self.k * 10**9)
-        sample = self.loop.tick(self.k * 10**9, lambda _: LEVEL)
+        sample = self.loop.tick(self.k * 10**9, lambda _: self.level)
         acting = [0.0] if sample is None else sample.inputs
         self.states, self.k = advance(self.truth, self.states, np.array(acting), 1.0), self.k + 1
         return sample
@@ -124,6 +124,31 @@ def test_when_readings_stop_the_output_is_off_and_the_old_law_is_back(bench: Ben
     assert trial.phase is TrialPhase.BACK
     assert "s old" in trial.reason
     assert bench.loop.inputs == [0.0]
+
+
+def test_ticks_that_are_lost_count_as_missed(bench: Bench) -> None:
+    """After a pause of the process nothing says what the plant did; a short one is forgiven."""
+    bench.loop.try_law(SOUND, trial := LawTrial(bands()))
+    bench.step()
+    bench.k += 5
+    bench.step()
+    assert trial.phase is TrialPhase.DRIVING
+    bench.k += 30
+    before = bench.loop.input
+    bench.step()
+    assert trial.phase is TrialPhase.BACK
+    assert trial.reason.startswith("output 1 is nan")
+    assert bench.loop.input == pytest.approx(before, abs=1e-9)
+
+
+def test_a_set_point_that_moves_ends_a_trial(bench: Bench) -> None:
+    """Its bands are for the one at which it began."""
+    bench.loop.try_law(SOUND, trial := LawTrial(bands()))
+    bench.step()
+    bench.level += 5.0
+    bench.step()
+    assert trial.phase is TrialPhase.BACK
+    assert trial.reason.startswith("the set-point has moved")
 
 
 def test_a_kept_law_survives_a_later_fault(bench: Bench) -> None:
