@@ -92,7 +92,8 @@ def test_both_heaters_are_driven_and_recorded_and_go_to_zero(processes: Processe
         (50, 45),
         (40, 45),
     ]
-    assert all(sample.inputs[0] > 0 and sample.inputs[1] > 0 for sample in session.samples[5:])
+    # A step of the sensor, 0.32 °C, takes 2 % off the command; the integral is above that after ten seconds.
+    assert all(sample.inputs[0] > 0 and sample.inputs[1] > 0 for sample in session.samples[15:])
 
 
 def test_what_a_process_of_the_run_refuses_is_one_line_and_exit_code_two(processes: Processes) -> None:
