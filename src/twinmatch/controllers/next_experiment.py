@@ -489,14 +489,14 @@ class _Search:
         return staircase.rows(self.base, self.terms.levels, self.terms.size)
 
     def curve(self, staircase: Staircase, *, leaders: bool = False) -> FloatArray | None:
-        """Characters at every mark, of the first contender or of all; None if a band leaves the range."""
+        """Characters at every mark, nearly those of the leaders or of all; None if a band leaves the range."""
         rows = self.rows(staircase)
         contenders = self.goal.contenders if self.goal.pairs or not leaders else self.goal.contenders[:1]
         runs = [self.run(each, rows) for each in contenders]
         others = [] if leaders else (self.run(each, rows) for each in self.others)
         if not all(run.within(self.terms.outputs) for each in (runs, others) for run in each):
             return None
-        return self._characters(runs, self.marks)
+        return self._characters(runs, self.marks, nearly=leaders)
 
     def polished(
         self, staircase: Staircase, curve: FloatArray, cost: Callable[[FloatArray], float]
@@ -552,14 +552,17 @@ class _Search:
             slopes = np.concatenate([slopes, constant], axis=2)
         return PredictedRun(outputs, commands, slopes, noise)
 
-    def _characters(self, runs: Sequence[PredictedRun], marks: NDArray[np.int64]) -> FloatArray:
-        """What is known at these ends of a course."""
+    def _characters(
+        self, runs: Sequence[PredictedRun], marks: NDArray[np.int64], *, nearly: bool = False
+    ) -> FloatArray:
+        """What is known at these ends of a course; nearly: a pair is as far apart from either side."""
         goal, contenders = self.goal, self.goal.contenders
         if goal.pairs:
+            pairs = permutations(range(len(runs)), 2)
             apart = {
-                (a, b): self._apart(runs[a], contenders[b], marks)
-                for a, b in permutations(range(len(runs)), 2)
+                (a, b): self._apart(runs[a], contenders[b], marks) for a, b in pairs if a < b or not nearly
             }
+            apart = {(b, a): each for (a, b), each in apart.items()} | apart
             nearest = [
                 np.min([apart[a, b] for b in range(len(runs)) if b != a], axis=0) for a in range(len(runs))
             ]
