@@ -45,6 +45,8 @@ from twinmatch.twin.tried import tried_twins
 
 LEVELS = {"peltier": ((30.0, 45.0, 38.0), 300.0, 0.1), "tclab": ((32.0, 45.0, 38.0), 700.0, 0.32)}
 """Usual set-points, how long each is held, s, and the steps of the sensor."""
+TYPICAL = {Peltier: "sink with mass, free ambient", TCLab: "sensor lag, radiation, neighbour"}
+"""The structure of plants whose parameters, laws and faults are asked about."""
 LONGEST = 3
 """How many courses long a step and a PRBS may last."""
 STEPS = 5
@@ -167,7 +169,7 @@ def structures(plant: type[Plant], number: int, seed: int) -> None:
 
 def spreads(plant: type[Plant], number: int, seed: int) -> None:
     """Errors of the leader's parameters after the course, in predicted deviations."""
-    true = "sink with mass, free ambient" if plant is Peltier else "sensor lag, radiation, neighbour"
+    true = TYPICAL[plant]
     errors: dict[str, list[float]] = {}
     for k in range(number):
         asked = _asked(plant, true, seed + k, "parameters")
@@ -217,28 +219,31 @@ def learned(
     return start + root @ moved[:n], root @ inside @ root.T
 
 
-def faults(number: int, seed: int) -> None:
-    """Kits whose drive is weak or whose losses have grown, at a level at which these leave one mark."""
+def faults(plant: type[Plant], number: int, seed: int) -> None:
+    """Plants whose drive is weak or whose losses have grown, at a level at which these leave one mark."""
     told, right, cpu = 0, 0, []
     for k in range(number):
-        asked = _asked(TCLab, "sensor lag, radiation, neighbour", seed + k, "fault")
+        asked = _asked(plant, TYPICAL[plant], seed + k, "fault")
         if asked is None:
             continue
         cpu.append(asked.cpu)
         weak, sick = asked.found.goal.contenders
+        declared = weak.twin.parameters.model.declared
+        [lost] = [each for each in weak.twin.free if declared[each].role == "losses"]
         name = "weak drive" if k % 2 else "grown losses"
         if name == "weak drive":
             asked.bench.share = weak.share
         else:
-            grown = sick.twin.parameters["losses"] / weak.twin.parameters["losses"]
-            asked.bench.truth = asked.bench.truth.replace(losses=grown * asked.bench.truth["losses"])
+            grown = sick.twin.parameters[lost] / weak.twin.parameters[lost]
+            asked.bench.truth = asked.bench.truth.replace(**{lost: grown * asked.bench.truth[lost]})
         before = float(asked.found.terms.before[0])
         for _ in range(1200):  # the loop holds its level again
             asked.bench.sample(before)
         size, which = decided(asked, *run(asked, asked.found.course.rows[:, 0]))
         told, right = told + (size is not None), right + (which == name)
         print(f"  {name}: {which} after {size} of {len(asked.found.course.rows)}", flush=True)
-    print(f"faults said as both: parted {told}, rightly {right}, of {len(cpu)}; {median(cpu):.2f} s of CPU")
+    words = f"parted {told}, rightly {right}, of {len(cpu)}; {median(cpu):.2f} s of CPU"
+    print(f"{plant.name}, faults said as both: {words}")
 
 
 def laws(number: int, seed: int) -> None:
@@ -246,7 +251,7 @@ def laws(number: int, seed: int) -> None:
     told, right, asked_of = 0, 0, 0
     for k in range(number):
         plant = (Peltier, TCLab)[k % 2]
-        true = "sink with mass, free ambient" if plant is Peltier else "sensor lag, radiation, neighbour"
+        true = TYPICAL[plant]
         bench, members, terms = taught(plant, true, seed + k)
         members = tuple(m for m in members if m.parameters.model.structure_name == true)[:1]
         answer = members and _undecided(members, terms, bench)
@@ -327,10 +332,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
             structures(plant, number, seed)
         if options.only in {None, "parameters"}:
             spreads(plant, number, seed)
+        if options.only in {None, "fault"}:
+            faults(plant, number, seed)
     if options.only in {None, "controller"}:
         laws(number, seed)
-    if options.only in {None, "fault"}:
-        faults(number, seed)
 
 
 if __name__ == "__main__":

@@ -211,15 +211,17 @@ def test_more_time_never_tells_less_and_information_adds() -> None:
     assert ends[0] > ends[1]
 
 
-def test_a_weak_drive_and_grown_losses_are_parted() -> None:
-    """At rest they leave one mark: doing nothing tells nothing of them, and the course decides."""
+@pytest.mark.parametrize("level", [40.0, 60.0])
+def test_a_weak_drive_and_grown_losses_are_parted(level: float) -> None:
+    """At rest they leave one mark: doing nothing tells nothing of them, and the course decides. At 60 °C four
+    times the losses could not be held, at 40 °C they could."""
     warm = replace(lab(known(0.02)), states=None)
-    asked = replace(terms(200.0), before=np.array([40.0]))
+    asked = replace(terms(200.0), before=np.array([level]))
     best = next_experiment([warm], goal_named("fault", [warm], asked), asked)
     assert best.course.characters >= ENOUGH
     assert best.course.within
     assert best.others[-1].name == "nothing"
-    assert best.others[-1].characters < 0.1
+    assert best.others[-1].characters < 0.01 * ENOUGH
 
 
 def test_what_cannot_be_asked_is_said() -> None:

@@ -86,7 +86,7 @@ def test_the_next_experiment(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     assert "characters for controller are expected" in capsys.readouterr().out
     for options, words in {
         ("--for", "controller"): "--for controller and --loop FILE belong together",
-        ("--for", "fault"): "they leave no common mark",
+        ("--for", "fault"): "a drive weaker than that is not confused with it",
         ("--minutes", "0.1"): "6 samples of 1 s; give 30 to 20000 of them",
         ("--within", "60", "50"): "give LOW below HIGH",
         ("--within", "69", "71"): "no course keeps the bands of every twin within",

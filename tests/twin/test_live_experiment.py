@@ -135,7 +135,7 @@ def test_what_cannot_be_run_is_said(run: Run) -> None:
         (open_loop, Wish("parameters"), "the law of the loop is not known"),
         (SETTINGS, Wish("parameters", 0.1), "6 samples of 1 s; give 30 to 20000 of them"),
         (SETTINGS, Wish("parameters", within=(50.0, 40.0)), "give LOW below HIGH"),
-        (SETTINGS, Wish("fault"), "they leave no common mark"),
+        (SETTINGS, Wish("fault"), "is not confused with it"),
     ):
         with pytest.raises(ControllerError, match=words):
             LiveExperiment(settings, wish, before)

@@ -70,7 +70,12 @@ _MOVES: Final = (0.1, 0.03)
 _WEAKER: Final = 0.8
 """What a drive does that has become weak, as a share …"""
 _GROWN: Final = 4.0
-"""… and the largest factor by which losses may have grown that leave the same mark."""
+"""… and the largest factor by which losses may have grown that leave the same mark: of losses that can do
+less, the drive is as weak as they allow …"""
+_SEEN: Final = 0.9
+"""… unless that is less than a twin is right about."""
+_NEAR: Final = 0.01
+"""Difference of commands that leave the same mark, as a share."""
 _UNSURE: Final = 0.25
 """Standard deviation of a fault's size, as a share of what it changes."""
 
@@ -307,15 +312,31 @@ def _fault(members: Sequence[TriedTwin], terms: ExperimentTerms, _: Any) -> Lear
     if lost is None:
         return "the plant file has no open parameter with role='losses', with which a weak drive is confused"
 
-    def command(factor: float) -> float:
-        held = terms.holding.linear(parameters.replace(**{lost: factor * parameters[lost]}), before)
-        return float(held.rest.inputs[0] - parameters.model.rest[0])
+    def command(factor: float) -> float | None:
+        grown = parameters.replace(**{lost: factor * parameters[lost]})
+        try:
+            rest = terms.holding.linear(grown, before).rest
+        except PlantError:
+            return None
+        return float(rest.inputs[0] - parameters.model.rest[0])
 
-    try:
-        needed = command(1.0) / _WEAKER
-        factor = float(brentq(lambda factor: command(factor) - needed, 1.0, _GROWN, xtol=1e-6))
-    except (PlantError, ValueError):
-        return f"at {before} no growth of {lost} needs the command of a weak drive: they leave no common mark"
+    def beyond(factor: float) -> float:
+        found = command(factor)
+        return 1.0 if found is None else found * share / now - 1.0
+
+    now, most = command(1.0) or 0.0, command(_GROWN)
+    if not now:
+        return f"{leader.name} needs no command at {before}, or is not held there; begin at another level"
+    most_by = math.inf if most is None else most / now
+    if _SEEN * most_by <= 1.0:
+        return (
+            f"at {before} the {_GROWN:g}-fold {lost} needs a command {most_by:.3g} times as large: "
+            "a drive weaker than that is not confused with it"
+        )
+    share = max(_WEAKER, 1.0 / most_by)
+    factor = _GROWN if share > _WEAKER else float(brentq(beyond, 1.0, _GROWN, xtol=1e-6))
+    if abs(beyond(factor)) > _NEAR:
+        return f"a weak drive does not hold {leader.name} at {before}; begin at another level"
     sick = parameters.replace(**{lost: factor * parameters[lost]})
     known = np.array(
         leader.covariance if leader.covariance is not None else np.zeros((len(leader.free),) * 2)
@@ -323,7 +344,7 @@ def _fault(members: Sequence[TriedTwin], terms: ExperimentTerms, _: Any) -> Lear
     known[leader.free.index(lost), leader.free.index(lost)] += (_UNSURE * sick[lost]) ** 2
     losses = replace(leader, name="grown losses", parameters=sick, covariance=known, states=None)
     drive = replace(leader, name="weak drive", states=None)
-    return LearningGoal("fault", (Contender(drive, _WEAKER), Contender(losses)), pairs=True)
+    return LearningGoal("fault", (Contender(drive, share), Contender(losses)), pairs=True)
 
 
 GOALS: Final[dict[str, Callable[..., LearningGoal | str]]] = {
@@ -468,14 +489,14 @@ class _Search:
         return staircase.rows(self.base, self.terms.levels, self.terms.size)
 
     def curve(self, staircase: Staircase, *, leaders: bool = False) -> FloatArray | None:
-        """Characters at every mark, of the first contender or of all; None if a band leaves the range."""
+        """Characters at every mark, nearly those of the leaders or of all; None if a band leaves the range."""
         rows = self.rows(staircase)
         contenders = self.goal.contenders if self.goal.pairs or not leaders else self.goal.contenders[:1]
         runs = [self.run(each, rows) for each in contenders]
         others = [] if leaders else (self.run(each, rows) for each in self.others)
         if not all(run.within(self.terms.outputs) for each in (runs, others) for run in each):
             return None
-        return self._characters(runs, self.marks)
+        return self._characters(runs, self.marks, nearly=leaders)
 
     def polished(
         self, staircase: Staircase, curve: FloatArray, cost: Callable[[FloatArray], float]
@@ -531,14 +552,17 @@ class _Search:
             slopes = np.concatenate([slopes, constant], axis=2)
         return PredictedRun(outputs, commands, slopes, noise)
 
-    def _characters(self, runs: Sequence[PredictedRun], marks: NDArray[np.int64]) -> FloatArray:
-        """What is known at these ends of a course."""
+    def _characters(
+        self, runs: Sequence[PredictedRun], marks: NDArray[np.int64], *, nearly: bool = False
+    ) -> FloatArray:
+        """What is known at these ends of a course; nearly: a pair is as far apart from either side."""
         goal, contenders = self.goal, self.goal.contenders
         if goal.pairs:
+            pairs = permutations(range(len(runs)), 2)
             apart = {
-                (a, b): self._apart(runs[a], contenders[b], marks)
-                for a, b in permutations(range(len(runs)), 2)
+                (a, b): self._apart(runs[a], contenders[b], marks) for a, b in pairs if a < b or not nearly
             }
+            apart = {(b, a): each for (a, b), each in apart.items()} | apart
             nearest = [
                 np.min([apart[a, b] for b in range(len(runs)) if b != a], axis=0) for a in range(len(runs))
             ]
