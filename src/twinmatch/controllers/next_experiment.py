@@ -489,7 +489,7 @@ class _Search:
         return staircase.rows(self.base, self.terms.levels, self.terms.size)
 
     def curve(self, staircase: Staircase, *, leaders: bool = False) -> FloatArray | None:
-        """Characters at every mark, nearly those of the leaders or of all; None if a band leaves the range."""
+        """Characters at every mark, of the leaders nearly; None if a band leaves the range."""
         rows = self.rows(staircase)
         contenders = self.goal.contenders if self.goal.pairs or not leaders else self.goal.contenders[:1]
         runs = [self.run(each, rows) for each in contenders]
