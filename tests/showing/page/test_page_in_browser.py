@@ -436,10 +436,13 @@ def test_control_asks_the_controller_and_the_bridge(
             lambda: asked("180", "180 °C not set: the controller allows 0 to 100 °C"), "the refusal"
         )
         assert browser.column("output", 2, "reference")[-1] == 42.5
-        browser.click("Output off")
-        browser.wait_for(
-            lambda: "stopped on request; call clear_fault to continue" in browser.text, "the fault"
-        )
+
+        def stopped() -> bool:
+            browser.click("Output off")  # until the bridge has started, the page says that it is not there
+            time.sleep(1.0)
+            return "stopped on request; call clear_fault to continue" in browser.text
+
+        browser.wait_for(stopped, "the fault")
         browser.click("Clear fault")
         browser.wait_for(lambda: "the PWM board is not connected" in browser.text, "the answer")
         assert browser.warnings() == []
