@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from tests.nodes.test_controller import FAST, Bench
+from tests.nodes.test_controller import Bench
 from tests.support.processes import Start
 from tests.support.rig import GAINS
 from tests.support.ros import Listener
@@ -19,7 +19,9 @@ from twinmatch_msgs.srv import ApplyLaw, TryLaw
 
 pytestmark = pytest.mark.ros
 
-PATIENCE = 10
+CALM = ("-p", "period:=0.1", "-p", "command_period:=0.05", "-p", "max_age:=10.0")
+"""Readings and ticks may be late by seconds on a busy machine, for which a law on trial is taken back."""
+PATIENCE = 100
 
 
 class Operator:
@@ -60,7 +62,7 @@ def test_the_controller_takes_a_law_back_by_itself(start: Start, listener: Liste
     bench, operator = Bench(listener), Operator(listener, ApplyLaw, "plant/apply_law")
     reports = listener.hear(messages.LawReport, "plant/law", LATCHED)
     bench.temperature = 40.0
-    start("controller", *FAST, "-p", "profile.levels:=[40.0]", "-p", "profile.holds:=[1000.0]")
+    start("controller", *CALM, "-p", "profile.levels:=[40.0]", "-p", "profile.holds:=[1000.0]")
     bench.feed(lambda: len(bench.samples) >= 20, "samples")
     for fields, words in (
         ({"decision": "fails"}, "the law is fails, not safe"),
@@ -78,7 +80,7 @@ def test_the_controller_takes_a_law_back_by_itself(start: Start, listener: Liste
         assert words in said.message
     assert not operator(bench, back=True).success
     assert operator(bench, **law(bench, decision="fails", although=True)).success
-    listener.spin_until(lambda: reports, "a report")
+    bench.feed(lambda: reports, "a report")
     assert (reports[-1].phase_name, reports[-1].decision, reports[-1].although) == ("driving", "fails", True)
     assert list(reports[-1].proportional) == [GAINS.proportional / 2]
     assert "on trial already" in operator(bench, **law(bench)).message
@@ -86,7 +88,7 @@ def test_the_controller_takes_a_law_back_by_itself(start: Start, listener: Liste
     assert reports[-1].phase_name == "driving"
     bench.temperature = 43.0
     bench.feed(lambda: reports[-1].phase_name == "back", "the law before")
-    assert reports[-1].reason.startswith("output 1 is 43, not 38 to 42, for 10 samples")
+    assert reports[-1].reason.startswith("output 1 is 43, not 38 to 42, for 100 samples")
     assert reports[-1].sample - reports[-1].first >= PATIENCE - 1
     bench.temperature = 40.0
     assert operator(bench, **law(bench, shadow=2)).success

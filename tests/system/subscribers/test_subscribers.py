@@ -40,7 +40,7 @@ LENGTHS = {"a": 370, "b": 120}
 """Samples of two rigs; those of the first are enough for a verdict."""
 LIVE = (
     "/thermal/",
-    *(f"/plant/{name}" for name in ("pwm", "uniformity", "reading", "command", "applied")),
+    *(f"/plant/{name}" for name in ("pwm", "uniformity", "reading", "command", "applied", "law")),
 )
 """Topics that only a live rig has."""
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
