@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import accumulate, repeat
 
@@ -277,7 +277,8 @@ class Loop:
         elif number != self._number + 1:
             self._restart = True
             if self.trial is not None and self.trying:
-                self._lose(self.trial, number - self._number - 1)
+                lost = (math.nan,) * len(self._pids)
+                self._show(self.trial, repeat(lost, number - self._number - 1))
         self._number, self.trouble = number, ""
         if self.trying and (self.held or min(self.limits) < math.inf):
             self.take_back("the guard holds or limits the drive")
@@ -328,11 +329,11 @@ class Loop:
         self._gains, self._beside, self.shadow = self._beside, self._gains, ()
         self._pids, self._restart = [Controller(each) for each in self._gains], True
 
-    def _lose(self, trial: LawTrial, ticks: int) -> None:
-        """Show a trial that nothing was read at so many ticks."""
+    def _show(self, trial: LawTrial, read: Iterable[Signals]) -> None:
+        """Show a trial what was read at one tick after another; have the law drive that is then to drive."""
         drove = trial.drives
-        for _ in range(ticks):
-            trial.push([math.nan] * len(self._gains))
+        for outputs in read:
+            trial.push(outputs)
         if trial.drives != drove:
             self._exchange()
 
@@ -342,10 +343,8 @@ class Loop:
             self.take_back("the set-point has moved, for which its bands are not")
             return
         self._tried_at = references
-        drove, before = trial.drives, self.shadow
-        trial.push(self._outputs)
-        if trial.drives != drove:
-            self._exchange()
+        before = self.shadow
+        self._show(trial, [self._outputs])
         if not trial.drives and not trial.ended:
             for k, pid in enumerate(self._shadows if not before else ()):
                 pid.state = self._continued(k, references[k], self._outputs[k], self._beside[k])
