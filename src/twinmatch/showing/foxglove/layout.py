@@ -19,6 +19,7 @@ TOPICS = {
     "plant/command": "twinmatch_msgs/msg/PlantCommand",
     "plant/applied": "twinmatch_msgs/msg/PlantApplied",
     "plant/estimate": "twinmatch_msgs/msg/EstimatedReading",
+    "plant/law": "twinmatch_msgs/msg/LawReport",
     "plant/temperature": "sensor_msgs/msg/Temperature",
     "plant/reference": "std_msgs/msg/Float64",
     "plant/uniformity": "std_msgs/msg/Float64",
@@ -33,6 +34,8 @@ TOPICS = {
     "twin/leader": "twinmatch_msgs/msg/ForecastScore",
     "twin/forecast": "twinmatch_msgs/msg/Forecast",
     "twin/state": "twinmatch_msgs/msg/TwinState",
+    "twin/experiment": "twinmatch_msgs/msg/ExperimentReport",
+    "twin/law": "twinmatch_msgs/msg/LawReport",
 }
 """Types by name relative to the rig's namespace.
 
