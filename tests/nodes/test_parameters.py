@@ -21,9 +21,10 @@ from twinmatch.nodes.gated import gate_limits, gate_table
 from twinmatch.nodes.player import Player
 from twinmatch.nodes.pwm_bridge import PwmBridge
 from twinmatch.nodes.recorder import RecorderNode
-from twinmatch.nodes.sampler import SamplerNode, limits_of, sampler_table, sources_of, types_of, understood
+from twinmatch.nodes.sampler import SamplerNode
 from twinmatch.nodes.tclab_bridge import TCLabBridge
 from twinmatch.parameters.declared import ParameterError, Setting, check, render
+from twinmatch.parameters.sampler import limits_of, sampler_table, sources_of, types_of, understood
 from twinmatch.parameters.twin import (
     read_settings,
     recorded_values,

@@ -14,9 +14,9 @@ from typing import Final
 
 from twinmatch.launching.processes import LaunchError
 from twinmatch.links.kit_link import require_package, require_port
-from twinmatch.nodes.sampler import sources_of, understood
 from twinmatch.nodes.step import PATIENCE
 from twinmatch.parameters.declared import Setting, Values, check, render, sections_of
+from twinmatch.parameters.sampler import sources_of, understood
 from twinmatch.parameters.twin import at_period, read_settings, table_of, values_of
 from twinmatch.plants import find_plant, written_name
 from twinmatch.sampling.names import LoopNames, by_signal

@@ -20,9 +20,9 @@ from twinmatch.dynamics import Controller, Output, PidLoops, Plant, PlantError, 
 from twinmatch.errors import TwinmatchError
 from twinmatch.nodes.health import Level, Report
 from twinmatch.nodes.messages import message_of, sample_message, time_message
-from twinmatch.nodes.node import READERS, Missed, Readers, TwinmatchNode
+from twinmatch.nodes.node import Missed, Readers, TwinmatchNode
 from twinmatch.nodes.topics import LATCHED, NEWEST, RELIABLE
-from twinmatch.parameters.declared import ParameterError, Setting, Values
+from twinmatch.parameters.declared import READERS, ParameterError, Setting, Values
 from twinmatch.parameters.twin import joined_units, loop_parameters, one_or_each, running_law
 from twinmatch.plants import Peltier, find_plant, written_name
 from twinmatch.safety import LawReport, LawTrial, TrialBands, TrialPhase, is_limit

@@ -85,10 +85,6 @@ class Worker(Background, Generic[Item]):
 KEEPER = "keeper"
 """Name of the node that keeps the messages of a run."""
 
-READERS = Setting(
-    "readers", "", "Nodes that must receive every plant/sample and are waited for; names with spaces between."
-)
-
 
 class Readers:
     """The readers that a node waits for before its first sample, by the wall clock.

@@ -20,9 +20,9 @@ from std_srvs.srv import SetBool
 from twinmatch.errors import TwinmatchError
 from twinmatch.links import Background
 from twinmatch.nodes.health import Level, Report
-from twinmatch.nodes.node import READERS, Readers, TwinmatchNode
+from twinmatch.nodes.node import Readers, TwinmatchNode
 from twinmatch.nodes.topics import DEPTH, MessageTypeError, message_class, profile_of
-from twinmatch.parameters.declared import Setting, Values
+from twinmatch.parameters.declared import READERS, Setting, Values
 from twinmatch.printing import one_line
 from twinmatch.sessions import Message, Qos, Topic, read_session
 

@@ -13,8 +13,10 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 from twinmatch.errors import TwinmatchError
-from twinmatch.sampling.channels import Channel, Field, SamplingError, check_path
+from twinmatch.sampling.channels import Channel, Field, Followed, SamplingError, check_path
+from twinmatch.sampling.listener import Receive
 from twinmatch.sessions import Qos
+from twinmatch.signals import NANOSECONDS
 
 EVERYTHING = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE)
 """For readers that must not miss a message: a full queue applies back-pressure to the writer."""
@@ -174,26 +176,24 @@ _OURS: Final = ("/plant/", "/twin/", "/thermal/")
 _MAX_LISTED: Final = 40
 """Most topics that an error lists."""
 
-Receive = Callable[[str, Any], None]
-"""Called with the topic's name and a message."""
-
 
 class ForeignTopics:
-    """Looks for topics and subscribes with a QoS that matches their publishers."""
+    """Topics of ROS as a source; it subscribes with a QoS that matches their publishers."""
 
     def __init__(
-        self, node: Node, channels: Iterable[Channel], types: Mapping[str, str], receive: Receive
+        self, node: Node, channels: Iterable[Channel], receive: Receive, *, types: Mapping[str, str]
     ) -> None:
         """Start without any found.
 
         Args:
             node: the node that subscribes.
             channels: the channels whose topics are wanted.
-            types: the configured message types, by topic.
             receive: called with each message.
+            types: the configured message types, by topic.
         """
         self._node = node
         self._receive = receive
+        self._followed: dict[Channel, Followed] = {}
         self._types = {node.resolve_topic_name(topic): kind for topic, kind in types.items()}
         self._names = {c.topic: node.resolve_topic_name(c.topic) for c in channels}
         quiet = SubscriptionEventCallbacks(use_default_callbacks=False)
@@ -202,24 +202,21 @@ class ForeignTopics:
         self.kinds: dict[str, str] = {}
         """Types of the topics found, by topic name as configured."""
 
-    @property
-    def missing(self) -> list[str]:
-        """Topics that have had no publisher yet."""
-        return [topic for topic in self._names if topic not in self.kinds]
-
-    def publishers(self, topic: str) -> int:
-        """The number of publishers of a topic now."""
-        return int(self._node.count_publishers(self._names[topic]))
-
-    def search(self) -> None:
-        """Find topics, and resubscribe where publishers changed; to be called a few times a second.
+    def search(self, waited: float) -> None:
+        """Find topics, and resubscribe where publishers changed.
 
         Raises:
-            TwinmatchError: a topic has several types, or a type that is not installed.
+            TwinmatchError: a topic has several types, a type that is not installed, or no publisher.
         """
         for topic, name in self._names.items():
             if publishers := self._following[topic].news(name):
                 self._subscribe(topic, name, publishers)
+        missing = [topic for topic in self._names if topic not in self.kinds]
+        if missing and waited:
+            raise SamplingError(
+                f"no publisher on {' or '.join(missing)} for {waited:g} s; topics with a publisher: "
+                f"{self._alternatives()}"
+            )
 
     def path(self, channel: Channel) -> str:
         """The field path of a channel whose topic was found.
@@ -232,7 +229,28 @@ class ForeignTopics:
         except SamplingError as error:
             raise SamplingError(f"{channel.text}: {error}") from None
 
-    def alternatives(self) -> str:
+    def poll(self) -> None:
+        """Messages are handed on as they arrive, by the node's executor."""
+
+    def trouble(self, topic: str) -> str:
+        """That it has no publisher."""
+        if self._node.count_publishers(self._names[topic]):
+            return ""
+        return f"{topic} no longer has a publisher" if topic in self.kinds else f"no publisher on {topic}"
+
+    def close(self) -> None:
+        """The node destroys its subscriptions."""
+
+    def _take(self, topic: str, message: Any) -> None:
+        header = getattr(message, "header", None)
+        stamp = 0 if header is None else header.stamp.sec * NANOSECONDS + header.stamp.nanosec
+
+        def read(channel: Channel) -> float | None:
+            return self._followed.setdefault(channel, Followed(channel)).number(message)
+
+        self._receive(topic, read, stamp)
+
+    def _alternatives(self) -> str:
         """The foreign topics that exist, for the error about one that does not."""
         others = [
             f"{name} ({', '.join(kinds)})"
@@ -246,7 +264,7 @@ class ForeignTopics:
         kind = self._kind(topic, name, {publisher.topic_type for publisher in publishers})
         ours = [publisher for publisher in publishers if publisher.topic_type == kind] or publishers
         try:
-            self._following[topic].subscribe(name, kind, ours, partial(self._receive, topic))
+            self._following[topic].subscribe(name, kind, ours, partial(self._take, topic))
         except MessageTypeError as error:
             raise SamplingError(f"{topic}: {error}") from error
         self.kinds[topic] = kind

@@ -206,3 +206,8 @@ def _yaml(value: Any) -> str:
     if isinstance(value, float) and math.isinf(value):
         return ".inf" if value > 0 else "-.inf"
     return repr(value)
+
+
+READERS = Setting(
+    "readers", "", "Nodes that must receive every plant/sample and are waited for; names with spaces between."
+)

@@ -203,9 +203,12 @@ class Sampler:
         """Ticks since sample 0 without a sample."""
         self.grid = Grid(round(period * NANOSECONDS))
         self.rate = Rate()
-        self._signals = signals
+        self.limits = signals
+        """Limits of the mapped signals."""
+        self.period = period
+        """Sampling period, s."""
         self._buffers = {name: SignalBuffer() for name in signals}
-        self._period, self._step = period, round(period * NANOSECONDS)
+        self._step = round(period * NANOSECONDS)
         self._pacer = paced_by
         self._settle = round(settle * self._step)
         self._disturbances, self._loop = disturbances, loop
@@ -223,10 +226,10 @@ class Sampler:
         """A signal's newest value; None before there is one."""
         return self._buffers[name].newest
 
-    def take(self, name: str, value: float, at: int, now: int) -> None:
-        """Take a value; a value of the pacing signal triggers a tick."""
+    def take(self, name: str, value: float, at: int, now: int, *, held: bool = False) -> None:
+        """Take a value; one of the pacing signal triggers a tick, unless it was `held` since earlier."""
         self._buffers[name].push(value, at)
-        if name == self._pacer and math.isfinite(value):
+        if name == self._pacer and math.isfinite(value) and not held:
             self._push(_Tick(0, at, now + self._settle, value))
 
     def tick(self, now: int) -> None:
@@ -263,14 +266,14 @@ class Sampler:
 
     def _read(self, tick: _Tick, after: _Tick | None) -> None:
         """Read the values at the tick, and note those that cannot be used."""
-        if self.rate.differs_from(self._period):
+        if self.rate.differs_from(self.period):
             tick.troubles["pace"] = (
                 f"{self._pacer} arrives every {self.rate.period:.4g} s, but the period is "
-                f"{self._period:g} s; correct the period, or set paced_by to {TIMER}"
+                f"{self.period:g} s; correct the period, or set paced_by to {TIMER}"
             )
         elif after is not None and self._pacer != TIMER and after.ready - tick.ready < self._settle:
             tick.troubles["pace"] = "several ticks arrived at once; their other values cannot be told apart"
-        for name in self._signals:
+        for name in self.limits:
             if self._commanded or name not in self._loop.inputs:
                 value = tick.paced if name == self._pacer else self._buffers[name].newest
                 tick.values[name] = self._check_value(name, value, tick.ready, tick.troubles)
@@ -292,7 +295,7 @@ class Sampler:
 
     def _check_value(self, name: str, value: float | None, now: int, troubles: dict[str, str]) -> float:
         """The value, perhaps NaN; if it cannot be used, the reason is added to `troubles`."""
-        limits, counts, at = self._signals[name], self.counts[name], self._buffers[name].time
+        limits, counts, at = self.limits[name], self.counts[name], self._buffers[name].time
         if value is None or at is None:
             counts.missing += 1
             troubles[name] = f"no {name} yet"
@@ -301,7 +304,7 @@ class Sampler:
         if limits.max_age and age > limits.max_age:
             counts.late += 1
             troubles[name] = f"the newest {name} is {age:.1f} s old"
-        elif age < -self._period:
+        elif age < -self.period:
             counts.late += 1
             troubles[name] = (
                 f"{name} is stamped {-age:.1f} s after the tick: a clock was set or this machine suspended"

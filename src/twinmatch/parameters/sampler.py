@@ -1,0 +1,155 @@
+"""The parameters of a sampler: where each signal of a plant comes from, what paces the samples, and limits.
+
+They depend on the plant: a map entry and an age limit for each signal.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, Final
+
+from twinmatch.dynamics import Plant, PlantError
+from twinmatch.parameters.declared import READERS, ParameterError, Setting
+from twinmatch.plants import Peltier, find_plant, written_name
+from twinmatch.sampling.channels import SamplingError
+from twinmatch.sampling.listener import SignalListener
+from twinmatch.sampling.names import LoopNames, signal_called, signals_of
+from twinmatch.sampling.sampler import TIMER, Limits, Sampler
+from twinmatch.sampling.sources import SignalSource, parse_source
+
+_PERIODS: Final = 3.0
+"""Default age from which a reading or a command is stale, in periods."""
+_SLOWLY: Final = 60.0
+"""The same for disturbances, which change slowly."""
+_SLACK: Final = 1e-9
+"""Relative tolerance of a limit, for rounding in unit conversions."""
+
+
+def sampler_table(plant: type[Plant] = Peltier, period: float | None = None) -> tuple[Setting, ...]:
+    """The parameters for a plant and a sampling period, s."""
+    usual = plant.loop.period if plant.loop else 1.0
+    signals, step, loop = signals_of(plant), period or usual, LoopNames.of(plant)
+    ages = dict.fromkeys(loop.references, 0.0) | dict.fromkeys((*loop.outputs, *loop.inputs), _PERIODS)
+    pacer = "What paces the ticks: a signal with one message per period, or the sampler's own timer."
+    types = "Type of each topic that has several, comma-separated: /cmd std_msgs/msg/Float64, …"
+    wait = "Longest wait for topics without publisher; 0: for ever."
+    maps, limits = [], []
+    for name, known in signals.items():
+        unit = f", in {known.unit}" if known.unit else ""
+        optional = "; empty: none" if name not in (*loop.outputs, *loop.inputs) else ""
+        text = f"Topic and field of the {name} ({known.text or known.name}){unit}{optional}."
+        maps.append(Setting(f"map.{name}", "", text))
+        age = round(ages.get(name, _SLOWLY) * step, 9)
+        text = f"Age from which a value of the {name} is stale; 0: never."
+        limits.append(Setting(f"max_age.{name}", age, text, "s", 0.0, 1e6))
+    return (
+        Setting("plant", written_name(plant), "Plant of the rig: its name, or the file that defines it."),
+        Setting("period", usual, "Sampling period of the running loop.", "s", 0.01, 60.0),
+        Setting("paced_by", loop.inputs[0], pacer, choices=(*signals, TIMER)),
+        Setting("settle", 0.1, "Wait after such a message for those sent with it.", "periods", 0.0, 0.45),
+        *maps,
+        *limits,
+        Setting("types", "", types),
+        Setting("wait_timeout", 10.0, wait, "s", 0.0, 1e6),
+        READERS,
+        Setting("readers_timeout", 30.0, "Longest wait for those nodes.", "s", 0.1, 3600.0),
+    )
+
+
+def understood(place: str, given: Mapping[str, Any]) -> tuple[tuple[Setting, ...], dict[str, Any]]:
+    """The table for the plant selected by the given values, and these by its own names of the signals.
+
+    Raises:
+        ParameterError: there is no such plant, or a signal is given by two of its names.
+    """
+    try:
+        plant = find_plant(str(given.get("plant", Peltier.name)))
+    except PlantError as error:
+        raise ParameterError(f"{place}: {error}") from error
+    called, used = signal_called(plant), dict[str, str]()
+    for name in given:
+        kind, _, signal = name.partition(".")
+        own = f"{kind}.{called.get(signal, signal)}" if kind in {"map", "max_age"} else name
+        if own in used:
+            raise ParameterError(f"{place}: {used[own]} and {name} are the same signal; give it once")
+        used[own] = name
+    values = {own: given[name] for own, name in used.items()}
+    if isinstance(pacer := values.get("paced_by"), str):
+        values["paced_by"] = called.get(pacer, pacer)
+    period = given.get("period")
+    known = float(period) if isinstance(period, int | float) and period > 0 else None
+    return sampler_table(plant, known), values
+
+
+def sources_of(place: str, values: Mapping[str, Any]) -> dict[str, SignalSource]:
+    """The sources of the mapped signals, by name in the plant's order.
+
+    Raises:
+        TwinmatchError: a map entry cannot be parsed, or that of an output, an input or one of several
+            set-points is missing.
+    """
+    sources, plant = {}, find_plant(values["plant"])
+    for name in signals_of(plant):
+        text = values[f"map.{name}"]
+        if text.strip():
+            sources[name] = parse_source(f"{place}: map.{name}", text)
+            sources[name].channels(name)
+    loop = LoopNames.of(plant)
+    closed = loop.references if sources.keys() & {*loop.references} else ()
+    for name in (*loop.outputs, *loop.inputs, *closed):
+        if name not in sources:
+            more = "; give all set-points, or none" if name in closed else ""
+            msg = f"{place}: map.{name} is missing; give its topic and field, such as /topic:data{more}"
+            raise ParameterError(msg)
+    return sources
+
+
+def limits_of(values: Mapping[str, Any], mapped: Mapping[str, SignalSource]) -> dict[str, Limits]:
+    """The limits of each mapped signal."""
+    plant = find_plant(values["plant"])
+    known, outputs = signals_of(plant), LoopNames.of(plant).outputs
+
+    def limits(name: str) -> Limits:
+        low, high = known[name].low, known[name].high
+        slack = _SLACK * max(abs(low), abs(high)) if high - low < float("inf") else 0.0
+        return Limits(values[f"max_age.{name}"], low - slack, high + slack, lenient=name in outputs)
+
+    return {name: limits(name) for name in mapped}
+
+
+def types_of(place: str, text: str) -> dict[str, str]:
+    """The configured types, by topic.
+
+    Raises:
+        SamplingError: the text is not a list of topics and types.
+    """
+    types = {}
+    for entry in filter(str.strip, text.split(",")):
+        words = entry.split()
+        if len(words) != 2 or words[1].count("/") != 2:
+            msg = f"{place}: types has {entry.strip()!r}; write TOPIC TYPE, such as /cmd std_msgs/msg/Float64"
+            raise SamplingError(msg)
+        types[words[0]] = words[1]
+    return types
+
+
+def listener_of(place: str, values: Mapping[str, Any], now: Callable[[], int]) -> SignalListener:
+    """The listener with these parameters; `now` is the time of the clock of the stamps, ns.
+
+    Raises:
+        TwinmatchError: they contradict each other.
+    """
+    plant, sources, pacer = find_plant(values["plant"]), sources_of(place, values), values["paced_by"]
+    if pacer not in (*sources, TIMER):
+        msg = f"{place}: paced_by is {pacer}, but map.{pacer} is missing; add it, or change paced_by"
+        raise SamplingError(msg)
+    sampler = Sampler(
+        limits_of(values, sources),
+        values["period"],
+        pacer,
+        settle=values["settle"],
+        disturbances={name: d.default for name, d in plant.disturbances.items()},
+        loop=LoopNames.of(plant),
+    )
+    channels = {name: source.channels(name) for name, source in sources.items()}
+    return SignalListener(sampler, plant, sources, channels, now=now, wait=values["wait_timeout"])

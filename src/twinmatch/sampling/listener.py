@@ -1,0 +1,226 @@
+"""A listener: the values that a source brings, as samples. It is the same whatever the plant speaks."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from typing import Final, Protocol
+
+from twinmatch.dynamics import Plant
+from twinmatch.errors import TwinmatchError
+from twinmatch.sampling.channels import Channel, SamplingError
+from twinmatch.sampling.names import signals_of
+from twinmatch.sampling.sampler import Sampler
+from twinmatch.sampling.sources import FollowedSignal, SignalSource
+from twinmatch.signals import NANOSECONDS, Sample
+
+SEARCH: Final = 0.2
+"""Interval between two searches, s."""
+_CHECKS: Final = 20
+"""Checks for complete samples per sampling period."""
+_INTERVAL: Final = (0.002, 0.05)
+"""Shortest and longest interval between two checks, s."""
+
+Read = Callable[[Channel], float | None]
+"""The number at a channel of one message; None if the message has nothing for it.
+
+Raises a SamplingError if what is there cannot be meant.
+"""
+
+
+class Receive(Protocol):
+    """Takes each message of a topic."""
+
+    def __call__(self, topic: str, read: Read, stamp: int = 0, *, held: bool = False) -> None:
+        """Take a message that can be `read`. `stamp`: when its values were measured, ns; 0: not known.
+        `held`: it was sent at some time before, and kept by a broker for late subscribers."""
+
+
+class Source(Protocol):
+    """Where messages come from. It is given the channels that are wanted, and a `Receive`."""
+
+    @property
+    def kinds(self) -> Mapping[str, str]:
+        """Types of the topics found, by topic as configured; a type without a name is empty."""
+
+    def search(self, waited: float) -> None:
+        """Look for what is wanted; to be called a few times a second, `waited` s after the first time; 0:
+        however long it takes.
+
+        Raises:
+            TwinmatchError: something cannot be used, or has been waited for in vain.
+        """
+
+    def path(self, channel: Channel) -> str:
+        """The path to the number of a channel whose topic was found.
+
+        Raises:
+            SamplingError: its messages have no such number.
+        """
+
+    def poll(self) -> None:
+        """Hand on what has arrived, in the caller's thread."""
+
+    def trouble(self, topic: str) -> str:
+        """Why no numbers come from a topic now; empty if nothing is known against it."""
+
+    def close(self) -> None:
+        """End it; nothing is handed on any longer."""
+
+
+Open = Callable[[list[Channel], Receive], Source]
+"""Opens a source of these channels."""
+
+
+class SignalListener:
+    """Takes the messages of a source and gives one sample per tick of the loop.
+
+    At the start, a place that is missing, a field or a unit that does not fit is an error. Once there were
+    samples, it waits for a plant that falls silent.
+    """
+
+    def __init__(
+        self,
+        sampler: Sampler,
+        plant: type[Plant],
+        sources: Mapping[str, SignalSource],
+        channels: Mapping[str, tuple[Channel, ...]],
+        *,
+        now: Callable[[], int],
+        wait: float = 0.0,
+    ) -> None:
+        """Start without a source, which `open` gives it.
+
+        Args:
+            sampler: makes the samples.
+            plant: whose signals they are.
+            sources: where each signal comes from, by its name.
+            channels: the same as channels.
+            now: the time of the clock of the stamps, ns.
+            wait: longest wait for what is missing, s; 0: for ever.
+        """
+        self.sampler = sampler
+        self.channels = channels
+        self.failed: SamplingError | None = None
+        """Why there will be no samples; only the user can correct it."""
+        self.ahead = ""
+        """That the newest stamp was ahead of this machine's clock; empty: it was not."""
+        self.misnamed: dict[str, str] = {}
+        """Why messages are left out, by signal."""
+        self._sources, self._now, self._wait = sources, now, wait
+        self._units = {name: signal.unit for name, signal in signals_of(plant).items()}
+        self._ready: dict[str, FollowedSignal] = {}
+        self._fresh: dict[str, dict[int, tuple[float, int]]] = {name: {} for name in sources}
+        self._heard: dict[str, float] = {}
+        self._begun = time.monotonic()
+        self._has_samples = False
+
+    def open(self, opened: Open) -> None:
+        """Begin to listen to a source."""
+        self._source = opened([channel for each in self.channels.values() for channel in each], self.receive)
+
+    @property
+    def interval(self) -> float:
+        """Time between two calls of `samples`, s."""
+        return min(max(self.sampler.period / _CHECKS, _INTERVAL[0]), _INTERVAL[1])
+
+    @property
+    def late(self) -> bool:
+        """Whether the longest wait is over."""
+        return bool(self._wait) and time.monotonic() > self._begun + self._wait
+
+    def search(self) -> None:
+        """Look for what is wanted; to be called every `SEARCH` s. An error is left in `failed`."""
+        try:
+            self._source.search(self._wait if self.late else 0.0)
+            kinds = self._source.kinds
+            for name, source in self._sources.items():
+                channels = self.channels[name]
+                if name not in self._ready and all(c.topic in kinds for c in channels):
+                    found = [c._replace(path=self._source.path(c)) for c in channels]
+                    follow = source.follow(name, self._units[name], found, [kinds[c.topic] for c in found])
+                    self._ready[name] = follow
+        except TwinmatchError as error:
+            self.failed = SamplingError(str(error))
+
+    def receive(self, topic: str, read: Read, stamp: int = 0, *, held: bool = False) -> None:
+        """Take a message.
+
+        A reading stamped in the future would never become stale, so it counts as of now; one without a stamp
+        is new, unless it is one that was `held`: then it says nothing, except where values hold at any age.
+        """
+        now = self._now()
+        is_ahead = stamp > now + round(self.sampler.period * NANOSECONDS)
+        ahead = f"{(stamp - now) / 1e9:.1f} s ahead of this machine's clock; the time of arrival is used"
+        self.ahead = f"the stamps of {topic} are {ahead}" if is_ahead else ""
+        at = min(stamp, now) if stamp else now
+        for name, source in self._ready.items():
+            if held and not stamp and self.sampler.limits[name].max_age:
+                continue
+            fresh = self._fresh[name]
+            numbers = self._numbers(name, source, topic, read)
+            fresh |= {place: (number, at) for place, number in numbers.items()}
+            if numbers:
+                self._heard[name] = time.monotonic()
+                if len(fresh) == len(source.channels):
+                    value = source.value([number for number, _ in fresh.values()])
+                    self.sampler.take(name, value, min(when for _, when in fresh.values()), now, held=held)
+                    fresh.clear()
+
+    def samples(self) -> list[Sample]:
+        """The samples that are complete now; to be called every `interval` s."""
+        self._source.poll()
+        taken = self.sampler.collect(self._now())
+        self._has_samples = self._has_samples or bool(taken)
+        return taken
+
+    def tick(self) -> None:
+        """A tick of the timer, where that paces the samples."""
+        self.sampler.tick(self._now())
+
+    def close(self) -> None:
+        """End the source."""
+        self._source.close()
+
+    def trouble(self, name: str) -> str:
+        """Why a signal gives no samples now; empty if it does."""
+        return self._silence(name) or self._explained(name, self.sampler.troubles.get(name, ""))
+
+    def _numbers(self, name: str, source: FollowedSignal, topic: str, read: Read) -> dict[int, float]:
+        """The numbers of a signal in a message, by their places.
+
+        Before the first sample a message that cannot be meant is an error; later it is left out: the loop
+        that was sampled until then may still run.
+        """
+        try:
+            found = {k: read(channel) for k, channel in enumerate(source.channels) if channel.topic == topic}
+        except SamplingError as error:
+            if not self._has_samples:
+                self.failed = SamplingError(f"{name}: {error}")
+            self.misnamed[name] = f"{error}; other messages are left out"
+            return {}
+        return {place: number for place, number in found.items() if number is not None}
+
+    def _silence(self, name: str) -> str:
+        """The report on a signal that is silent; empty if it is not, or if silence is allowed."""
+        each = dict.fromkeys(channel.topic for channel in self.channels[name])
+        topics = " and ".join(each)
+        why = next(filter(None, map(self._source.trouble, each)), "")
+        limit, heard, now = self.sampler.limits[name].max_age, self._heard.get(name), time.monotonic()
+        if heard is None:
+            return f"{name}: {why or f'no message on {topics} yet'}; no samples"
+        if limit and now - heard > limit:
+            more = f"; {why}" if why else ""
+            return f"{name}: no message on {topics} for {now - heard:.1f} s{more}; no samples"
+        return ""
+
+    def _explained(self, name: str, trouble: str) -> str:
+        text = self.channels[name][0].text
+        if "outside" in trouble:
+            return (
+                f"{trouble} {self._units[name]}: no samples; if {text} has another unit, append '; unit=' to "
+                "its map entry"
+            )
+        if "s old" in trouble:
+            return f"{trouble}: no samples; the stamps of {text} lag behind this machine's clock"
+        return f"{name}: {trouble}; no samples" if trouble else ""
