@@ -24,8 +24,9 @@ from twinmatch.dynamics import Plant
 from twinmatch.fitting import Status
 from twinmatch.nodes import messages as converted
 from twinmatch.nodes.fields import GREATEST_INDEX, Expected, MessageError, check_fields
-from twinmatch.nodes.messages import LOOP, SAMPLED, nanoseconds, sample_from
+from twinmatch.nodes.messages import LOOP, nanoseconds, sample_from
 from twinmatch.plants import UnknownPlantError
+from twinmatch.sessions.encoding import SAMPLED
 from twinmatch.signals import counted, incomplete
 from twinmatch.twin import MatchRequest
 from twinmatch_msgs import msg as ours

@@ -13,12 +13,12 @@ from typing import Any, Final
 from rclpy.serialization import deserialize_message
 
 from twinmatch.nodes.health import Report
-from twinmatch.nodes.messages import SAMPLED
 from twinmatch.nodes.node import KEEPER, TwinmatchNode
 from twinmatch.nodes.past import PAST
 from twinmatch.nodes.senders import Senders
 from twinmatch.nodes.topics import EVERYTHING
 from twinmatch.parameters.declared import BUILT_IN, Setting
+from twinmatch.sessions.encoding import SAMPLED
 from twinmatch.sessions.spool import MessageSpool, SampleSpool
 from twinmatch.signals import Sample
 from twinmatch_msgs.msg import Forecast, LoopSample, Match, ModelScore, TwinState

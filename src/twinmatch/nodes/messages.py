@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from array import array
 from collections.abc import Iterable
-from dataclasses import asdict
 from typing import Any, Final
 
 import numpy as np
@@ -23,6 +22,7 @@ from twinmatch.forecasting import Band, Forecast, Question, WhatIfResult
 from twinmatch.health import EstimatedReading
 from twinmatch.record import fill, object_of, parameters_of, parameters_tree, tree_of, tree_of_message
 from twinmatch.safety import LawReport
+from twinmatch.sessions.encoding import SAMPLED, description_tree
 from twinmatch.signals import NANOSECONDS, Sample, SignalError, Window, point_of, point_values
 from twinmatch.twin import MatchReport, MatchRequest, MirrorState
 from twinmatch.twin.experiment import ExperimentReport
@@ -31,8 +31,6 @@ from twinmatch_msgs import srv as services
 
 LOOP: Final = ("reference", "output", "input")
 """The signals of a loop, without disturbances."""
-SAMPLED: Final = {**{name: f"{name}s" for name in LOOP}, "disturbances": "disturbances"}
-"""Fields of samples and windows by their names in messages."""
 
 
 def time_message(stamp: int) -> Time:
@@ -142,9 +140,7 @@ def parameters_message(parameters: Parameters | None) -> messages.Parameters:
 
 def description_message(description: Description, period: float) -> messages.PlantDescription:
     """A plant as `PlantDescription`; `period` (s) is the sampling period it is run with."""
-    names = {field: name for name, field in SAMPLED.items()}
-    tree = {names.get(n, n): list(v) if isinstance(v, tuple) else v for n, v in asdict(description).items()}
-    return _fill(messages.PlantDescription(), tree | {"period": period})
+    return _fill(messages.PlantDescription(), description_tree(description, period))
 
 
 def description_from(message: messages.PlantDescription) -> Description:

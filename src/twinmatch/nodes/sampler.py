@@ -12,7 +12,7 @@ from twinmatch.nodes.messages import sample_message
 from twinmatch.nodes.node import Missed, Readers, TwinmatchNode
 from twinmatch.nodes.topics import RELIABLE, ForeignTopics
 from twinmatch.parameters.declared import Setting
-from twinmatch.parameters.sampler import listener_of, sampler_table, types_of, understood
+from twinmatch.parameters.sampler import listener_of, sampler_table, source_of, types_of, understood
 from twinmatch.plants import find_plant
 from twinmatch.sampling.channels import SamplingError
 from twinmatch.sampling.listener import SEARCH
@@ -45,7 +45,7 @@ class SamplerNode(TwinmatchNode):
         """Start to search for the topics."""
         listener, period = self._listener, self.values["period"]
         self._publisher = self.create_publisher(LoopSample, "plant/sample", RELIABLE)
-        listener.open(partial(ForeignTopics, self, types=self._types))
+        listener.open(source_of(self.values) or partial(ForeignTopics, self, types=self._types))
         self._missed = Missed(self.health, "the loop paused: ")
         self._readers = Readers(self, self._publisher.topic_name, self.values["readers_timeout"])
         self._index = -1

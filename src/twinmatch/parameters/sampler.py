@@ -6,13 +6,15 @@ They depend on the plant: a map entry and an age limit for each signal.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any, Final
 
 from twinmatch.dynamics import Plant, PlantError
+from twinmatch.links.sources import protocol_of
 from twinmatch.parameters.declared import READERS, ParameterError, Setting
 from twinmatch.plants import Peltier, find_plant, written_name
-from twinmatch.sampling.channels import SamplingError
-from twinmatch.sampling.listener import SignalListener
+from twinmatch.sampling.channels import Channel, SamplingError, parse_channel
+from twinmatch.sampling.listener import Open, SignalListener
 from twinmatch.sampling.names import LoopNames, signal_called, signals_of
 from twinmatch.sampling.sampler import TIMER, Limits, Sampler
 from twinmatch.sampling.sources import SignalSource, parse_source
@@ -32,18 +34,19 @@ def sampler_table(plant: type[Plant] = Peltier, period: float | None = None) -> 
     ages = dict.fromkeys(loop.references, 0.0) | dict.fromkeys((*loop.outputs, *loop.inputs), _PERIODS)
     pacer = "What paces the ticks: a signal with one message per period, or the sampler's own timer."
     types = "Type of each topic that has several, comma-separated: /cmd std_msgs/msg/Float64, …"
-    wait = "Longest wait for topics without publisher; 0: for ever."
+    wait = "Longest wait for topics of ROS without publisher; 0: for ever."
     maps, limits = [], []
     for name, known in signals.items():
         unit = f", in {known.unit}" if known.unit else ""
         optional = "; empty: none" if name not in (*loop.outputs, *loop.inputs) else ""
-        text = f"Topic and field of the {name} ({known.text or known.name}){unit}{optional}."
+        text = f"Place, such as topic and field, of the {name} ({known.text or known.name}){unit}{optional}."
         maps.append(Setting(f"map.{name}", "", text))
         age = round(ages.get(name, _SLOWLY) * step, 9)
         text = f"Age from which a value of the {name} is stale; 0: never."
         limits.append(Setting(f"max_age.{name}", age, text, "s", 0.0, 1e6))
     return (
         Setting("plant", written_name(plant), "Plant of the rig: its name, or the file that defines it."),
+        Setting("source", "", "Where the signals come from: mqtt://…, modbus://…; empty: topics of ROS."),
         Setting("period", usual, "Sampling period of the running loop.", "s", 0.01, 60.0),
         Setting("paced_by", loop.inputs[0], pacer, choices=(*signals, TIMER)),
         Setting("settle", 0.1, "Wait after such a message for those sent with it.", "periods", 0.0, 0.45),
@@ -88,12 +91,12 @@ def sources_of(place: str, values: Mapping[str, Any]) -> dict[str, SignalSource]
         TwinmatchError: a map entry cannot be parsed, or that of an output, an input or one of several
             set-points is missing.
     """
-    sources, plant = {}, find_plant(values["plant"])
+    sources, plant, parse = {}, find_plant(values["plant"]), _parse_of(values)
     for name in signals_of(plant):
         text = values[f"map.{name}"]
         if text.strip():
             sources[name] = parse_source(f"{place}: map.{name}", text)
-            sources[name].channels(name)
+            sources[name].channels(name, parse)
     loop = LoopNames.of(plant)
     closed = loop.references if sources.keys() & {*loop.references} else ()
     for name in (*loop.outputs, *loop.inputs, *closed):
@@ -102,6 +105,11 @@ def sources_of(place: str, values: Mapping[str, Any]) -> dict[str, SignalSource]
             msg = f"{place}: map.{name} is missing; give its topic and field, such as /topic:data{more}"
             raise ParameterError(msg)
     return sources
+
+
+def _parse_of(values: Mapping[str, Any]) -> Callable[[str], Channel]:
+    """How a place is written in a map."""
+    return protocol_of(values["source"]).parse_place if values["source"] else parse_channel
 
 
 def limits_of(values: Mapping[str, Any], mapped: Mapping[str, SignalSource]) -> dict[str, Limits]:
@@ -151,5 +159,12 @@ def listener_of(place: str, values: Mapping[str, Any], now: Callable[[], int]) -
         disturbances={name: d.default for name, d in plant.disturbances.items()},
         loop=LoopNames.of(plant),
     )
-    channels = {name: source.channels(name) for name, source in sources.items()}
+    parse = _parse_of(values)
+    channels = {name: source.channels(name, parse) for name, source in sources.items()}
     return SignalListener(sampler, plant, sources, channels, now=now, wait=values["wait_timeout"])
+
+
+def source_of(values: Mapping[str, Any]) -> Open | None:
+    """What opens the source; None: it is ROS."""
+    url = values["source"]
+    return partial(protocol_of(url).open_source, url, values["period"]) if url else None

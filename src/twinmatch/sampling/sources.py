@@ -23,7 +23,7 @@ also output.1, output.2, …, input.1, … and reference.1, ….
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final, NamedTuple, TypeVar
 
@@ -73,14 +73,14 @@ class SignalSource:
         """The places, where commas separate them."""
         return tuple(part for place in self.places for part in place.split(",") if part.strip())
 
-    def channels(self, signal: str) -> tuple[Channel, ...]:
-        """The places as channels of topics.
+    def channels(self, signal: str, parse: Callable[[str], Channel] = parse_channel) -> tuple[Channel, ...]:
+        """The places as channels; `parse` reads one, by default of a topic of ROS.
 
         Raises:
             SamplingError: one names no topic.
         """
         try:
-            return tuple(map(parse_channel, self.separate))
+            return tuple(map(parse, self.separate))
         except SamplingError as error:
             raise SamplingError(f"{signal}: {error}") from None
 

@@ -160,27 +160,27 @@ class Message(NamedTuple):
     """The CDR bytes, including the encapsulation header."""
 
 
-def _topic_of(name: str, kind: str, type_hash: str, qos: Qos) -> Topic:
+def topic_of(name: str, kind: str, type_hash: str, qos: Qos) -> Topic:
     """A topic of one of the types in `definitions`."""
     folder = Path(__file__).with_name("definitions")
     schema = _schema(kind, lambda part: (folder / f"{part.rpartition('/')[2]}.msg").read_text("utf-8"))
     return Topic(name, kind, schema, type_hash, qos)
 
 
-SAMPLE = _topic_of(
+SAMPLE = topic_of(
     "/plant/sample",
     "twinmatch_msgs/msg/LoopSample",
     "RIHS01_29aed8c2ef7b66a60fb7166b3918f2b3b9606a5b297e5fd222d2c049b2df8cb0",
     Qos("reliable", "volatile", 100),
 )
-TEMPERATURE_READING = _topic_of(
+TEMPERATURE_READING = topic_of(
     "/plant/temperature",
     "sensor_msgs/msg/Temperature",
     "RIHS01_72514a14126ab9f8a9abec974c78e5610a367b59db5da355ff1fb982d5bad4b8",
     Qos("best_effort", "volatile", 5),
 )
 # The reference is published when it changes, so it is latched for late subscribers.
-REFERENCE = _topic_of(
+REFERENCE = topic_of(
     "/plant/reference",
     "std_msgs/msg/Float64",
     "RIHS01_705ba9c3d1a09df43737eb67095534de36fd426c0587779bda2bc51fe790182a",

@@ -1,0 +1,132 @@
+"""Topics of MQTT as a source. It subscribes to what is mapped, and publishes nothing."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, Final
+
+from paho.mqtt.client import Client, MQTTMessage
+
+from twinmatch.links.mqtt_client import Broker
+from twinmatch.sampling.channels import Channel, SamplingError
+from twinmatch.sampling.listener import Receive
+from twinmatch.sampling.payloads import document_of, number_at, numbers_in, parse_place, stamp_at
+
+__all__ = ["MqttSource", "listing", "open_source", "parse_place"]
+
+_TIME: Final = "time"
+"""Key of the URL with the path of the time in each payload."""
+_WAITING: Final = 100_000
+"""Most messages that wait; the oldest are dropped."""
+_LISTENS: Final = 2.0
+"""Time for which a listing listens, s; what brokers keep comes at once."""
+
+
+class MqttSource:
+    """Subscribes to the topics of some channels, again after each loss of the connection."""
+
+    def __init__(self, broker: Broker, channels: list[Channel], receive: Receive) -> None:
+        """Connect and subscribe.
+
+        Raises:
+            BrokerError: there is no connection.
+        """
+        self.kinds: Mapping[str, str] = {channel.topic: "" for channel in channels}
+        self._broker, self._receive = broker, receive
+        self._arrived: deque[MQTTMessage] = deque(maxlen=_WAITING)
+        self._amiss: dict[str, tuple[int, str]] = {}
+        """Messages in a row of a topic without a number, and why the last had none."""
+        self._client = broker.connected(self._subscribe, self._arrived.append)
+
+    def search(self, waited: float) -> None:
+        """A topic of MQTT exists once something is sent on it, so nothing is looked for."""
+
+    def path(self, channel: Channel) -> str:
+        """The path as it is: each payload may look different."""
+        return channel.path
+
+    def poll(self) -> None:
+        """Hand on the messages that have arrived."""
+        while self._arrived:
+            message = self._arrived.popleft()
+            try:
+                document = document_of(bytes(message.payload))
+                place = self._broker.more.get(_TIME)
+                stamp = stamp_at(document, place) if place else 0
+            except SamplingError as error:
+                self._miss(message.topic, str(error))
+                continue
+            self._receive(message.topic, self._reader(message.topic, document), stamp, held=message.retain)
+
+    def trouble(self, topic: str) -> str:
+        """That there is no connection, or that the newest messages have no number."""
+        if not self._client.is_connected():
+            return f"the connection to the broker at {self._broker.text} is lost"
+        count, why = self._amiss.get(topic, (0, ""))
+        return f"{count} messages on {topic} without a number, the last: {why}" if count else ""
+
+    def close(self) -> None:
+        """Disconnect."""
+        self._client.disconnect()
+        self._client.loop_stop()
+
+    def _subscribe(self, client: Client) -> None:
+        for topic in self.kinds:
+            client.subscribe(topic, 1)
+
+    def _reader(self, topic: str, document: Any) -> Callable[[Channel], float | None]:
+        def read(channel: Channel) -> float | None:
+            try:
+                number = number_at(document, channel.path)
+            except SamplingError as error:
+                self._miss(topic, str(error))
+                return None
+            self._amiss.pop(topic, None)
+            return number
+
+        return read
+
+    def _miss(self, topic: str, why: str) -> None:
+        self._amiss[topic] = self._amiss.get(topic, (0, ""))[0] + 1, why
+
+
+def open_source(url: str, period: float, channels: list[Channel], receive: Receive) -> MqttSource:  # noqa: ARG001
+    """The topics of the broker at a URL; see `Broker.parse`.
+
+    `?time=PATH` names where each payload says when its values were measured.
+
+    Raises:
+        BrokerError: the URL cannot be used, or there is no connection.
+    """
+    return MqttSource(Broker.parse(url, (_TIME,)), channels, receive)
+
+
+def listing(url: str, where: str) -> Iterator[str]:
+    """The topics below `where` on which something is sent within two seconds, with their numbers.
+
+    Raises:
+        BrokerError: as for `open_source`.
+    """
+    heard: dict[str, bytes] = {}
+
+    def subscribe(client: Client) -> None:
+        client.subscribe(f"{where.strip('/')}/#" if where else "#")
+
+    client = Broker.parse(url, (_TIME,)).connected(
+        subscribe, lambda message: heard.update({message.topic: bytes(message.payload)})
+    )
+    time.sleep(_LISTENS)
+    client.disconnect()
+    client.loop_stop()
+    for topic, payload in sorted(heard.items()):
+        try:
+            document = document_of(payload)
+        except SamplingError as error:
+            yield f"{topic}  ({error})"
+            continue
+        numbers = [(f"{topic}:{path}" if path else topic, value) for path, value in numbers_in(document)]
+        yield from (f"{place}  {value:g}" for place, value in numbers)
+        if not numbers:
+            yield f"{topic}  {str(document)[:40]!r}"

@@ -1,0 +1,117 @@
+"""Numbers in payloads of MQTT: plain ones, words such as ON, and those at a path in JSON."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from datetime import datetime
+from typing import Any, Final
+
+from twinmatch.sampling.channels import Channel, SamplingError, steps
+from twinmatch.signals import NANOSECONDS
+
+_WORDS: Final = {"on": 1.0, "true": 1.0, "open": 1.0, "heating": 1.0} | dict.fromkeys(
+    ("off", "false", "closed", "idle"), 0.0
+)
+_LARGEST: Final = 1_000_000
+"""Longest payload that is read, bytes."""
+_MAX_LISTED: Final = 30
+"""Most numbers that an error lists."""
+_DEEP: Final = 8
+"""Depth to which they are looked for."""
+_MILLISECONDS: Final = 1e11
+"""Epochs above are milliseconds: as seconds they would be in the year 5138."""
+
+
+def parse_place(text: str) -> Channel:
+    """A channel from `home/room/temperature` or `zigbee2mqtt/Living room:temperature`.
+
+    Raises:
+        SamplingError: the topic is missing or a pattern, or the rest is not a path.
+    """
+    text = text.strip()
+    topic, _, path = (part.strip() for part in text.rpartition(":")) if ":" in text else (text, "", "")
+    if not topic or any(sign in topic for sign in "#+\0"):
+        raise SamplingError(f"{text!r} names no topic; write TOPIC or TOPIC:KEY, such as room/t:value")
+    if path:
+        steps(path)
+    return Channel(topic, path)
+
+
+def document_of(payload: bytes) -> Any:
+    """The JSON in a payload; its text where it is not JSON.
+
+    Raises:
+        SamplingError: it is too long or too deep to be a reading.
+    """
+    if len(payload) > _LARGEST:
+        raise SamplingError(f"a payload of {len(payload)} bytes is not a reading")
+    try:
+        return json.loads(payload)
+    except RecursionError:
+        raise SamplingError("a payload is nested too deeply") from None
+    except ValueError:
+        return payload.decode("utf-8", "replace").strip()
+
+
+def number_at(document: Any, path: str) -> float:
+    """The number at a path; with an empty path, the document itself or its only number.
+
+    Raises:
+        SamplingError: there is none; the error lists those there are.
+    """
+    found = document
+    for step in steps(path):
+        try:
+            found = found[step if isinstance(found, list) else str(step)]
+        except (LookupError, TypeError):
+            raise SamplingError(f"no {path!r}; its numbers: {_listed(document)}") from None
+    if isinstance(found, dict | list):
+        paths = [below for below, _ in numbers_in(found)]
+        if path or len(paths) != 1:
+            raise SamplingError(f"several numbers or none; choose one: {_listed(document)}")
+        return number_at(document, paths[0])
+    try:
+        return _WORDS[found.lower()] if isinstance(found, str) and found.lower() in _WORDS else float(found)
+    except (TypeError, ValueError, OverflowError):
+        raise SamplingError(f"{str(found)[:40]!r} is not a number") from None
+
+
+def stamp_at(document: Any, path: str) -> int:
+    """The time at a path, ns: seconds or milliseconds since 1970, or ISO 8601, without a zone local time.
+
+    Raises:
+        SamplingError: there is none.
+    """
+    found = document
+    for step in steps(path):
+        found = found.get(step) if isinstance(found, dict) else None
+    try:
+        if isinstance(found, str):
+            return round(datetime.fromisoformat(found.replace("Z", "+00:00")).timestamp() * NANOSECONDS)
+        seconds = float(found)
+        return round((seconds / 1e3 if seconds > _MILLISECONDS else seconds) * NANOSECONDS)
+    except (TypeError, ValueError, OverflowError):
+        raise SamplingError(f"no time at {path!r}, but {str(found)[:40]!r}") from None
+
+
+def numbers_in(document: Any, path: str = "", deep: int = _DEEP) -> Iterator[tuple[str, float]]:
+    """Paths and values of the numbers in a document; words are none."""
+    if isinstance(document, dict) and deep:
+        for key, below in document.items():
+            if key.isprintable():
+                name = key if key.isidentifier() else f"[{key}]"
+                whole = f"{path}.{name}" if path and name == key else f"{path}{name}"
+                yield from numbers_in(below, whole, deep - 1)
+    elif isinstance(document, list) and deep:
+        for index, below in enumerate(document):
+            yield from numbers_in(below, f"{path}[{index}]", deep - 1)
+    elif isinstance(document, int | float):
+        yield path, float(document)
+
+
+def _listed(document: Any) -> str:
+    if not isinstance(document, dict | list):
+        return f"none, it is {str(document)[:40]!r}"
+    paths = [path for path, _ in numbers_in(document)]
+    return ", ".join(paths[:_MAX_LISTED]) or "none"
