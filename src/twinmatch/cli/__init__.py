@@ -51,8 +51,8 @@ _COMMANDS: Final[dict[str, str]] = {
     "prepare": "derive and compile the plants' equations now, so that the first run need not",
 }
 """Help text of each command."""
-_OF_ROS: Final = frozenset({"demo", "live", "attach", "play", "dashboard", "foxglove"})
-"""Commands that run or show the graph."""
+_OF_ROS: Final = frozenset({"demo", "live", "play", "dashboard", "foxglove"})
+"""Commands that run or show the graph; `attach` does with other sources than ROS."""
 
 
 class _Parser(argparse.ArgumentParser):

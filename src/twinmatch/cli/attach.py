@@ -4,11 +4,17 @@ from __future__ import annotations
 
 import argparse
 import tempfile
+from importlib.util import find_spec
 from pathlib import Path
 
 from twinmatch.cli.shared import add_options, column_map, session_to_record
 from twinmatch.cli.starting import remember_recorded
 from twinmatch.launching.processes import add_page_options, page_of
+from twinmatch.links.sources import protocol_of
+from twinmatch.nodes import require_ros
+from twinmatch.parameters.sampler import sampler_values, twin_beside
+from twinmatch.sampling.sources import SignalMap
+from twinmatch.sessions.documents import read_text
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -20,6 +26,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="SIGNAL=TOPIC:FIELD",
         help="output=/camera/temperature:temperature 'input=/cmd:data; scale=100'",
     )
+    parser.add_argument(
+        "--source",
+        default="",
+        metavar="URL",
+        help="where the signals come from, if not from topics of ROS: "
+        "mqtt://HOST, mqtts://USER@HOST?password_file=FILE, modbus://HOST/UNIT",
+    )
+    parser.add_argument(
+        "--list",
+        nargs="?",
+        const="",
+        metavar="WHERE",
+        dest="listed",
+        help="show what the source has (a part: room, holding/0-50), and end",
+    )
+    parser.add_argument(
+        "--alone", action="store_true", help="in one process without ROS; so it is where ROS is not installed"
+    )
     add_options(parser, "--map-file")
     add_options(parser, "--period", help="sampling period of the rig's loop")
     add_options(parser, "--twin-config", "--candidates", "--memory", "--rig", "--session", "--no-record")
@@ -28,20 +52,46 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run until Ctrl-C; returns the exit code: 3 if a process could not be kept running."""
+    if options.listed is not None:
+        if not options.source:
+            options.parser.error(
+                "--list shows a source: give --source URL; ros2 topic list shows topics of ROS"
+            )
+        print(
+            "\n".join(protocol_of(options.source).listing(options.source, options.listed)) or "nothing there"
+        )
+        return 0
     if not (options.config or options.map or options.map_file):
         options.parser.error("map topics to signals with --config FILE, --map-file FILE or --map …")
+    said = column_map(options).joined(SignalMap(plant=options.plant, period=options.period))
+    session = session_to_record(options)
+    if options.alone or (options.source and not all(map(find_spec, ("rclpy", "twinmatch_msgs")))):
+        _run_alone(options, said, session)
+        sessions, code = [session] if session else [], 0
+    else:
+        sessions, code = _run_graph(options, said, session)
+    if code == 0:
+        remember_recorded(options, sessions)
+    return code
+
+
+def _run_alone(options: argparse.Namespace, said: SignalMap, session: Path | None) -> None:
+    from twinmatch.launching.alone import AlonePlan, run_alone  # noqa: PLC0415 — the graph needs none of it
+
+    values, _ = sampler_values(options.config, said, options.source)
+    settings = twin_beside(values, options.twin_config)
+    candidates = read_text(options.candidates) if options.candidates else ""
+    run_alone(AlonePlan(values, settings, candidates, session, options.dashboard))
+
+
+def _run_graph(options: argparse.Namespace, said: SignalMap, session: Path | None) -> tuple[list[Path], int]:
+    require_ros("attach")
     from twinmatch.launching.live import Live, run_live  # noqa: PLC0415 — needs ROS
     from twinmatch.launching.plan import attach_plan  # noqa: PLC0415
-    from twinmatch.sampling.sources import SignalMap  # noqa: PLC0415
 
-    session = session_to_record(options)
-    said = SignalMap(plant=options.plant, period=options.period)
     with tempfile.TemporaryDirectory(prefix="twinmatch-attach-") as folder:
         asked = {name: getattr(options, name) for name in ("config", "twin_config", "candidates")}
-        plan = attach_plan(Path(folder), column_map(options).joined(said), session=session, **asked)
+        plan = attach_plan(Path(folder), said, session=session, source=options.source, **asked)
         live = Live(plan)
         with page_of(options, options.parser, plan.twin_config):
-            code = run_live(live)
-        if code == 0:
-            remember_recorded(options, live.sessions)
-        return code
+            return live.sessions, run_live(live)

@@ -297,7 +297,7 @@ def node_words(name: str, parameters: Mapping[str, Any]) -> list[str]:
 
 def session_to_record(options: argparse.Namespace) -> Path | None:
     """The new folder that the options `--session` and `--no-record` name; None: record nothing."""
-    from twinmatch.launching.live import refuse_existing  # noqa: PLC0415 — needs ROS
+    from twinmatch.launching.processes import refuse_existing  # noqa: PLC0415 — few commands record
 
     session = options.session or Path("sessions") / time.strftime("%Y-%m-%d_%H-%M-%S")
     session = None if options.no_record else session

@@ -336,13 +336,3 @@ class _LiveRun(Supervised):
         first = self._plan.session or Path("session")
         number = len(self._live.sessions)
         return first if number == 0 else first.with_name(f"{first.name}_{number + 1}")
-
-
-def refuse_existing(session: Path | None) -> None:
-    """Refuse to record over an existing session.
-
-    Raises:
-        LaunchError: the folder exists already.
-    """
-    if session is not None and session.exists():
-        raise LaunchError(f"{session} exists already; give another folder with --session")

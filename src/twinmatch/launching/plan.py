@@ -15,15 +15,10 @@ from typing import Final
 from twinmatch.launching.processes import LaunchError
 from twinmatch.links.kit_link import require_package, require_port
 from twinmatch.nodes.step import PATIENCE
-from twinmatch.parameters.declared import Setting, Values, check, render, sections_of
-from twinmatch.parameters.sampler import sources_of, understood
-from twinmatch.parameters.twin import at_period, read_settings, table_of, values_of
-from twinmatch.plants import find_plant, written_name
-from twinmatch.sampling.names import LoopNames, by_signal
+from twinmatch.parameters.declared import render
+from twinmatch.parameters.sampler import SAMPLER, sampler_values, twin_beside, understood
+from twinmatch.parameters.twin import table_of, values_of
 from twinmatch.sampling.sources import SignalMap
-
-SAMPLER = "sampler"
-_SIM_TIME = Setting("use_sim_time", False, "Whether the time is that of /clock.")
 
 
 def ros_arguments(values: Mapping[str, object], *files: object) -> list[str]:
@@ -228,6 +223,7 @@ def attach_plan(
     twin_config: Path | None = None,
     candidates: Path | None = None,
     session: Path | None = None,
+    source: str = "",
 ) -> AttachPlan:
     """Combine files and command line, and write the parameter files of the processes.
 
@@ -239,20 +235,14 @@ def attach_plan(
         twin_config: parameter file of the twin; plant and sampling period default to those of the sampler.
         candidates: file of initial candidates.
         session: folder to record into.
+        source: URL of the source; empty: that of the file, or ROS.
 
     Raises:
         TwinmatchError: something does not exist, or parameters contradict each other.
     """
-    values, sim_time = _sampler_values(config, said)
-    plant = find_plant(values["plant"])
-    driven = LoopNames.of(plant).references[0] not in sources_of(SAMPLER, values)
-    as_written = read_settings(twin_config, written_name(plant), driven=driven)
-    if driven and as_written.law is not None:
-        raise LaunchError(
-            f"{twin_config}: the twin runs in closed loop, but no topic is mapped to its reference; map one, "
-            "or set loop: unknown"
-        )
-    settings = at_period(as_written, values["period"], twin_config)
+    values, sim_time = sampler_values(config, said, source)
+    settings = twin_beside(values, twin_config)
+    plant = settings.plant
     twin_values = values_of(settings)
     sampler, twin = folder / "sampler.yaml", folder / "twin.yaml"
     sampler.write_text(render(SAMPLER, *understood(SAMPLER, values)), "utf-8")
@@ -266,19 +256,3 @@ def attach_plan(
         sampler=sampler,
         sim_time=sim_time,
     )
-
-
-def _sampler_values(config: Path | None, said: SignalMap) -> tuple[Values, bool]:
-    """The sampler's parameters, and whether it has the time of /clock."""
-    given = sections_of(config, SAMPLER) if config is not None else {}
-    if said.plant:
-        given["plant"] = said.plant
-    if said.period is not None:
-        given["period"] = said.period
-    place = str(config) if config is not None else "attach"
-    plant = find_plant(str(given.get("plant", "peltier")))
-    table, given = understood(place, given)
-    given |= {f"map.{signal}": source.text for signal, source in by_signal(plant, said.sources).items()}
-    values = check(place, table, given)
-    sources_of(place, values)
-    return values, bool(_SIM_TIME.accept(given.get(_SIM_TIME.name, False), place))

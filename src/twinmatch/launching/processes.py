@@ -184,3 +184,13 @@ def page_of(options: argparse.Namespace, parser: argparse.ArgumentParser, config
         parser.error(f"--dashboard is {options.dashboard}; give a port from 0 to 65535")
     fork_server()  # imports while this process does
     return Page(options.dashboard, control=control, config=config)
+
+
+def refuse_existing(session: Path | None) -> None:
+    """Refuse to record over an existing session.
+
+    Raises:
+        LaunchError: the folder exists already.
+    """
+    if session is not None and session.exists():
+        raise LaunchError(f"{session} exists already; give another folder with --session")

@@ -7,18 +7,23 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import partial
+from pathlib import Path
 from typing import Any, Final
 
 from twinmatch.dynamics import Plant, PlantError
 from twinmatch.links.sources import protocol_of
-from twinmatch.parameters.declared import READERS, ParameterError, Setting
+from twinmatch.parameters.declared import READERS, ParameterError, Setting, Values, check, sections_of
+from twinmatch.parameters.twin import at_period, read_settings
 from twinmatch.plants import Peltier, find_plant, written_name
 from twinmatch.sampling.channels import Channel, SamplingError, parse_channel
 from twinmatch.sampling.listener import Open, SignalListener
-from twinmatch.sampling.names import LoopNames, signal_called, signals_of
+from twinmatch.sampling.names import LoopNames, by_signal, signal_called, signals_of
 from twinmatch.sampling.sampler import TIMER, Limits, Sampler
-from twinmatch.sampling.sources import SignalSource, parse_source
+from twinmatch.sampling.sources import SignalMap, SignalSource, parse_source
+from twinmatch.twin import TwinSettings
 
+SAMPLER: Final = "sampler"
+_SIM_TIME: Final = Setting("use_sim_time", False, "Whether the time is that of /clock.")
 _PERIODS: Final = 3.0
 """Default age from which a reading or a command is stale, in periods."""
 _SLOWLY: Final = 60.0
@@ -168,3 +173,45 @@ def source_of(values: Mapping[str, Any]) -> Open | None:
     """What opens the source; None: it is ROS."""
     url = values["source"]
     return partial(protocol_of(url).open_source, url, values["period"]) if url else None
+
+
+def sampler_values(config: Path | None, said: SignalMap, source: str = "") -> tuple[Values, bool]:
+    """The sampler's parameters, and whether it has the time of /clock.
+
+    Args:
+        config: parameter file with a section `sampler`; None: there is none.
+        said: plant, sampling period and map of the command line; they override the file, as does …
+        source: the URL of the source.
+
+    Raises:
+        TwinmatchError: one of them cannot be used.
+    """
+    given = sections_of(config, SAMPLER) if config is not None else {}
+    given |= {"source": source} if source else {}
+    given |= {"plant": said.plant} if said.plant else {}
+    if said.period is not None:
+        given["period"] = said.period
+    place = str(config) if config is not None else "attach"
+    plant = find_plant(str(given.get("plant", "peltier")))
+    table, given = understood(place, given)
+    given |= {f"map.{signal}": source.text for signal, source in by_signal(plant, said.sources).items()}
+    values = check(place, table, given)
+    sources_of(place, values)
+    return values, bool(_SIM_TIME.accept(given.get(_SIM_TIME.name, False), place))
+
+
+def twin_beside(values: Mapping[str, Any], config: Path | None) -> TwinSettings:
+    """The settings of a twin beside a sampler with these parameters; those of a file, if it has any.
+
+    Raises:
+        TwinmatchError: the file cannot be used, or contradicts the sampler's parameters.
+    """
+    plant = find_plant(values["plant"])
+    driven = LoopNames.of(plant).references[0] not in sources_of(SAMPLER, values)
+    as_written = read_settings(config, written_name(plant), driven=driven)
+    if driven and as_written.law is not None:
+        raise ParameterError(
+            f"{config}: the twin runs in closed loop, but nothing is mapped to its reference; map it, or set "
+            "loop: unknown"
+        )
+    return at_period(as_written, values["period"], config)

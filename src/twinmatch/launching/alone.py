@@ -1,0 +1,259 @@
+"""Sampler, twin and recorder in one process, for a plant that speaks no ROS."""
+
+from __future__ import annotations
+
+import json
+import signal
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from queue import Empty
+from typing import Any, Final
+
+from twinmatch.launching.judging import Judged, Judging
+from twinmatch.launching.shown import Shown
+from twinmatch.offline.summary import Tally, conclude
+from twinmatch.parameters.candidates import parse_candidates
+from twinmatch.parameters.sampler import SAMPLER, listener_of, source_of
+from twinmatch.parameters.twin import values_of
+from twinmatch.plants.records import description_of
+from twinmatch.record import Tree, tree_of
+from twinmatch.sampling.channels import SamplingError
+from twinmatch.sampling.listener import SEARCH
+from twinmatch.sampling.sampler import TIMER
+from twinmatch.sessions import Recording
+from twinmatch.sessions.encoding import description_tree, encode, topic_named
+from twinmatch.sessions.messages import SAMPLE, encode_sample
+from twinmatch.sessions.metadata import CANDIDATES, parameters_record
+from twinmatch.sessions.spool import SampleSpool
+from twinmatch.showing.console import Console
+from twinmatch.showing.page.health import kind_of
+from twinmatch.showing.summary import closing_lines
+from twinmatch.showing.terminal import view_on
+from twinmatch.signals import Sample
+from twinmatch.twin import TwinSettings
+
+FLUSH: Final = 0.4
+"""Interval at which everything is flushed to disk, s."""
+LOOK: Final = 1.0
+"""Interval at which troubles are looked for, s."""
+LEAVE: Final = 5.0
+"""Longest time to judge at the end what has been sampled, s."""
+
+
+@dataclass(frozen=True)
+class AlonePlan:
+    """One such run."""
+
+    values: Mapping[str, Any]
+    """Parameters of the sampler."""
+    settings: TwinSettings
+    candidates: str = ""
+    """Text of the file of candidates; empty: none are given."""
+    session: Path | None = None
+    """Folder to record into; None: nothing is recorded."""
+    page: int | None = None
+    """Port of the page; None: there is none."""
+    tell: str = ""
+    """Broker that is told; empty: none."""
+
+
+class TwinSession:
+    """The session of such a run: samples, matches, verdicts, and the parameters they were made with."""
+
+    def __init__(self, folder: Path, plan: AlonePlan) -> None:
+        """Create the folder; the records are those of the nodes whose part is taken.
+
+        Raises:
+            SessionError: it cannot be made.
+        """
+        self._recording, self._plant = Recording(folder), plan.settings.plant.name
+        twin = {**values_of(plan.settings), "candidates": "given" if plan.candidates else ""}
+        for name, values in ((SAMPLER, plan.values), ("matcher", twin), ("discriminator", twin)):
+            texts = {key: json.dumps(value) for key, value in values.items()}
+            self._recording.add_record(parameters_record(f"/{name}"), texts)
+        if plan.candidates:
+            self._recording.add_record(CANDIDATES, {"text": plan.candidates})
+        self._recording.add_topic(SAMPLE)
+        described = description_tree(description_of(plan.settings.plant), plan.settings.period)
+        self.record("/plant/description", described)
+
+    def sample(self, sample: Sample) -> None:
+        """Write a sample."""
+        self._recording.write(SAMPLE.name, encode_sample(sample, self._plant), time.time_ns())
+
+    def take(self, judged: Judged) -> None:
+        """Write what the twin made of a sample."""
+        if (match := judged.outcome.match) is not None:
+            self.record("/twin/match", tree_of(match), judged.stamps[match.sample])
+        for verdict in judged.outcome.verdicts:
+            self.record("/twin/model_score", tree_of(verdict), judged.stamps[verdict.sample])
+
+    def record(self, name: str, tree: Tree, stamp: int | None = None) -> None:
+        """Write a record on a topic; `stamp` is that of the sample behind it, ns."""
+        topic = topic_named(name)
+        self._recording.add_topic(topic)
+        self._recording.write(name, encode(topic, tree, stamp), time.time_ns())
+
+    def flush(self) -> None:
+        """Write everything to the disk.
+
+        Raises:
+            DiskError: it is full, or gone.
+        """
+        self._recording.flush()
+
+    def close(self) -> None:
+        """Finish the session."""
+        self._recording.close()
+
+
+class Alone:
+    """The run itself: its thread listens, records and shows."""
+
+    def __init__(self, plan: AlonePlan) -> None:
+        """Connect to the source, and create the session.
+
+        Raises:
+            TwinmatchError: one of the parts cannot be used.
+        """
+        given = parse_candidates(plan.candidates, "candidates") if plan.candidates else []
+        opened = source_of(plan.values)
+        if opened is None:
+            raise SamplingError("attach: topics of ROS need ROS 2; give --source URL for a plant without")
+        self._settings, self._view = (
+            plan.settings,
+            view_on(Console(soft_wrap=True), "live", plan.settings.period),
+        )
+        self._listener = listener_of(SAMPLER, plan.values, time.time_ns)
+        self._listener.open(opened)
+        self._shown = Shown(plan.settings, plan.page, plan.tell)
+        self._session = TwinSession(plan.session, plan) if plan.session is not None else None
+        self._judging = Judging(plan.settings, given, shown=self._shown.wanted)
+        self._every = {self._search: SEARCH, self._flush: FLUSH, self._look: LOOK}
+        if plan.values["paced_by"] == TIMER:
+            self._every[self._listener.tick] = plan.settings.period
+        self._tally, self._spool = Tally(), SampleSpool()
+        self._taken = self._judged = self._missed = 0
+        self._troubles: dict[str, str] = {}
+        self._ended = False
+
+    def run(self) -> None:
+        """Run until `end` is called.
+
+        Raises:
+            TwinmatchError: a place cannot be used, or the disk is full.
+        """
+        due = dict.fromkeys(self._every, time.monotonic())
+        self._view.open()
+        try:
+            while not self._ended:
+                for call, interval in self._every.items():
+                    if (now := time.monotonic()) >= due[call]:
+                        due[call] = max(due[call] + interval, now)
+                        call()
+                self._take_samples()
+                self._take_judged()
+                time.sleep(self._listener.interval)
+            self._finish()
+        finally:
+            self._close()
+
+    def end(self, *_: object) -> None:
+        """End the run soon."""
+        self._ended = True
+
+    def _search(self) -> None:
+        self._listener.search()
+        if self._listener.failed is not None:
+            raise self._listener.failed
+        if self._judging.failure is not None:
+            raise self._judging.failure
+
+    def _flush(self) -> None:
+        if self._session is not None:
+            self._session.flush()
+
+    def _look(self) -> None:
+        """Show what keeps signals from giving samples, once each; and that ticks were missed."""
+        listener, missed = self._listener, self._listener.sampler.grid.missed
+        for name in listener.channels:
+            text = listener.trouble(name) if self._taken or listener.late else ""
+            self._shown.trouble(name, text)
+            kind = kind_of(text)
+            if kind != self._troubles.get(name, ""):
+                self._view.say(text or f"{name}: there are values again", "red" if text else "green")
+            self._troubles[name] = kind
+        if missed != self._missed:
+            self._view.say(f"the loop paused: {missed} ticks were missed in all", "yellow")
+            self._missed = missed
+        self._shown.tell()
+
+    def _take_samples(self) -> None:
+        for sample in self._listener.samples():
+            self._taken += 1
+            if self._session is not None:
+                self._session.sample(sample)
+            self._judging.push(sample)
+            self._shown.sample(sample)
+
+    def _take_judged(self) -> None:
+        while True:
+            try:
+                judged = self._judging.judged.get_nowait()
+            except Empty:
+                return
+            self._judged += 1
+            if self._session is not None:
+                self._session.take(judged)
+            for sample in judged.outcome.settled:
+                if sample.usable:
+                    self._spool.push(sample)
+            if judged.outcome.match is not None:
+                self._view.take_match(judged.outcome.match)
+            for verdict in judged.outcome.verdicts:
+                self._tally.push(verdict)
+                self._view.take_verdict(verdict)
+            self._view.advance(self._judged)
+            self._shown.take(judged, self._judging.snapshot)
+
+    def _finish(self) -> None:
+        """Wait for what is being judged, and summarise."""
+        until = time.monotonic() + LEAVE
+        while self._judged < self._taken and time.monotonic() < until and self._judging.failure is None:
+            self._take_judged()
+            time.sleep(self._listener.interval)
+        self._view.close()
+        self._view.say(f"ended: {self._taken} samples, {self._tally.verdicts} verdicts")
+        if len(self._spool):
+            spool, period, law = self._spool, self._settings.period, self._settings.law
+            longest = spool.longest(period), spool.stretches
+            for line in closing_lines(
+                conclude(self._tally, lambda: longest, law, period=period), self._tally.last
+            ):
+                self._view.say(line)
+
+    def _close(self) -> None:
+        self._view.close()
+        self._listener.close()
+        self._judging.close(LEAVE)
+        if self._session is not None:
+            self._session.close()
+        self._shown.close()
+        self._spool.close()
+
+
+def run_alone(plan: AlonePlan) -> None:
+    """Run until Ctrl-C or SIGTERM.
+
+    Raises:
+        TwinmatchError: a file, an option or the source cannot be used, or the disk is full.
+    """
+    run = Alone(plan)
+    before = {number: signal.signal(number, run.end) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        run.run()
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -1,0 +1,78 @@
+"""The twin in a thread of its own, so that a match delays no sample."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from queue import Empty, SimpleQueue
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from twinmatch.comparing import Candidate
+from twinmatch.forecasting import Forecast
+from twinmatch.links import Background
+from twinmatch.signals import Sample
+from twinmatch.twin import Mirror, MirrorState, Outcome, Snapshot, Twin, TwinSettings
+
+_WAIT: Final = 0.2
+"""Longest wait for a sample, s."""
+
+
+class Judged(NamedTuple):
+    """A sample and what the twin made of it."""
+
+    sample: Sample
+    outcome: Outcome
+    stamps: dict[int, int]
+    """Stamps of the samples behind the match and the verdicts, ns, by index."""
+    mirror: MirrorState
+    forecast: Forecast | None
+
+
+class Judging(Background):
+    """A twin that takes samples in a thread."""
+
+    def __init__(self, settings: TwinSettings, given: Sequence[Candidate], *, shown: bool) -> None:
+        """Start. `shown`: whether forecasts are wanted too."""
+        self.judged: SimpleQueue[Judged] = SimpleQueue()
+        self.snapshot = Snapshot()
+        """The newest, from which questions are answered; only where forecasts are wanted."""
+        self._samples: SimpleQueue[Sample] = SimpleQueue()
+        self._twin, self._shown = Twin(settings, given), shown
+        self._mirror = Mirror(
+            settings.start,
+            settings.law,
+            period=settings.period,
+            gap=settings.schedule.gap,
+            scale=settings.forecasts.scale,
+            health=settings.health,
+        )
+        super().__init__("twin", self._run)
+        self.start()
+
+    def push(self, sample: Sample) -> None:
+        """Take a sample; what the twin makes of it comes into `judged`."""
+        self._samples.put(sample)
+
+    def _run(self) -> None:
+        while not self.ending.is_set():
+            try:
+                sample = self._samples.get(timeout=_WAIT)
+            except Empty:
+                continue
+            self.judged.put(self._judge(sample))
+
+    def _judge(self, sample: Sample) -> Judged:
+        outcome, known = self._twin.push(sample), self._twin.discriminator.stamps
+        made = {verdict.sample for verdict in outcome.verdicts}
+        made |= {outcome.match.sample} if outcome.match is not None else set()
+        stamps = {index: known.get(index, 0) for index in made}
+        forecaster, mirror, forecast = self._twin.discriminator.forecaster, self._mirror.push(sample), None
+        leading = forecaster.standings.leading
+        if leading is not None and leading.parameters is not self._mirror.parameters:
+            self._mirror.parameters = leading.parameters
+        if leading is not None and self._shown:
+            self.snapshot = forecaster.snapshot()
+            outlook = self.snapshot.outlook()
+            forecast = outlook.forecast(np.tile(outlook.standing, (max(forecaster.horizons), 1)))
+        return Judged(sample, outcome, stamps, mirror, forecast)

@@ -1,0 +1,112 @@
+"""What a run in one process shows: the state behind the page, the page itself, and a broker that is told."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, cast
+
+from twinmatch.errors import TwinmatchError
+from twinmatch.forecasting import Question, what_if
+from twinmatch.plants.records import description_of
+from twinmatch.showing.forecasts import forecast_words
+from twinmatch.showing.page.health import ERROR, OK
+from twinmatch.showing.page.state import DashboardState, TwinRow, WhatIfAnswer, update_sentence
+from twinmatch.signals import Sample
+from twinmatch.twin import Snapshot, TwinSettings
+
+if TYPE_CHECKING:
+    from twinmatch.launching.judging import Judged
+    from twinmatch.showing.page.requests import Requests
+    from twinmatch.showing.page.server import PageServer
+
+
+class Asked:
+    """What can be asked on such a page: what-if questions. Nothing is commanded, and nothing is played."""
+
+    control = False
+
+    def __init__(self, state: DashboardState, settings: TwinSettings) -> None:
+        """Answer into a state."""
+        self._state, self._settings = state, settings
+        self.snapshot = Snapshot()
+        """What is answered from."""
+
+    def what_if(self, level: float, hold: float | None) -> None:
+        """Forecast with the set-point at a level, and back after a time (s)."""
+        question = f"set-point {level:g} {self._state.described.reference.unit}"
+        asked = Question((0.0,), (level,))
+        if hold is not None:
+            question = f"{question} for {hold:g} s"
+            now = (self._state.plant.newest() or {"reference": level})["reference"]
+            asked = Question((0.0, hold), (level, now))
+        try:
+            forecast = what_if(self.snapshot.outlook(), asked).forecast
+        except TwinmatchError as error:
+            self._state.answer(WhatIfAnswer(question, (str(error),)))
+        else:
+            words = (*forecast_words(forecast, self._settings), *forecast.notes)
+            self._state.answer(WhatIfAnswer(question, words, forecast))
+
+    def pause(self, paused: bool) -> None:
+        """Nothing is played here."""
+
+    def rate(self, rate: float) -> None:
+        """Nothing is played here."""
+
+
+class Shown:
+    """Keeps a `DashboardState` up to date for those who look at it."""
+
+    def __init__(self, settings: TwinSettings, port: int | None = None, broker: str = "") -> None:
+        """Serve the page on a local port (None: no page), and tell a broker (empty: none).
+
+        Raises:
+            TwinmatchError: the port cannot be used, or the broker cannot be reached.
+        """
+        self.wanted = port is not None or bool(broker)
+        """Whether anybody looks."""
+        self.state = DashboardState(described=description_of(settings.plant))
+        self._settings, self._asked, self._summed_up = settings, Asked(self.state, settings), 0
+        self._server = _serve(self.state, self._asked, port) if port is not None else None
+
+    def sample(self, sample: Sample) -> None:
+        """Show a sample."""
+        self.state.push_sample(sample, time.monotonic())
+
+    def take(self, judged: Judged, snapshot: Snapshot) -> None:
+        """Show what the twin made of a sample."""
+        mirror, state = judged.mirror, self.state
+        state.push_twin(mirror.sample.index, TwinRow(*(getattr(mirror, name) for name in TwinRow._fields)))
+        self._asked.snapshot = snapshot
+        if judged.forecast is not None:
+            state.push_forecast(judged.forecast)
+        for estimate in judged.outcome.estimates:
+            state.push_estimate(estimate)
+        for verdict in judged.outcome.verdicts:
+            state.push_verdict(verdict)
+
+    def trouble(self, name: str, text: str) -> None:
+        """Show why a signal gives no samples; empty: it does."""
+        report = (ERROR, text) if text else (OK, "sampling")
+        self.state.push_health(f"{name}: health", *report, {}, time.monotonic())
+
+    def tell(self) -> None:
+        """Summarise, and tell the broker what is new; to be called about once a second."""
+        if self._summed_up != self.state.verdicts:
+            self._summed_up = self.state.verdicts
+            update_sentence(self.state, self._settings)
+
+    def close(self) -> None:
+        """Stop the page, and leave the broker."""
+        if self._server is not None:
+            self._server.close()
+
+
+def _serve(state: DashboardState, asked: Asked, port: int) -> PageServer:
+    from twinmatch.showing.page.server import PageServer  # noqa: PLC0415 — only a page needs Bokeh
+    from twinmatch.showing.page.tab import Tab  # noqa: PLC0415
+
+    requests = cast("Requests", asked)  # without `control`, a tab uses no others
+    server = PageServer("127.0.0.1", port, lambda document: Tab(state, requests).build(document))
+    print(f"page: {server.url}", flush=True)
+    return server
