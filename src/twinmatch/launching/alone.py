@@ -11,6 +11,7 @@ from pathlib import Path
 from queue import Empty
 from typing import Any, Final
 
+from twinmatch.dynamics.prepare import prepare
 from twinmatch.launching.judging import Judged, Judging
 from twinmatch.launching.shown import Shown
 from twinmatch.offline.summary import Tally, conclude
@@ -126,6 +127,8 @@ class Alone:
             plan.settings,
             view_on(Console(soft_wrap=True), "live", plan.settings.period),
         )
+        for _ in prepare(plan.settings.plant):  # a compiler beside the samples would cost some of them
+            pass
         self._listener = listener_of(SAMPLER, plan.values, time.time_ns)
         self._listener.open(opened)
         self._shown = Shown(plan.settings, plan.page, plan.tell)
