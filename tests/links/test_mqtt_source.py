@@ -1,0 +1,336 @@
+"""The topics of a real broker as a source: in step, with what brokers keep, through losses and nonsense."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import random
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from paho.mqtt.client import Client
+
+from tests.support.broker import KINDS, RunningBroker, require
+from tests.support.foreign_rig import Oven
+from tests.support.oven import HOLD, PERIOD, oven_file
+from tests.support.places import PROJECT
+from tests.support.processes import no_plant_files
+from tests.support.waiting import wait_for
+from twinmatch.links.mqtt_client import Broker, BrokerError
+from twinmatch.links.mqtt_source import listing
+from twinmatch.links.sources import protocol_of
+from twinmatch.offline.judging import judge_samples, terms_from_files
+from twinmatch.parameters.declared import check
+from twinmatch.parameters.sampler import listener_of, source_of, understood
+from twinmatch.plants import find_plant
+from twinmatch.record import comparable, differences, tree_of
+from twinmatch.sampling.channels import Channel, SamplingError
+from twinmatch.sampling.listener import Receive, SignalListener, Source
+from twinmatch.sessions import read_session
+from twinmatch.signals import NANOSECONDS, Sample
+from twinmatch.twin import Twin, TwinSettings
+
+PLACES = {"reference": "oven/set_point", "output": "oven/room:t.now", "input": "oven/heater:[duty cycle]"}
+BEGIN = 1_000 * NANOSECONDS
+
+
+@pytest.fixture(params=KINDS)
+def broker(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[RunningBroker]:
+    made = RunningBroker(tmp_path / "broker", require(request.param))
+    yield made
+    made.close()
+
+
+@pytest.fixture(scope="module")
+def plant(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    with no_plant_files():
+        yield oven_file(tmp_path_factory.mktemp("plant"))
+
+
+class InStep:
+    """A rig that publishes, and a listener by plant time, which passes once everything has arrived."""
+
+    def __init__(
+        self, broker: RunningBroker, plant: str, period: float, places: dict[str, str], *, marked: bool = True
+    ) -> None:
+        given: dict[str, Any] = {f"map.{name}": place for name, place in places.items()}
+        given |= {"plant": plant, "period": period, "source": broker.url}
+        values = check("sampler", *understood("sampler", given))
+        self.now, self._step = BEGIN, round(period * NANOSECONDS)
+        self.listener: SignalListener = listener_of("sampler", values, lambda: self.now)
+        opened, self.received = source_of(values), 0
+        assert opened is not None
+
+        def open_counting(channels: list[Channel], receive: Receive) -> Source:
+            def count(*arguments: Any, **more: Any) -> None:
+                receive(*arguments, **more)
+                self.received += 1
+
+            self.source = opened(channels, count)
+            return self.source
+
+        self.listener.open(open_counting)
+        self.listener.search()
+        rig = Broker.parse(broker.url.partition("?")[0])
+        self.rig, self._marked = rig.connected(lambda _: None), places["reference"]
+        if marked:
+            self.subscribed()
+
+    def subscribed(self) -> None:
+        """Wait until what is sent arrives: what is sent before the subscription stands is lost."""
+        mark, newest, before = 1000.0, self.listener.sampler.newest, self.received
+
+        def arrives() -> bool:
+            nonlocal mark
+            mark += 1.0
+            self.publish(self._marked, repr(mark))
+            self.source.poll()
+            return self.received > before
+
+        wait_for(self.rig.is_connected, "the rig")
+        wait_for(arrives, "the subscription")
+        wait_for(lambda: self.source.poll() or newest("reference") == mark, "the last mark")
+
+    def publish(self, topic: str, payload: str | bytes, *, retain: bool = False) -> None:
+        """Send, and wait until the broker has it."""
+        self.rig.publish(topic, payload, 1, retain).wait_for_publish(30.0)
+
+    def tick(self, number: int, messages: dict[str, str | bytes], *, more: int = 0) -> list[Sample]:
+        """The samples of a tick at which these are sent, and `more` messages that were sent before."""
+        self.now = BEGIN + number * self._step
+        wanted = self.received + len(messages) + more
+        for topic, payload in messages.items():
+            self.publish(topic, payload)
+
+        def arrived() -> bool:
+            self.source.poll()
+            return self.received >= wanted
+
+        wait_for(arrived, lambda: f"{wanted - self.received} messages")
+        self.now += self._step // 5
+        return self.listener.samples()
+
+    def close(self) -> None:
+        self.listener.close()
+        self.rig.disconnect()
+        self.rig.loop_stop()
+
+
+@pytest.fixture
+def stepped(broker: RunningBroker, plant: Path) -> Iterator[InStep]:
+    made = InStep(broker, str(plant), PERIOD, PLACES)
+    yield made
+    made.close()
+
+
+def said(wanted: float, reading: float, duty: float) -> dict[str, str | bytes]:
+    return {
+        "oven/set_point": repr(wanted),
+        "oven/room": json.dumps({"t": {"now": reading, "unit": "C"}}),
+        "oven/heater": json.dumps({"duty cycle": duty}),
+    }
+
+
+def test_samples_through_a_broker_are_those_of_the_rig_and_lead_to_its_numbers(
+    stepped: InStep, plant: Path
+) -> None:
+    oven, samples, done = Oven(PERIOD, HOLD), [], []
+    for number in range(3 * HOLD):
+        done.append(oven.step())
+        samples += stepped.tick(number, said(*done[-1]))
+    assert [(s.reference, s.output, s.input) for s in samples] == done
+    assert [s.index for s in samples] == list(range(3 * HOLD))
+    twin = Twin(TwinSettings.of(find_plant(str(plant)), period=PERIOD))
+    matches = [outcome.match.match for outcome in map(twin.push, samples) if outcome.match is not None]
+    assert matches[-1].parameters["gain"] == pytest.approx(0.5, rel=0.02)
+
+
+def test_a_session_sent_through_a_broker_is_judged_as_it_was_recorded(broker: RunningBroker) -> None:
+    """Bit for bit: JSON has all digits of a number."""
+    session = read_session(PROJECT / "bags" / "four_setpoints")
+    places = {"reference": "rig/wanted", "output": "rig/plate:temperature", "input": "rig/pwm"}
+    stepped = InStep(broker, "peltier", session.period, places)
+    samples = []
+    served = session.samples[:900]
+    for sample in served:
+        told: dict[str, str | bytes] = {
+            "rig/wanted": repr(sample.reference),
+            "rig/plate": json.dumps({"temperature": sample.output}),
+            "rig/pwm": repr(sample.input),
+        }
+        samples += stepped.tick(sample.index, told)
+    stepped.close()
+    settings = terms_from_files(session).settings
+    recorded = judge_samples("recorded", served, settings)
+    received = judge_samples("received", samples, settings)
+    assert received.matches
+    for one, other in zip(
+        (*recorded.matches, *recorded.verdicts), (*received.matches, *received.verdicts), strict=True
+    ):
+        assert not list(differences(comparable(tree_of(one)), comparable(tree_of(other))))
+
+
+def test_what_a_broker_has_kept_is_no_reading_but_may_be_a_set_point(
+    broker: RunningBroker, plant: Path
+) -> None:
+    client = Broker.parse(broker.url).connected(lambda _: None)
+    for topic, payload in said(30.0, 99.0, 77.0).items():
+        client.publish(topic, payload, 1, retain=True).wait_for_publish(30.0)
+    stepped = InStep(broker, str(plant), PERIOD, PLACES, marked=False)
+    assert stepped.tick(0, {}, more=3) == []
+    newest = stepped.listener.sampler.newest
+    assert (newest("reference"), newest("output"), newest("input")) == (30.0, None, None)
+    tick = said(0.0, 21.0, 50.0)
+    del tick["oven/set_point"]
+    [sample] = stepped.tick(1, tick)
+    assert (sample.reference, sample.output, sample.input) == (30.0, 21.0, 50.0)
+    stepped.close()
+    client.disconnect()
+
+
+def test_a_broker_that_is_killed_and_comes_back_leaves_a_gap_and_is_told(
+    stepped: InStep, broker: RunningBroker
+) -> None:
+    [first] = stepped.tick(0, said(30.0, 20.0, 10.0))
+    broker.kill()
+    wait_for(lambda: "the connection to the broker at" in stepped.listener.trouble("output"), "the loss")
+    broker.start()
+    stepped.subscribed()
+    [behind] = stepped.tick(50, said(30.0, 25.0, 10.0))
+    assert (first.index, behind.index) == (0, 50)
+    assert behind.output == 25.0
+
+
+def test_ten_thousand_malformed_messages_end_nothing(stepped: InStep) -> None:
+    assert len(stepped.tick(0, said(30.0, 20.0, 10.0))) == 1
+    nonsense, before = random.Random(5), stepped.received
+    for k in range(10_000):
+        payload = nonsense.randbytes(nonsense.randint(0, 40)) if k % 3 else b'{"t": {"now": "unavailable"}}'
+        stepped.rig.publish("oven/room", payload, 0)
+    wait_for(lambda: stepped.source.poll() or stepped.received - before >= 10_000, "the nonsense")
+    assert stepped.listener.failed is None
+    assert "10000 messages on oven/room without a number" in stepped.source.trouble("oven/room")
+    assert stepped.listener.samples() == []
+    [sample] = stepped.tick(5, said(30.0, 21.0, 10.0))
+    assert (sample.index, sample.output) == (5, 21.0)
+    assert not stepped.source.trouble("oven/room")
+
+
+NOT_NUMBERS: tuple[Callable[[], str], ...] = (
+    lambda: json.dumps({"t": {"now": float("nan")}}),
+    lambda: json.dumps({"t": {"now": 1e999}}),
+    lambda: json.dumps({"t": {"now": None}}),
+    lambda: json.dumps({"t": {"now": [1]}}),
+    lambda: json.dumps({"t": 20.0}),
+)
+
+
+@pytest.mark.parametrize("payload", NOT_NUMBERS)
+def test_what_is_no_number_makes_no_sample_once_the_reading_is_stale(
+    stepped: InStep, payload: Callable[[], str]
+) -> None:
+    assert len(stepped.tick(0, said(30.0, 20.0, 10.0))) == 1
+    samples = [stepped.tick(n, said(30.0, 0.0, 10.0) | {"oven/room": payload()}) for n in range(1, 7)]
+    assert samples[-1] == []
+    [sample] = stepped.tick(7, said(30.0, 22.0, 10.0))
+    assert (sample.index, sample.output) == (7, 22.0)
+
+
+def test_a_clock_that_is_set_back_and_forth_leaves_gaps(stepped: InStep) -> None:
+    indices = []
+    for number in (0, 1, 2, 600, 601, 602, 3, 4, 5):
+        indices += [s.index for s in stepped.tick(number, said(30.0, 20.0 + number % 3, 10.0))]
+    assert indices[:3] == [0, 1, 2]
+    assert indices == sorted(set(indices))
+    assert max(b - a for a, b in itertools.pairwise(indices)) >= 598
+    assert indices[-1] > 602
+
+
+def test_times_in_payloads_count(broker: RunningBroker, plant: Path) -> None:
+    broker.url += "?time=at"
+    stepped = InStep(broker, str(plant), PERIOD, {**PLACES, "output": "oven/room:t"}, marked=False)
+    at = BEGIN / NANOSECONDS
+
+    def told(at: float) -> dict[str, str | bytes]:
+        return {
+            "oven/set_point": json.dumps({"wanted": 30.0, "at": at}),
+            "oven/room": json.dumps({"t": 20.0, "at": at}),
+            "oven/heater": json.dumps({"duty cycle": 5.0, "at": at}),
+        }
+
+    [sample] = stepped.tick(0, told(at))
+    assert sample.stamp == BEGIN
+    assert stepped.tick(10, told(at)) == []  # a second later, the same readings
+    stepped.close()
+
+
+def test_a_listing_shows_topics_with_their_numbers(broker: RunningBroker) -> None:
+    client = Broker.parse(broker.url).connected(lambda _: None)
+    for topic, payload in (
+        ("home/room/t", "21.5"),
+        ("home/boiler", '{"a": {"b": 1}, "c": 2, "d": "x"}'),
+        ("home/door", "open"),
+        ("garden/t", "3"),
+    ):
+        client.publish(topic, payload, 1, retain=True).wait_for_publish(30.0)
+    lines = ["home/boiler:a.b  1", "home/boiler:c  2", "home/door  'open'", "home/room/t  21.5"]
+    assert list(listing(broker.url, "home")) == lines
+    assert list(listing(broker.url, "")) == ["garden/t  3", *lines]
+    client.disconnect()
+
+
+def test_passwords_are_read_from_a_file_and_wrong_ones_are_refused(tmp_path: Path) -> None:
+    broker = RunningBroker(tmp_path / "broker", require("amqtt"), users={"twin": "secret"})
+    (tmp_path / "right").write_text("secret\n")
+    (tmp_path / "wrong").write_text("guess\n")
+    url = broker.url.replace("://", "://twin@")
+    client: Client = Broker.parse(f"{url}?password_file={tmp_path / 'right'}").connected(lambda _: None)
+    assert client.is_connected()
+    client.disconnect()
+    for entry in (f"{url}?password_file={tmp_path / 'wrong'}", broker.url):
+        with pytest.raises(BrokerError, match="does not let us in"):
+            Broker.parse(entry).connected(lambda _: None)
+    broker.close()
+
+
+@pytest.mark.filterwarnings("ignore:Exception ignored:pytest.PytestUnraisableExceptionWarning")
+@pytest.mark.parametrize("kind", KINDS)
+def test_certificates_are_checked(kind: str, tmp_path: Path) -> None:
+    """paho leaves the socket of a failed handshake to the garbage collector, which warns."""
+    broker = RunningBroker(tmp_path / "broker", require(kind), tls=True)
+    client = Broker.parse(f"{broker.url}?ca={broker.certificate}").connected(lambda _: None)
+    assert client.is_connected()
+    client.disconnect()
+    with pytest.raises(BrokerError, match=r"certificate verify failed"):
+        Broker.parse(broker.url).connected(lambda _: None)
+    broker.close()
+
+
+@pytest.mark.parametrize(
+    ("url", "words"),
+    [
+        ("mqtt://", "write mqtt://HOST"),
+        ("mqtt://host:port", "write mqtt://HOST:PORT"),
+        ("mqtt://host/topic", "write mqtt://HOST"),
+        ("mqtt://me:secret@host", "a command line is visible to all"),
+        ("mqtt://host?password_file=x", "a password without a user"),
+        ("mqtt://me@host?password_file=nowhere", "nowhere cannot be read"),
+        ("mqtt://host?qos=2", "unknown key 'qos'; known are password_file, ca, time"),
+        ("mqtt://host?ca=x", "ca is for mqtts:// only"),
+        ("mqtt://127.0.0.1:1", "no MQTT broker at 127.0.0.1:1"),
+        ("mqtts://127.0.0.1:1?ca=/dev/null", "is not a certificate"),
+    ],
+)
+def test_a_url_that_cannot_be_used_is_one_message(url: str, words: str) -> None:
+    with pytest.raises(BrokerError) as caught:
+        list(listing(url, ""))
+    assert words in str(caught.value)
+    assert "secret" not in str(caught.value)
+
+
+@pytest.mark.parametrize("url", ["opcua://host", "host", "", "mqtt"])
+def test_a_protocol_that_is_not_known_is_told_with_those_that_are(url: str) -> None:
+    with pytest.raises(SamplingError, match=r"write .*mqtt://…"):
+        protocol_of(url)
