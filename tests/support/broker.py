@@ -1,0 +1,139 @@
+"""MQTT brokers in processes of their own: amqtt, and Debian's mosquitto where it is installed."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Final
+
+import pytest
+
+from tests.support.processes import Process
+
+KINDS: Final = ("amqtt", "mosquitto")
+"""The programs; see `require`."""
+
+
+def require(kind: str) -> str:
+    """The kind of broker, if it is installed; otherwise the test is skipped, with the reason."""
+    if kind == "amqtt":
+        pytest.importorskip("amqtt", reason="amqtt is not installed; it is in the extra 'test'")
+    elif shutil.which(kind, path=_PATH) is None:
+        pytest.skip("mosquitto is not installed: apt-get install mosquitto")
+    return kind
+
+
+class RunningBroker:
+    """A broker on a port of loopback that it keeps when it is started again; it forgets what it retained.
+
+    Without `users` (names and passwords) everyone is let in. With `tls` it is reached as `localhost`, and
+    `certificate` is the file that says so.
+    """
+
+    def __init__(
+        self, folder: Path, kind: str = "amqtt", *, users: Mapping[str, str] | None = None, tls: bool = False
+    ) -> None:
+        """Start it, with its files in this folder, which is made, and wait until it answers."""
+        self.kind, self._folder, self._starts = kind, folder, 0
+        folder.mkdir(parents=True, exist_ok=True)
+        self.certificate = folder / "certificate.pem"
+        with socket.socket() as free:
+            free.bind(("127.0.0.1", 0))
+            self.port: int = free.getsockname()[1]
+        write = _write_mosquitto if kind == "mosquitto" else _write_amqtt
+        key = _certify(self.certificate) if tls else None
+        self._command = write(folder, self.port, users or {}, (self.certificate, key) if key else None)
+        self.url = f"mqtts://localhost:{self.port}" if tls else f"mqtt://127.0.0.1:{self.port}"
+        self.start()
+
+    def start(self) -> None:
+        """Start it on its port, and wait until that answers."""
+        self._starts += 1
+        output = self._folder / f"broker_{self._starts}.txt"
+        self.process = Process(*self._command, output=output, folder=self._folder)
+        try:
+            self.process.wait_until(self._answers, "the broker's port")
+        except BaseException:
+            self.process.kill()
+            raise
+
+    def kill(self) -> None:
+        """End it as kill -9 does."""
+        self.process.kill()
+
+    def restart(self) -> None:
+        """Kill it, and start it again on the same port."""
+        self.kill()
+        self.start()
+
+    def close(self) -> None:
+        """End it, if it still runs; how it ends is its own affair."""
+        self.process.send(signal.SIGTERM)
+        self.process.kill()
+
+    def _answers(self) -> bool:
+        try:
+            socket.create_connection(("127.0.0.1", self.port), 1.0).close()
+        except OSError:
+            return False
+        return True
+
+
+_PATH: Final = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin"
+"""Debian has mosquitto among the programs of root."""
+_Tls = tuple[Path, Path] | None
+
+
+def _write_amqtt(folder: Path, port: int, users: Mapping[str, str], tls: _Tls) -> list[object]:
+    """Its configuration, and the command that starts it."""
+    listener: dict[str, object] = {"type": "tcp", "bind": f"127.0.0.1:{port}"}
+    if tls is not None:
+        listener |= {"ssl": True, "certfile": str(tls[0]), "keyfile": str(tls[1])}
+    plugins: dict[str, object] = {
+        "amqtt.plugins.authentication.AnonymousAuthPlugin": {"allow_anonymous": True},
+    }
+    if users:
+        from pwdlib import PasswordHash
+        from pwdlib.hashers.argon2 import Argon2Hasher
+
+        hashed, known = PasswordHash((Argon2Hasher(),)), folder / "users"
+        known.write_text("".join(f"{name}:{hashed.hash(word)}\n" for name, word in users.items()))
+        plugins = {"amqtt.plugins.authentication.FileAuthPlugin": {"password_file": str(known)}}
+    config = folder / "amqtt.yaml"
+    config.write_text(json.dumps({"listeners": {"default": listener}, "plugins": plugins}))
+    return [Path(sys.executable).with_name("amqtt"), "-c", config]
+
+
+def _write_mosquitto(folder: Path, port: int, users: Mapping[str, str], tls: _Tls) -> list[object]:
+    """The same of mosquitto."""
+    lines = [f"listener {port} 127.0.0.1", f"allow_anonymous {str(not users).lower()}", "persistence false"]
+    if users:
+        known = folder / "users"
+        known.touch(mode=0o600)
+        for name, word in users.items():
+            subprocess.run(["mosquitto_passwd", "-b", known, name, word], check=True, env={"PATH": _PATH})
+        lines.append(f"password_file {known}")
+    if tls is not None:
+        lines += [f"certfile {tls[0]}", f"keyfile {tls[1]}"]
+    config = folder / "mosquitto.conf"
+    config.write_text("\n".join((*lines, "user root", "")))  # it gives root's files up otherwise
+    return [str(shutil.which("mosquitto", path=_PATH)), "-c", config]
+
+
+def _certify(certificate: Path) -> Path:
+    """Write a certificate of `localhost`, signed by itself; returns its key."""
+    key = certificate.with_name("key.pem")
+    named = ("subjectAltName=DNS:localhost", "keyUsage=critical,digitalSignature,keyCertSign")
+    words = ["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-subj", "/CN=localhost"]
+    words += [word for one in named for word in ("-addext", one)]
+    try:
+        subprocess.run([*words, "-keyout", key, "-out", certificate], check=True, capture_output=True)
+    except FileNotFoundError:
+        pytest.skip("openssl is not installed, which makes the broker's certificate")
+    return key
