@@ -250,7 +250,8 @@ def test_a_clock_that_is_set_back_and_forth_leaves_gaps(stepped: InStep) -> None
 
 def test_times_in_payloads_count(broker: RunningBroker, plant: Path) -> None:
     broker.url += "?time=at"
-    stepped = InStep(broker, str(plant), PERIOD, {**PLACES, "output": "oven/room:t"}, marked=False)
+    places = {**PLACES, "reference": "oven/set_point:wanted", "output": "oven/room:t"}
+    stepped = InStep(broker, str(plant), PERIOD, places, marked=False)
     at = BEGIN / NANOSECONDS
 
     def told(at: float) -> dict[str, str | bytes]:
