@@ -65,7 +65,7 @@ class Dashboard(TwinmatchNode):
         Setting("control", False, "Whether the page may set the set-point, clear faults and stop."),
         Setting("tell", "", "Broker to publish over MQTT to, such as mqtt://HOST; empty: none."),
     )
-    CLOSING = 4
+    CLOSING = 10
 
     _server: PageServer | None = None
     _outlet: MqttOutlet | None = None
