@@ -43,6 +43,7 @@ def test_a_lost_drive_is_an_error_of_the_plant_and_not_of_the_node(start: Start,
     assert found[0].message == f"drive-lost: {faulty.reason}"
     values = {entry.key: entry.value for entry in found[0].values}
     assert values["fault"] == "drive-lost"
+    assert values["channel"] == faulty.fault_signal == "pwm"
     assert values["since sample"] == str(faulty.fault_since)
     assert all(s.level != DiagnosticStatus.ERROR for s in listener.reports("discriminator: health"))
 

@@ -10,8 +10,8 @@ from typing import Final, NamedTuple
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
 PLANT_REPORT: Final = "discriminator: plant"
-"""How the name on /diagnostics of the report on the plant's own health ends. It is for programs that read
-nothing else: whoever shows verdicts shows it already."""
+"""How the name of the report on the plant's own health ends on /diagnostics: for programs that read nothing
+else. What shows verdicts leaves it out."""
 
 
 class Level(IntEnum):

@@ -240,24 +240,22 @@ def test_a_publisher_that_is_killed_leaves_its_will(broker: RunningBroker, tmp_p
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # paho leaves a socket behind
-def test_users_certificates_and_what_is_refused(tmp_path: Path, subtests: pytest.Subtests) -> None:
+@pytest.mark.parametrize("kind", KINDS)
+def test_users_certificates_and_what_is_refused(tmp_path: Path, kind: str) -> None:
     secret = tmp_path / "password"
     secret.write_text("s3cret\n")
-    for kind in KINDS:
-        with subtests.test(kind):
-            made = RunningBroker(tmp_path / kind, require(kind), users={"twin": "s3cret"}, tls=True)
-            try:
-                right = f"{made.url.replace('//', '//twin@')}?ca={made.certificate}&password_file={secret}"
-                outlet = MqttOutlet(right)
-                outlet.close()
-                with pytest.raises(BrokerError, match="does not let us in"):
-                    MqttOutlet(f"{made.url}?ca={made.certificate}")
-                with pytest.raises(BrokerError, match="certificate verify failed"):
-                    MqttOutlet(made.url)
-            finally:
-                made.close()
-            with pytest.raises(BrokerError, match=f"no MQTT broker at localhost:{made.port}"):
-                MqttOutlet(right)
+    made = RunningBroker(tmp_path / kind, require(kind), users={"twin": "s3cret"}, tls=True)
+    right = f"{made.url.replace('//', '//twin@')}?ca={made.certificate}&password_file={secret}"
+    try:
+        MqttOutlet(right).close()
+        with pytest.raises(BrokerError, match="does not let us in"):
+            MqttOutlet(f"{made.url}?ca={made.certificate}")
+        with pytest.raises(BrokerError, match="certificate verify failed"):
+            MqttOutlet(made.url)
+    finally:
+        made.close()
+    with pytest.raises(BrokerError, match=f"no MQTT broker at localhost:{made.port}"):
+        MqttOutlet(right)
 
 
 # The page itself.

@@ -12,7 +12,7 @@ from twinmatch.description import Quantity
 from twinmatch.showing.page.state import DashboardState, drive_fault
 
 
-class Ahead(NamedTuple):
+class PointAhead(NamedTuple):
     """The leader's forecast of one signal at a horizon (s), in the signal's unit."""
 
     signal: Quantity
@@ -33,7 +33,7 @@ def trusted_ahead(state: DashboardState) -> float:
     return max(trusted or (0.0,))
 
 
-def ahead(state: DashboardState) -> list[Ahead]:
+def ahead(state: DashboardState) -> list[PointAhead]:
     """The newest forecast at the verdicts' horizons, or else at its end: of outputs, then of inputs."""
     forecast, described, found = state.current_forecast, state.described, []
     if forecast is None or not forecast.time.size:
@@ -43,7 +43,7 @@ def ahead(state: DashboardState) -> list[Ahead]:
         for kind, bands in ((described.outputs, forecast.outputs), (described.inputs, forecast.inputs)):
             for signal, band in zip(kind, bands, strict=False):
                 edges = (float(edge[k]) for edge in (band.mean, band.low, band.high))
-                found.append(Ahead(signal, horizon, *edges))
+                found.append(PointAhead(signal, horizon, *edges))
     return found
 
 
