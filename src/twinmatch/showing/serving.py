@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import re
 import socket
 from collections.abc import Iterable
@@ -24,12 +23,6 @@ def unusable(server: str, address: str, port: int, cause: object) -> ServingErro
         f"{server}: {address}:{port} cannot be used: {cause}; "
         "choose another with --port (0: any free port) or --address"
     )
-
-
-def require(package: str, use: str) -> None:
-    """Raise a `ServingError` if a package of the extra `outlets` is not installed, which `use` needs."""
-    if importlib.util.find_spec(package) is None:
-        raise ServingError(f"{use} needs {package}, which is not installed; pip install 'twinmatch[outlets]'")
 
 
 def place_settings(port: int) -> tuple[Setting, ...]:

@@ -28,9 +28,10 @@ from twinmatch.plants import Peltier
 from twinmatch.plants.records import description_of
 from twinmatch.plants.tclab import TCLabBoth
 from twinmatch.showing.page.metrics import exposition
+from twinmatch.showing.page.outlets import metrics_text, outlet_to
 from twinmatch.showing.page.server import PageServer
 from twinmatch.showing.page.state import DashboardState, DriveReport
-from twinmatch.showing.serving import ServingError, require
+from twinmatch.showing.serving import ServingError
 
 Numbers = dict[tuple[str, frozenset[str]], float]
 """By the name, without its prefix, and the values of the labels that are not empty."""
@@ -180,14 +181,12 @@ def test_a_page_of_another_origin_may_not_read_them(
     assert ("twinmatch_" in text) == (status == 200)
 
 
-def test_without_its_library_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "prometheus_client", None)
-
-    def metrics() -> bytes:
-        require("prometheus_client", "/metrics")
-        raise AssertionError
-
-    made = PageServer("127.0.0.1", 0, fill, metrics=metrics)
+def test_without_its_library_it_says_what_to_install(
+    state: DashboardState, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for package in ("prometheus_client", "paho"):
+        monkeypatch.setitem(sys.modules, package, None)
+    made = PageServer("127.0.0.1", 0, fill, metrics=lambda: metrics_text(state))
     try:
         status, text = ask(made.url, "/metrics")
     finally:
@@ -196,5 +195,5 @@ def test_without_its_library_it_says_what_to_install(monkeypatch: pytest.MonkeyP
     assert text == (
         "/metrics needs prometheus_client, which is not installed; pip install 'twinmatch[outlets]'\n"
     )
-    with pytest.raises(ServingError, match="tell needs paho_not_there, which is not installed"):
-        require("paho_not_there", "tell")
+    with pytest.raises(ServingError, match="--tell needs paho, which is not installed"):
+        outlet_to("mqtt://127.0.0.1")

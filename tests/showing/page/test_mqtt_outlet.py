@@ -177,6 +177,17 @@ def test_without_a_plant_nothing_is_published_and_another_plant_is_another_rig(b
         assert subscriber.said["twinmatch/tclab-both/status"] == "online"
 
 
+def test_a_plant_that_is_known_before_keeps_its_title(broker: RunningBroker) -> None:
+    with subscribed(broker) as subscriber, telling(broker, "peltier") as outlet:
+        subscriber.await_that(lambda: subscriber.said.get(STATUS) == "online", "its status")
+        assert outlet.tell(DashboardState()) == ""
+        outlet.tell(known())
+        topic = "homeassistant/sensor/twinmatch_peltier_trust/config"
+        subscriber.await_that(lambda: topic in subscriber.said, "its entity")
+        assert subscriber.json(topic)["device"]["name"] == "Peltier rig"
+        assert subscriber.counts[STATUS] == 1
+
+
 @pytest.mark.parametrize("way", ["argument", "url"])
 def test_a_rig_may_have_a_name_of_its_own(broker: RunningBroker, way: str) -> None:
     named = ("", "north wing/2") if way == "argument" else ("?rig=north%20wing/2", "")

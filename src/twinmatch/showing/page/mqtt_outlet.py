@@ -31,31 +31,30 @@ class MqttOutlet:
     """
 
     def __init__(self, url: str, rig: str = "") -> None:
-        """Check that the broker can be used; `rig` is by default that in `URL?rig=NAME`, or the plant's name.
+        """Connect. `URL?rig=NAME` says which rig it is, by default `rig`, or else the name of the plant.
 
         Raises:
             BrokerError: the URL cannot be used, or there is no connection.
         """
         self._broker, self._name = Broker.parse(url, ("rig",)), ""
-        self._rig = rig or self._broker.more.get("rig", "")
-        self._said: dict[str, str] = {}
-        self._client = self._broker.connected(lambda _: None)
+        self._rig = self._broker.more.get("rig") or rig
+        self._enter(_NOT_PLAIN.sub("_", self._rig))
 
     def tell(self, state: DashboardState) -> str:
         """Publish what has changed, once the plant is known; returns why it cannot, or nothing."""
         with state.lock:
-            name = _NOT_PLAIN.sub("_", self._rig or state.described.plant)
-            messages = messages_of(state, name, self._rig or state.described.title)
-        if not name:
+            plant, title = state.described.plant, state.described.title
+            name = _NOT_PLAIN.sub("_", self._rig or plant)
+            messages = messages_of(state, name, title if self._rig in {"", plant} else self._rig)
+        if not plant:
             return ""
         if name != self._name:
             self.close()
-            self._name, self._said = "", {_status(name): "online"}
+            self._name = ""
             try:
-                self._client = self._broker.connected(self._repeat, will=(_status(name), b"offline"))
+                self._enter(name)
             except BrokerError as error:
                 return str(error)
-            self._name = name
         for topic, said in messages.items():
             if self._said.get(topic) != said:
                 self._said[topic] = said
@@ -63,6 +62,13 @@ class MqttOutlet:
                     self._client.publish(topic, said, retain=True)
         lost = f"the connection to the broker at {self._broker.text} is lost"
         return "" if self._client.is_connected() else lost
+
+    def _enter(self, name: str) -> None:
+        """Connect under the name of a rig; without one, to know that the broker can be used."""
+        self._said = {_status(name): "online"} if name else {}
+        will = (_status(name), b"offline") if name else None
+        self._client = self._broker.connected(self._repeat, will=will)
+        self._name = name
 
     def close(self) -> None:
         """Say that nothing follows, and disconnect."""

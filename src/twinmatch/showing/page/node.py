@@ -25,11 +25,12 @@ from twinmatch.parameters.declared import Setting
 from twinmatch.parameters.twin import read_settings
 from twinmatch.plants import plant_named
 from twinmatch.plants.records import description_of
+from twinmatch.showing.page.outlets import metrics_text, outlet_to
 from twinmatch.showing.page.requests import Requests
 from twinmatch.showing.page.server import PageServer
 from twinmatch.showing.page.state import DashboardState, DriveReport, TwinRow, update_sentence
 from twinmatch.showing.page.tab import Tab
-from twinmatch.showing.serving import Hosts, place_settings, require, warn_if_open
+from twinmatch.showing.serving import Hosts, place_settings, warn_if_open
 from twinmatch.signals import OperatingPoint
 from twinmatch.twin import TwinSettings
 from twinmatch_msgs import msg as messages
@@ -117,17 +118,14 @@ class Dashboard(TwinmatchNode):
         self.create_timer(SUM_UP, self._sum_up, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.create_timer(POLL, self._run_requests, clock=Clock(clock_type=ClockType.STEADY_TIME))
         if self.values["tell"]:
-            require("paho", "dashboard: tell")
-            from twinmatch.showing.page.mqtt_outlet import MqttOutlet  # noqa: PLC0415 — it is in an extra
-
-            self._outlet = MqttOutlet(self.values["tell"])
+            self._outlet = outlet_to(self.values["tell"])
         address = self.values["address"]
         self._server = PageServer(
             address,
             self.values["port"],
             lambda document: Tab(self.state, self._requests).build(document),
             Hosts.of(address, self.values["hosts"]),
-            self._metrics,
+            lambda: metrics_text(self.state),
         )
         able = "read this page and command the plant" if self.values["control"] else "read this page"
         warn_if_open("PAGE", address, able)
@@ -151,12 +149,6 @@ class Dashboard(TwinmatchNode):
         if self._outlet is not None:
             self._outlet.close()
         return self._server is None or self._server.close()
-
-    def _metrics(self) -> bytes:
-        require("prometheus_client", "/metrics")
-        from twinmatch.showing.page.metrics import exposition  # noqa: PLC0415 — likewise
-
-        return exposition(self.state, time.monotonic())
 
     def _on_description(self, message: PlantDescription) -> None:
         self.state.describe(description_from(message))
