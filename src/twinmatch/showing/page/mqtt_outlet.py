@@ -97,7 +97,7 @@ def messages_of(state: DashboardState, name: str, title: str) -> dict[str, str]:
         "device": {"identifiers": [device], "name": title, "manufacturer": "twinmatch"},
         "origin": {"name": "twinmatch", "sw_version": __version__},
     }
-    documents = {topic: finite(_document(state))}
+    documents: dict[str, Any] = {}
     for kind, key, own, value, shown in _entities(state):
         entity = {**common, "unique_id": f"{device}_{key}", "value_template": f"{{{{ {value} }}}}", **own}
         if shown:
@@ -105,6 +105,7 @@ def messages_of(state: DashboardState, name: str, title: str) -> dict[str, str]:
             entity["json_attributes_template"] = f"{{{{ {{{pairs}}} | tojson }}}}"
             entity["json_attributes_topic"] = topic
         documents[f"homeassistant/{kind}/{device}_{key}/config"] = entity
+    documents[topic] = finite(_document(state))
     return {topic: json.dumps(said, ensure_ascii=False) for topic, said in documents.items()}
 
 
