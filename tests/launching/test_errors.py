@@ -100,3 +100,9 @@ def test_a_flood_of_errors_ends(told: Told) -> None:
         told.take(f"node {'x' * k}", "error", DiagnosticStatus.ERROR)
         told.take(f"node {'x' * k}", "well", DiagnosticStatus.OK)
     assert len(told.lines) <= 2 * MAX_NODES * MAX_LINES
+
+
+def test_a_fault_of_the_plant_is_left_to_the_verdicts(told: Told) -> None:
+    assert not told.take("rig_a/discriminator: plant", "drive-lost: the input has no effect")
+    assert told.take("boiler: plant", "it is cold") == ["boiler: plant: it is cold"]
+    assert told.take("rig_a/discriminator: health", "broken")

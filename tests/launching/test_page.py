@@ -79,7 +79,14 @@ def parsed(*words: str) -> Page:
 
 
 @pytest.mark.parametrize(
-    "words", [("--control",), ("--dashboard", "70000"), ("--dashboard", "-1"), ("--dashboard", "x")]
+    "words",
+    [
+        ("--control",),
+        ("--tell", "mqtt://127.0.0.1"),
+        ("--dashboard", "70000"),
+        ("--dashboard", "-1"),
+        ("--dashboard", "x"),
+    ],
 )
 def test_options_that_contradict_each_other_are_refused(words: tuple[str, ...]) -> None:
     with pytest.raises(SystemExit) as left:
@@ -91,7 +98,14 @@ def test_options_that_contradict_each_other_are_refused(words: tuple[str, ...]) 
 def test_every_command_that_starts_nodes_has_it(command: str) -> None:
     told = run_twinmatch(command, "--help").stdout
     assert "--dashboard" in told
+    assert "--tell" in told
     assert ("--control" in told) == (command == "live")
+
+
+def test_the_page_is_given_the_broker_it_tells(ros_domain: int) -> None:  # noqa: ARG001
+    told: list[str] = []
+    with Page(0, tell="mqtt://127.0.0.1:1", show=told.append):
+        wait_for(lambda: any("no MQTT broker at 127.0.0.1:1" in line for line in told), "what it has tried")
 
 
 def test_after_a_replay_it_stays_until_ctrl_c(ros_domain: int, tmp_path: Path) -> None:  # noqa: ARG001

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from twinmatch.cli.shared import add_options, column_map, session_to_record
 from twinmatch.cli.starting import remember_recorded
-from twinmatch.launching.processes import add_page_options, page_of
+from twinmatch.launching.processes import add_page_options, check_page_options, page_of
 from twinmatch.links.sources import protocol_of
 from twinmatch.nodes import require_ros
 from twinmatch.parameters.sampler import sampler_values, twin_beside
@@ -78,10 +78,11 @@ def run(options: argparse.Namespace) -> int:
 def _run_alone(options: argparse.Namespace, said: SignalMap, session: Path | None) -> None:
     from twinmatch.launching.alone import AlonePlan, run_alone  # noqa: PLC0415 — the graph needs none of it
 
+    check_page_options(options, options.parser)
     values, _ = sampler_values(options.config, said, options.source)
     settings = twin_beside(values, options.twin_config)
     candidates = read_text(options.candidates) if options.candidates else ""
-    run_alone(AlonePlan(values, settings, candidates, session, options.dashboard))
+    run_alone(AlonePlan(values, settings, candidates, session, options.dashboard, options.tell))
 
 
 def _run_graph(options: argparse.Namespace, said: SignalMap, session: Path | None) -> tuple[list[Path], int]:

@@ -11,6 +11,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_serving_options(parser, 5006)
     add_options(parser, "--config", help="parameters (.yaml) of the twin's nodes")
     parser.add_argument(
+        "--tell", metavar="URL", help="publish what it shows to an MQTT broker, such as mqtt://HOST"
+    )
+    parser.add_argument(
         "--control", action="store_true", help="the page may set the set-point, clear faults and stop"
     )
 
@@ -18,7 +21,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Serve until Ctrl-C; returns the exit code."""
     config = options.config and options.config.absolute()
-    words = serving_words("dashboard", options, "bokeh", control=options.control, config=config)
+    parameters = {"control": options.control, "config": config, "tell": options.tell}
+    words = serving_words("dashboard", options, "bokeh", **parameters)
     from twinmatch.nodes.runner import run as run_nodes  # noqa: PLC0415
     from twinmatch.showing.page.node import Dashboard  # noqa: PLC0415 — needs ROS and Bokeh
 

@@ -56,8 +56,8 @@ class AlonePlan:
     """Folder to record into; None: nothing is recorded."""
     page: int | None = None
     """Port of the page; None: there is none."""
-    tell: str = ""
-    """Broker that is told; empty: none."""
+    tell: str | None = None
+    """Broker that is told what the page shows; None: none."""
 
 
 class TwinSession:

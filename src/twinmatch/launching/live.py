@@ -19,7 +19,7 @@ from twinmatch.errors import EXIT_USER_ERROR
 from twinmatch.launching.plan import LivePlan
 from twinmatch.launching.processes import LaunchError
 from twinmatch.launching.watch import Supervised, Watch
-from twinmatch.nodes.health import Level
+from twinmatch.nodes.health import PLANT_REPORT, Level
 from twinmatch.nodes.network import lease
 from twinmatch.nodes.step import PATIENCE, VARIABLE, InStep
 from twinmatch.nodes.topics import EVERYTHING
@@ -167,6 +167,8 @@ class Errors:
     def take(self, message: DiagnosticArray) -> None:
         """Take a message."""
         for status in message.status:
+            if status.name.endswith(PLANT_REPORT):  # its verdicts are shown
+                continue
             if int.from_bytes(status.level, "little") < Level.ERROR:
                 if self._standing.pop(status.name, None) is not None:
                     self._show(status.name, "recovered", "green")

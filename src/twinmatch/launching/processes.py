@@ -22,6 +22,8 @@ from twinmatch.launching.forking import Forked, fork_server
 
 PORT = 5006
 """Usual port of the live page."""
+TELL = "let the page publish what it shows to an MQTT broker, such as mqtt://HOST or mqtts://USER@HOST"
+"""Help of `--tell`."""
 POLL = 0.2
 """Interval at which the page is watched once everything else has ended, s."""
 
@@ -121,15 +123,17 @@ class Page:
         *,
         control: bool = False,
         config: Path | None = None,
+        tell: str | None = None,
         show: Callable[[str], None] = print,
     ) -> None:
         """Serve on this local port; the page's output, with its address, goes to `show`.
 
-        `config` is the parameter file of the twin's nodes.
+        `config` is the parameter file of the twin's nodes; `tell` the broker that it publishes to.
         """
         self._port, self._show = port, show
         self._options = ["--control"] if control else []
         self._options += ["--config", str(config)] if config is not None else []
+        self._options += ["--tell", tell] if tell else []
         self._processes = Processes(show)
 
     def __enter__(self) -> Page:
@@ -169,21 +173,30 @@ def add_page_options(parser: argparse.ArgumentParser, *, control: bool = False) 
         metavar="PORT",
         help=f"serve the live page on this machine (default port: {PORT}; 0: any free port)",
     )
+    parser.add_argument("--tell", metavar="URL", help=TELL)
     if control:
         parser.add_argument(
             "--control", action="store_true", help="let the page change the set-point, clear faults and stop"
         )
 
 
-def page_of(options: argparse.Namespace, parser: argparse.ArgumentParser, config: Path | None = None) -> Page:
-    """The page that the command line requests; exits with a usage error if the options contradict."""
+def check_page_options(options: argparse.Namespace, parser: argparse.ArgumentParser) -> None:
+    """Exit with a usage error if the options of the page contradict."""
     control = bool(getattr(options, "control", False))
     if control and options.dashboard is None:
         parser.error("--control needs the page: give --dashboard too")
+    if options.tell and options.dashboard is None:
+        parser.error("--tell is done by the page: give --dashboard too")
     if options.dashboard is not None and not 0 <= options.dashboard <= 65535:
         parser.error(f"--dashboard is {options.dashboard}; give a port from 0 to 65535")
+
+
+def page_of(options: argparse.Namespace, parser: argparse.ArgumentParser, config: Path | None = None) -> Page:
+    """The page that the command line requests; exits with a usage error if the options contradict."""
+    check_page_options(options, parser)
+    control = bool(getattr(options, "control", False))
     fork_server()  # imports while this process does
-    return Page(options.dashboard, control=control, config=config)
+    return Page(options.dashboard, control=control, config=config, tell=options.tell)
 
 
 def refuse_existing(session: Path | None) -> None:

@@ -10,6 +10,7 @@ from twinmatch.forecasting import Question, what_if
 from twinmatch.plants.records import description_of
 from twinmatch.showing.forecasts import forecast_words
 from twinmatch.showing.page.health import ERROR, OK
+from twinmatch.showing.page.outlets import metrics_text, outlet_to
 from twinmatch.showing.page.state import DashboardState, TwinRow, WhatIfAnswer, update_sentence
 from twinmatch.signals import Sample
 from twinmatch.twin import Snapshot, TwinSettings
@@ -57,17 +58,18 @@ class Asked:
 class Shown:
     """Keeps a `DashboardState` up to date for those who look at it."""
 
-    def __init__(self, settings: TwinSettings, port: int | None = None, broker: str = "") -> None:
-        """Serve the page on a local port (None: no page), and tell a broker (empty: none).
+    def __init__(self, settings: TwinSettings, port: int | None, broker: str | None) -> None:
+        """Serve the page on a local port (None: no page), and tell a broker (None: none) what it shows.
 
         Raises:
             TwinmatchError: the port cannot be used, or the broker cannot be reached.
         """
-        self.wanted = port is not None or bool(broker)
+        self.wanted = port is not None
         """Whether anybody looks."""
         self.state = DashboardState(described=description_of(settings.plant))
         self._settings, self._asked, self._summed_up = settings, Asked(self.state, settings), 0
         self._server = _serve(self.state, self._asked, port) if port is not None else None
+        self._outlet = outlet_to(broker, settings.plant.name) if broker else None
 
     def sample(self, sample: Sample) -> None:
         """Show a sample."""
@@ -95,9 +97,13 @@ class Shown:
         if self._summed_up != self.state.verdicts:
             self._summed_up = self.state.verdicts
             update_sentence(self.state, self._settings)
+        if self._outlet is not None:
+            self.trouble("broker", self._outlet.tell(self.state))
 
     def close(self) -> None:
         """Stop the page, and leave the broker."""
+        if self._outlet is not None:
+            self._outlet.close()
         if self._server is not None:
             self._server.close()
 
@@ -107,6 +113,11 @@ def _serve(state: DashboardState, asked: Asked, port: int) -> PageServer:
     from twinmatch.showing.page.tab import Tab  # noqa: PLC0415
 
     requests = cast("Requests", asked)  # without `control`, a tab uses no others
-    server = PageServer("127.0.0.1", port, lambda document: Tab(state, requests).build(document))
+    server = PageServer(
+        "127.0.0.1",
+        port,
+        lambda document: Tab(state, requests).build(document),
+        metrics=lambda: metrics_text(state),
+    )
     print(f"page: {server.url}", flush=True)
     return server

@@ -9,16 +9,17 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
+from collections.abc import Callable
 
 import numpy as np
 
 from twinmatch import twin
-from twinmatch.comparing import Verdict
+from twinmatch.comparing import TrustLevel, Verdict
 from twinmatch.dynamics import PlantError
 from twinmatch.errors import TwinmatchError
 from twinmatch.forecasting import what_if
 from twinmatch.nodes.experimenter import Experimenter
-from twinmatch.nodes.health import Level
+from twinmatch.nodes.health import Level, Report
 from twinmatch.nodes.law_desk import LawDesk
 from twinmatch.nodes.messages import (
     answer_message,
@@ -125,6 +126,21 @@ VERDICTS = "verdicts"
 """Key on /diagnostics: verdicts so far."""
 
 
+def plant_report(verdict: Verdict | None, reason: str) -> Report:
+    """What a verdict says of the plant: an error is a fault, a warning what a twin adapts to, or unexplained
+    readings. `reason` is the sentence with which the fault was found."""
+    if verdict is None:
+        return Report(Level.OK, "nothing is judged yet", {})
+    missed = verdict.miss_since if verdict.level is TrustLevel.DOUBTFUL else None
+    if not verdict.fault and missed is None:
+        return Report(Level.OK, "the plant responds normally", {})
+    said = f"{verdict.named_fault}: {reason}" if verdict.fault else verdict.level_reason
+    since = verdict.fault_since if verdict.fault else missed
+    values = {"fault": verdict.fault, "channel": verdict.fault_signal, "since sample": since}
+    level = Level.ERROR if verdict.level is TrustLevel.FAULT else Level.WARN
+    return Report(level, said, {key: str(value) for key, value in values.items() if value not in ("", None)})
+
+
 class DiscriminatorNode(SampleNode):
     """Requests matches, and publishes every verdict, and the nominal candidate when it changes.
 
@@ -138,6 +154,8 @@ class DiscriminatorNode(SampleNode):
         """Start to judge samples and matches."""
         self._discriminator = Discriminator(self.settings, candidates_in(self.values), snapshots=True)
         self._forecasts = ForecastPublisher(self, self._discriminator.forecaster.horizons)
+        self._judged: Verdict | None = None
+        self._fault_reason = ""
         self._nominal: tuple[object, ...] = ()  # name, window and parameters
         self._answers: deque[MatchReport] = deque()  # matches made before this node started, oldest first
         self._made = 0  # verdicts
@@ -159,6 +177,10 @@ class DiscriminatorNode(SampleNode):
         if self.step is not None:
             self.step.wait_for(self._behind)
         self.wall_timer(CHECK, self._repeat)
+
+    def report_on(self, **tasks: Callable[[], Report]) -> None:
+        """Report on the plant, too."""
+        super().report_on(**tasks, plant=lambda: plant_report(self._judged, self._fault_reason))
 
     def _behind(self) -> bool:
         """Whether a match has been awaited for so long that a plant in step should wait too."""
@@ -250,6 +272,9 @@ class DiscriminatorNode(SampleNode):
         self.put(report)
 
     def _publish(self, verdict: Verdict) -> None:
+        if self._judged is None or verdict.named_fault != self._judged.named_fault:
+            self._fault_reason = verdict.reason
+        self._judged = verdict
         self.health.count(VERDICTS)
         self.health.set("level", verdict.level.value)
         self.health.set("level because", verdict.level_reason)

@@ -5,9 +5,13 @@ from __future__ import annotations
 import threading
 from collections.abc import Mapping
 from enum import IntEnum
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+
+PLANT_REPORT: Final = "discriminator: plant"
+"""How the name of the report on the plant's own health ends on /diagnostics: for programs that read nothing
+else. What shows verdicts leaves it out."""
 
 
 class Level(IntEnum):

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from queue import Empty, SimpleQueue
+from typing import TYPE_CHECKING
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
@@ -16,7 +17,7 @@ from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy, qos_profile_
 from sensor_msgs.msg import Image
 
 from twinmatch.description import UNDESCRIBED
-from twinmatch.nodes.health import Report
+from twinmatch.nodes.health import PLANT_REPORT, Level, Report
 from twinmatch.nodes.messages import description_from, nanoseconds
 from twinmatch.nodes.node import TwinmatchNode
 from twinmatch.nodes.topics import LATCHED
@@ -24,6 +25,7 @@ from twinmatch.parameters.declared import Setting
 from twinmatch.parameters.twin import read_settings
 from twinmatch.plants import plant_named
 from twinmatch.plants.records import description_of
+from twinmatch.showing.page.outlets import metrics_text, outlet_to
 from twinmatch.showing.page.requests import Requests
 from twinmatch.showing.page.server import PageServer
 from twinmatch.showing.page.state import DashboardState, DriveReport, TwinRow, update_sentence
@@ -43,6 +45,9 @@ from twinmatch_msgs.msg import (
     TwinState,
 )
 
+if TYPE_CHECKING:
+    from twinmatch.showing.page.mqtt_outlet import MqttOutlet
+
 ALL = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=2000, reliability=ReliabilityPolicy.RELIABLE)
 """The queue holds two seconds of a recording played at a thousand times its speed."""
 SUM_UP = 1.0
@@ -59,10 +64,12 @@ class Dashboard(TwinmatchNode):
         *place_settings(5006),
         Setting("config", "", "Parameter file of the twin's nodes; empty: their defaults."),
         Setting("control", False, "Whether the page may set the set-point, clear faults and stop."),
+        Setting("tell", "", "Broker to publish over MQTT to, such as mqtt://HOST; empty: none."),
     )
-    CLOSING = 4
+    CLOSING = 10
 
     _server: PageServer | None = None
+    _outlet: MqttOutlet | None = None
 
     def read_parameters(self) -> None:
         """Read the parameters of the twin's nodes."""
@@ -110,12 +117,15 @@ class Dashboard(TwinmatchNode):
         self._summed_up = 0
         self.create_timer(SUM_UP, self._sum_up, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.create_timer(POLL, self._run_requests, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        if self.values["tell"]:
+            self._outlet = outlet_to(self.values["tell"])
         address = self.values["address"]
         self._server = PageServer(
             address,
             self.values["port"],
             lambda document: Tab(self.state, self._requests).build(document),
             Hosts.of(address, self.values["hosts"]),
+            lambda: metrics_text(self.state),
         )
         able = "read this page and command the plant" if self.values["control"] else "read this page"
         warn_if_open("PAGE", address, able)
@@ -135,7 +145,9 @@ class Dashboard(TwinmatchNode):
         return super().report()
 
     def close(self) -> bool:
-        """Stop the server."""
+        """Stop the server, and say goodbye to the broker."""
+        if self._outlet is not None:
+            self._outlet.close()
         return self._server is None or self._server.close()
 
     def _on_description(self, message: PlantDescription) -> None:
@@ -146,6 +158,8 @@ class Dashboard(TwinmatchNode):
     def _on_health(self, message: DiagnosticArray) -> None:
         now = time.monotonic()
         for status in message.status:
+            if status.name.endswith(PLANT_REPORT):  # the verdicts say it here
+                continue
             values = {entry.key: entry.value for entry in status.values}
             level = int.from_bytes(status.level, "little")
             self.state.push_health(status.name, level, status.message, values, now)
@@ -161,6 +175,9 @@ class Dashboard(TwinmatchNode):
         if self._summed_up != self.state.verdicts:
             self._summed_up = self.state.verdicts
             update_sentence(self.state, self._settings)
+        if self._outlet is not None:
+            trouble = self._outlet.tell(self.state)
+            self.health.flag_if(bool(trouble), "tell", Level.WARN, trouble)
 
     def _run_requests(self) -> None:
         with suppress(Empty):

@@ -35,25 +35,31 @@ LARGEST_MESSAGE = 1 << 20
 
 REQUEST: Final = 1 << 16
 """Most bytes of a request's header, and of its body; those of a browser have a few hundred."""
-PATHS: Final = re.compile(r"/|/ws|/favicon\.ico|/static/[\w./-]+", re.ASCII)
-"""Paths that a browser asks for; Bokeh's own for pages of other sites are not among them."""
+PATHS: Final = re.compile(r"/|/ws|/favicon\.ico|/metrics|/static/[\w./-]+", re.ASCII)
+"""Paths that a browser or Prometheus asks for; Bokeh's own for pages of other sites are not among them."""
 
 
 class PageServer:
     """Serves one page; every tab has its own document."""
 
     def __init__(
-        self, address: str, port: int, fill: Callable[[Document], None], hosts: Hosts | None = None
+        self,
+        address: str,
+        port: int,
+        fill: Callable[[Document], None],
+        hosts: Hosts | None = None,
+        metrics: Callable[[], bytes] = bytes,
     ) -> None:
         """Serve on this address; port 0 takes any free port. `fill` builds the document of a tab.
 
-        `hosts` are the names that it answers to; None: those of the address alone.
+        `hosts` are the names that it answers to; None: those of the address alone. `metrics` is the text at
+        /metrics; a `ServingError` says why there is none.
 
         Raises:
             ServingError: the address or port cannot be used, or the server does not start.
         """
         self._socket, self._place = listen("dashboard", address, port)
-        self._fill, self._hosts = fill, hosts or Hosts.of(address)
+        self._fill, self._hosts, self._metrics = fill, hosts or Hosts.of(address), metrics
         self._server: BaseServer | None = None
         self._ready = threading.Event()
         self.failure: Exception | None = None
@@ -99,7 +105,8 @@ class PageServer:
             logging.getLogger(name).setLevel(logging.CRITICAL)
         settings.resources = "server"  # whatever BOKEH_RESOURCES says
         settings.allowed_ws_origin = None  # nor does BOKEH_ALLOW_WS_ORIGIN
-        tornado = _Guarded(self._hosts, Application(FunctionHandler(self._fill)), self.url)
+        application = Application(FunctionHandler(self._fill))
+        tornado = _Guarded(self._hosts, application, self.url, self._metrics)
         http = HTTPServer(tornado, max_header_size=REQUEST, max_body_size=REQUEST)
         http.add_socket(self._socket)
         self._server = BaseServer(loop, tornado, http)
@@ -111,12 +118,15 @@ class PageServer:
 class _Guarded(BokehTornado):  # type: ignore[misc]  # Bokeh has no types
     """Bokeh's application behind a check of every request: of page, websocket and what they load."""
 
-    def __init__(self, hosts: Hosts, application: Application, url: str) -> None:
+    def __init__(
+        self, hosts: Hosts, application: Application, url: str, metrics: Callable[[], bytes]
+    ) -> None:
         """Answer to these hosts. A websocket needs a token that this server has signed."""
         self._hosts = hosts
         self._key = secrets.token_bytes(32)
         super().__init__(
             {"/": application},
+            extra_patterns=[("/metrics", _Scrape, {"metrics": metrics})],
             extra_websocket_origins=["*:*"],  # `find_handler` has checked them
             absolute_url=url,
             sign_sessions=True,
@@ -161,7 +171,24 @@ class _Guarded(BokehTornado):  # type: ignore[misc]  # Bokeh has no types
             return False
 
 
-class _Refusal(RequestHandler):  # type: ignore[misc]  # nor has Tornado
+class _Scrape(RequestHandler):  # type: ignore[misc]  # nor has Tornado
+    """Answers with metrics in the text format of Prometheus."""
+
+    def initialize(self, metrics: Callable[[], bytes]) -> None:
+        """Answer with these."""
+        self._metrics = metrics
+
+    def get(self) -> None:
+        """Answer."""
+        self.set_header("Content-Type", "text/plain; version=0.0.4; charset=utf-8")
+        try:
+            self.finish(self._metrics())
+        except ServingError as error:
+            self.set_status(HTTPStatus.NOT_FOUND)
+            self.finish(f"{error}\n")
+
+
+class _Refusal(RequestHandler):  # type: ignore[misc]
     """An answer that says why there is no other one."""
 
     def initialize(self, status: HTTPStatus, why: str) -> None:
