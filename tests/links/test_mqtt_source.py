@@ -196,6 +196,9 @@ def test_a_broker_that_is_killed_and_comes_back_leaves_a_gap_and_is_told(
     [first] = stepped.tick(0, said(30.0, 20.0, 10.0))
     broker.kill()
     wait_for(lambda: "the connection to the broker at" in stepped.listener.trouble("output"), "the loss")
+    assert stepped.listener.samples() == []
+    newest = stepped.listener.sampler.newest
+    assert (newest("output"), newest("reference")) == (None, 30.0)  # the room may have changed meanwhile
     broker.start()
     stepped.subscribed()
     [behind] = stepped.tick(50, said(30.0, 25.0, 10.0))

@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import argparse
+import sys
 import tempfile
 from importlib.util import find_spec
 from pathlib import Path
 
 from twinmatch.cli.shared import add_options, column_map, session_to_record
 from twinmatch.cli.starting import remember_recorded
-from twinmatch.launching.processes import add_page_options, check_page_options, page_of
+from twinmatch.launching.processes import EXIT_NOT_RECORDED, add_page_options, check_page_options, page_of
 from twinmatch.links.sources import protocol_of
 from twinmatch.nodes import require_ros
-from twinmatch.parameters.sampler import sampler_values, twin_beside
+from twinmatch.parameters.declared import Values, given_to, parameters_of, sections_of
+from twinmatch.parameters.sampler import SAMPLER, sampler_values, twin_beside
 from twinmatch.sampling.sources import SignalMap
+from twinmatch.sessions import RecordingLimits
 from twinmatch.sessions.documents import read_text
+from twinmatch.sessions.files import DiskError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -65,9 +69,9 @@ def run(options: argparse.Namespace) -> int:
         options.parser.error("map topics to signals with --config FILE, --map-file FILE or --map …")
     said = column_map(options).joined(SignalMap(plant=options.plant, period=options.period))
     session = session_to_record(options)
-    if options.alone or (options.source and not all(map(find_spec, ("rclpy", "twinmatch_msgs")))):
-        _run_alone(options, said, session)
-        sessions, code = [session] if session else [], 0
+    values, _ = sampler_values(options.config, said, options.source)
+    if options.alone or (values["source"] and not all(map(find_spec, ("rclpy", "twinmatch_msgs")))):
+        sessions, code = [session] if session else [], _run_alone(options, values, session)
     else:
         sessions, code = _run_graph(options, said, session)
     if code == 0:
@@ -75,14 +79,24 @@ def run(options: argparse.Namespace) -> int:
     return code
 
 
-def _run_alone(options: argparse.Namespace, said: SignalMap, session: Path | None) -> None:
+def _run_alone(options: argparse.Namespace, values: Values, session: Path | None) -> int:
     from twinmatch.launching.alone import AlonePlan, run_alone  # noqa: PLC0415 — the graph needs none of it
 
     check_page_options(options, options.parser)
-    values, _ = sampler_values(options.config, said, options.source)
     settings = twin_beside(values, options.twin_config)
     candidates = read_text(options.candidates) if options.candidates else ""
-    run_alone(AlonePlan(values, settings, candidates, session, options.dashboard, options.tell))
+    usual, given = (
+        RecordingLimits(),
+        sections_of(options.config, SAMPLER, "recorder") if options.config else {},
+    )
+    own = {one.name: one.accept(given.get(one.name, one.default), "recorder") for one in parameters_of(usual)}
+    limits = given_to(usual, own)
+    try:
+        run_alone(AlonePlan(values, settings, candidates, session, limits, options.dashboard, options.tell))
+    except DiskError as error:
+        print(f"twinmatch: {error}", file=sys.stderr)
+        return EXIT_NOT_RECORDED
+    return 0
 
 
 def _run_graph(options: argparse.Namespace, said: SignalMap, session: Path | None) -> tuple[list[Path], int]:

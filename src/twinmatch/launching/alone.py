@@ -23,7 +23,7 @@ from twinmatch.record import Tree, tree_of
 from twinmatch.sampling.channels import SamplingError
 from twinmatch.sampling.listener import SEARCH
 from twinmatch.sampling.sampler import TIMER
-from twinmatch.sessions import Recording
+from twinmatch.sessions import Recording, RecordingLimits
 from twinmatch.sessions.encoding import description_tree, encode, topic_named
 from twinmatch.sessions.messages import SAMPLE, encode_sample
 from twinmatch.sessions.metadata import CANDIDATES, parameters_record
@@ -54,6 +54,8 @@ class AlonePlan:
     """Text of the file of candidates; empty: none are given."""
     session: Path | None = None
     """Folder to record into; None: nothing is recorded."""
+    limits: RecordingLimits | None = None
+    """When to split its files, and to stop; None: the usual ones."""
     page: int | None = None
     """Port of the page; None: there is none."""
     tell: str | None = None
@@ -69,7 +71,7 @@ class TwinSession:
         Raises:
             SessionError: it cannot be made.
         """
-        self._recording, self._plant = Recording(folder), plan.settings.plant.name
+        self._recording, self._plant = Recording(folder, plan.limits), plan.settings.plant.name
         twin = {**values_of(plan.settings), "candidates": "given" if plan.candidates else ""}
         for name, values in ((SAMPLER, plan.values), ("matcher", twin), ("discriminator", twin)):
             texts = {key: json.dumps(value) for key, value in values.items()}
@@ -123,10 +125,8 @@ class Alone:
         opened = source_of(plan.values)
         if opened is None:
             raise SamplingError("attach: topics of ROS need ROS 2; give --source URL for a plant without")
-        self._settings, self._view = (
-            plan.settings,
-            view_on(Console(soft_wrap=True), "live", plan.settings.period),
-        )
+        self._settings = plan.settings
+        self._view = view_on(Console(soft_wrap=True), "live", plan.settings.period)
         for _ in prepare(plan.settings.plant):  # a compiler beside the samples would cost some of them
             pass
         self._listener = listener_of(SAMPLER, plan.values, time.time_ns)

@@ -17,7 +17,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from twinmatch.comparing import Verdict
 from twinmatch.errors import EXIT_USER_ERROR
 from twinmatch.launching.plan import LivePlan
-from twinmatch.launching.processes import LaunchError
+from twinmatch.launching.processes import EXIT_NOT_RECORDED, LaunchError
 from twinmatch.launching.watch import Supervised, Watch
 from twinmatch.nodes.health import PLANT_REPORT, Level
 from twinmatch.nodes.network import lease
@@ -37,8 +37,6 @@ from twinmatch.signals import Sample, Window
 from twinmatch.twin import Door
 from twinmatch_msgs.msg import LoopSample
 
-EXIT_NOT_RECORDED = 1
-"""Exit code if the session could not be written to the end, and the run was not to continue without it."""
 EXIT_LOST = 3
 """Exit code when a process that cannot be restarted was lost; the output is off then."""
 

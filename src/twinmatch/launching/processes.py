@@ -27,6 +27,8 @@ TELL = "let the page publish what it shows to an MQTT broker, such as mqtt://HOS
 POLL = 0.2
 """Interval at which the page is watched once everything else has ended, s."""
 
+EXIT_NOT_RECORDED = 1
+"""Exit code if the session could not be written to the end, and the run was not to continue without it."""
 PATIENCE = 12.0
 """Time between SIGTERM and SIGKILL, s."""
 

@@ -60,10 +60,14 @@ class MqttSource:
                 continue
             self._receive(message.topic, self._reader(message.topic, document), stamp, held=message.retain)
 
+    @property
+    def lost(self) -> str:
+        """That there is no connection."""
+        text = f"the connection to the broker at {self._broker.text} is lost"
+        return "" if self._client.is_connected() else text
+
     def trouble(self, topic: str) -> str:
-        """That there is no connection, or that the newest messages have no number."""
-        if not self._client.is_connected():
-            return f"the connection to the broker at {self._broker.text} is lost"
+        """That the newest messages have no number."""
         count, why = self._amiss.get(topic, (0, ""))
         return f"{count} messages on {topic} without a number, the last: {why}" if count else ""
 

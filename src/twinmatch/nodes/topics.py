@@ -229,6 +229,11 @@ class ForeignTopics:
         except SamplingError as error:
             raise SamplingError(f"{channel.text}: {error}") from None
 
+    @property
+    def lost(self) -> str:
+        """There is no connection that could be lost, only publishers."""
+        return ""
+
     def poll(self) -> None:
         """Messages are handed on as they arrive, by the node's executor."""
 

@@ -44,7 +44,7 @@ def sampler_table(plant: type[Plant] = Peltier, period: float | None = None) -> 
     for name, known in signals.items():
         unit = f", in {known.unit}" if known.unit else ""
         optional = "; empty: none" if name not in (*loop.outputs, *loop.inputs) else ""
-        text = f"Place, such as topic and field, of the {name} ({known.text or known.name}){unit}{optional}."
+        text = f"Place (topic and field) of the {name} ({known.text or known.name}){unit}{optional}."
         maps.append(Setting(f"map.{name}", "", text))
         age = round(ages.get(name, _SLOWLY) * step, 9)
         text = f"Age from which a value of the {name} is stale; 0: never."

@@ -43,6 +43,10 @@ class Source(Protocol):
     def kinds(self) -> Mapping[str, str]:
         """Types of the topics found, by topic as configured; a type without a name is empty."""
 
+    @property
+    def lost(self) -> str:
+        """Why nothing at all can come now, such as a connection that is lost; empty: it can."""
+
     def search(self, waited: float) -> None:
         """Look for what is wanted; to be called a few times a second, `waited` s after the first time; 0:
         however long it takes.
@@ -116,8 +120,9 @@ class SignalListener:
         self._has_samples = False
 
     def open(self, opened: Open) -> None:
-        """Begin to listen to a source."""
+        """Begin to listen to a source, which may have messages at once."""
         self._source = opened([channel for each in self.channels.values() for channel in each], self.receive)
+        self.search()
 
     @property
     def interval(self) -> float:
@@ -170,6 +175,8 @@ class SignalListener:
     def samples(self) -> list[Sample]:
         """The samples that are complete now; to be called every `interval` s."""
         self._source.poll()
+        if self._source.lost:  # a value that is sent when it changes no longer holds until the next one
+            self.sampler.forget()
         taken = self.sampler.collect(self._now())
         self._has_samples = self._has_samples or bool(taken)
         return taken
@@ -205,9 +212,9 @@ class SignalListener:
         """The report on a signal that is silent; empty if it is not, or if silence is allowed."""
         each = dict.fromkeys(channel.topic for channel in self.channels[name])
         topics = " and ".join(each)
-        why = next(filter(None, map(self._source.trouble, each)), "")
+        why = self._source.lost or next(filter(None, map(self._source.trouble, each)), "")
         limit, heard, now = self.sampler.limits[name].max_age, self._heard.get(name), time.monotonic()
-        if heard is None:
+        if heard is None or self._source.lost:
             return f"{name}: {why or f'no message on {topics} yet'}; no samples"
         if limit and now - heard > limit:
             more = f"; {why}" if why else ""

@@ -232,6 +232,12 @@ class Sampler:
         if name == self._pacer and math.isfinite(value) and not held:
             self._push(_Tick(0, at, now + self._settle, value))
 
+    def forget(self) -> None:
+        """Forget values that become stale: what has come in the meantime is not known."""
+        for name, limits in self.limits.items():
+            if limits.max_age:
+                self._buffers[name].clear()
+
     def tick(self, now: int) -> None:
         """Take a tick of the timer."""
         self._push(_Tick(0, now, now))
@@ -354,6 +360,10 @@ class SignalBuffer:
         ):  # a clock was set back: the earlier times are not comparable
             self._values.clear()
         self._values.append((at, value))
+
+    def clear(self) -> None:
+        """Forget all values."""
+        self._values.clear()
 
     @property
     def newest(self) -> float | None:

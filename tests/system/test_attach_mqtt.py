@@ -1,0 +1,177 @@
+"""What docs/mqtt.md tells people to write works as it stands there, without ROS and with it."""
+
+from __future__ import annotations
+
+import re
+import signal
+import socket
+import sys
+import urllib.request
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.support.broker import KINDS, RunningBroker, require
+from tests.support.places import PROJECT
+from tests.support.processes import Process, Processes, no_plant_files, run_twinmatch
+from tests.support.waiting import PATIENCE, wait_for
+from twinmatch.links.mqtt_client import Broker
+from twinmatch.offline.verification import verify_session
+from twinmatch.sessions import read_session
+from twinmatch.sessions.recording import repair_session
+
+PAGE = (PROJECT / "docs" / "mqtt.md").read_text(encoding="utf-8")
+FILES = dict(re.findall(r"^```(?:python|yaml) (\w+\.\w+)\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL))
+BLOCKS = re.findall(r"^```sh\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
+COMMANDS = [line.removeprefix("twinmatch ") for line in "".join(BLOCKS).splitlines() if "pip" not in line]
+FIRST = 4 * PATIENCE
+VERDICT = r"^ *\d+ +(unknown|doubtful|trusted|fault) "
+
+
+def without(*packages: str) -> str:
+    """A program that is twinmatch where these are not installed."""
+    gone = f"import sys; sys.modules.update(dict.fromkeys({packages!r}))"
+    return f"{gone}; from twinmatch.cli import main; sys.exit(main(sys.argv[1:]))"
+
+
+WITHOUT_ROS = without("rclpy", "twinmatch_msgs", "diagnostic_msgs", "std_msgs")
+
+
+class Home:
+    """A broker, the page's home behind it, and the page's files."""
+
+    def __init__(self, folder: Path, processes: Processes, kind: str = "amqtt") -> None:
+        self.folder, self._processes = folder, processes
+        self.broker = RunningBroker(folder / "broker", require(kind))
+        for name, text in FILES.items():
+            own = text.replace("mqtt://127.0.0.1", self.broker.url).replace("1883", str(self.broker.port))
+            (folder / name).write_text(own, encoding="utf-8")
+        self.play()
+
+    def play(self) -> None:
+        self.rig = self._processes.python("home.py", folder=self.folder)
+
+    def attach(self, *options: str, ros: bool = False) -> Process:
+        """The page's command, in the hurry of its home."""
+        words = COMMANDS[1].replace("--dashboard", "--dashboard 0").split()
+        program = ["-m", "twinmatch.cli"] if ros else ["-c", WITHOUT_ROS]
+        return self._processes.python(*program, *words, "--period", "0.1", *options, folder=self.folder)
+
+
+@pytest.fixture
+def home(tmp_path: Path, processes: Processes) -> Iterator[Home]:
+    with no_plant_files():
+        made = Home(tmp_path, processes)
+        yield made
+        made.broker.close()
+
+
+def samples_in(folder: Path) -> int:
+    return len(read_session(folder).samples)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_page_leads_from_a_room_to_a_verdict_without_ros(
+    kind: str, tmp_path: Path, processes: Processes
+) -> None:
+    home = Home(tmp_path, processes, kind)
+    listed = run_twinmatch(*COMMANDS[0].replace("mqtt://127.0.0.1", home.broker.url).split(), folder=tmp_path)
+    assert "ha/climate/living_room/current_temperature  " in listed.stdout
+    assert "ha/climate/living_room/hvac_action  'heating'" in listed.stdout
+    told: dict[str, bytes] = {}
+    reader = Broker.parse(home.broker.url).connected(
+        lambda client: client.subscribe("twinmatch/#") and None,
+        lambda message: told.update({message.topic: bytes(message.payload)}),
+    )
+    run = home.attach("--tell", home.broker.url)
+    run.said(VERDICT, FIRST)
+    [address] = re.findall(r"page: (http\S+)", run.text)
+    with urllib.request.urlopen(f"{address}metrics") as answer:
+        assert 'twinmatch_trust_level{level="unknown"} 1.0' in answer.read().decode()
+    wait_for(lambda: b'"level": "unknown"' in told.get("twinmatch/warm_room/state", b""), "the state")
+    assert run.end(signal.SIGINT) == 0
+    wait_for(lambda: told["twinmatch/warm_room/status"] == b"offline", "the status")
+    reader.disconnect()
+    reader.loop_stop()
+    assert re.search(r"ended: \d+ samples, [1-9]\d* verdicts", run.text)
+    with no_plant_files():
+        again = verify_session(tmp_path / "first", plant=str(tmp_path / "room.py"))
+    assert again.identical, again.difference
+    assert again.verdicts
+    home.broker.close()
+
+
+@pytest.mark.slow
+@pytest.mark.ros
+def test_where_ros_is_installed_the_graph_listens_to_the_broker(home: Home) -> None:
+    pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup")
+    run = home.attach(ros=True)
+    run.said(VERDICT, FIRST)
+    home.broker.kill()
+    run.said(r"sampler: health: .*the connection to the broker at 127.0.0.1:\d+ is lost")
+    assert run.end(signal.SIGINT) == 0
+    session = read_session(home.folder / "first")
+    assert {"/twin/model_score", "/twin/forecast", "/plant/sample", "/diagnostics"} <= {*session.counts}
+
+
+def test_a_broker_that_is_gone_for_a_while_is_a_gap_and_is_told(home: Home) -> None:
+    """So is a home that stands still."""
+    run = home.attach()
+    run.said(r"^t / s")
+    home.broker.kill()
+    run.said(r"output: .*the connection to the broker at 127.0.0.1:\d+ is lost", FIRST)
+    home.broker.start()
+    run.said(r"output: there are values again", FIRST)
+    assert run.end(signal.SIGINT) == 0
+
+
+def test_a_run_that_is_killed_leaves_a_session_that_is_repaired(home: Home) -> None:
+    run = home.attach()
+    folder = home.folder / "first"
+    wait_for(lambda: any(f.stat().st_size > 20_000 for f in folder.glob("*.mcap")), "samples on the disk")
+    run.kill()
+    assert repair_session(folder).messages > 20
+    assert samples_in(folder) > 20
+
+
+def test_a_full_disk_ends_the_run_and_says_so(home: Home) -> None:
+    with (home.folder / "room.yaml").open("a") as config:
+        config.write("recorder:\n  ros__parameters:\n    min_free_mb: 1.0e9\n")
+    run = home.attach()
+    assert run.wait() == 1
+    assert re.search(r"no space left in .*MB must stay free", run.text)
+    assert "Traceback" not in run.text
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--source", "opcua://host"), "has no known beginning; write"),
+        (("--source", "mqtt://127.0.0.1:1"), "no MQTT broker at 127.0.0.1:1"),
+        (("--source", "mqtt://127.0.0.1", "--map", "output=home/#", "input=a"), "names no topic"),
+        (("--source", "mqtt://127.0.0.1", "--map", "output=a"), "map.input is missing"),
+        (("--list",), "--list shows a source: give --source URL"),
+        (("--alone", "--map", "output=/t", "input=/u"), "topics of ROS need ROS 2"),
+        (("--source", "mqtt://127.0.0.1", "--tell", "mqtt://h"), "--tell is done by the page"),
+    ],
+)
+def test_what_cannot_be_used_is_one_line(options: tuple[str, ...], words: str, tmp_path: Path) -> None:
+    mapped = () if "--map" in options or "--list" in options else ("--map", "output=a", "input=b")
+    done = run_twinmatch("attach", "--alone", "--no-record", *options, *mapped, folder=tmp_path)
+    assert done.returncode == 2
+    assert words in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_no_protocol_but_mqtt_needs_its_library(tmp_path: Path) -> None:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        url = f"mqtt://127.0.0.1:{free.getsockname()[1]}"
+    words = f"attach --alone --source {url} --map output=a input=b".split()
+    said = tmp_path / "said.txt"
+    process = Process(sys.executable, "-c", without("paho"), *words, output=said, folder=tmp_path)
+    assert process.wait() == 2
+    assert "mqtt:// needs the package paho" in process.text
+    assert "install twinmatch[mqtt]" in process.text
