@@ -138,9 +138,9 @@ def test_a_run_that_is_killed_leaves_a_session_that_is_repaired(home: Home) -> N
 
 def test_a_full_disk_ends_the_run_and_says_so(home: Home) -> None:
     with (home.folder / "room.yaml").open("a") as config:
-        config.write("recorder:\n  ros__parameters:\n    min_free_mb: 1.0e9\n")
+        config.write("recorder:\n  ros__parameters:\n    min_free_mb: 1000000000.0\n")
     run = home.attach()
-    assert run.wait() == 1
+    assert run.wait() == 1, run.text
     assert re.search(r"no space left in .*MB must stay free", run.text)
     assert "Traceback" not in run.text
 

@@ -62,7 +62,7 @@ class AlonePlan:
     """Broker that is told what the page shows; None: none."""
 
 
-class TwinSession:
+class TwinSession(Recording):
     """The session of such a run: samples, matches, verdicts, and the parameters they were made with."""
 
     def __init__(self, folder: Path, plan: AlonePlan) -> None:
@@ -71,20 +71,20 @@ class TwinSession:
         Raises:
             SessionError: it cannot be made.
         """
-        self._recording, self._plant = Recording(folder, plan.limits), plan.settings.plant.name
+        super().__init__(folder, plan.limits)
+        self._plant, plant = plan.settings.plant.name, description_of(plan.settings.plant)
         twin = {**values_of(plan.settings), "candidates": "given" if plan.candidates else ""}
         for name, values in ((SAMPLER, plan.values), ("matcher", twin), ("discriminator", twin)):
             texts = {key: json.dumps(value) for key, value in values.items()}
-            self._recording.add_record(parameters_record(f"/{name}"), texts)
+            self.add_record(parameters_record(f"/{name}"), texts)
         if plan.candidates:
-            self._recording.add_record(CANDIDATES, {"text": plan.candidates})
-        self._recording.add_topic(SAMPLE)
-        described = description_tree(description_of(plan.settings.plant), plan.settings.period)
-        self.record("/plant/description", described)
+            self.add_record(CANDIDATES, {"text": plan.candidates})
+        self.add_topic(SAMPLE)
+        self.record("/plant/description", description_tree(plant, plan.settings.period))
 
     def sample(self, sample: Sample) -> None:
         """Write a sample."""
-        self._recording.write(SAMPLE.name, encode_sample(sample, self._plant), time.time_ns())
+        self.write(SAMPLE.name, encode_sample(sample, self._plant), time.time_ns())
 
     def take(self, judged: Judged) -> None:
         """Write what the twin made of a sample."""
@@ -96,20 +96,8 @@ class TwinSession:
     def record(self, name: str, tree: Tree, stamp: int | None = None) -> None:
         """Write a record on a topic; `stamp` is that of the sample behind it, ns."""
         topic = topic_named(name)
-        self._recording.add_topic(topic)
-        self._recording.write(name, encode(topic, tree, stamp), time.time_ns())
-
-    def flush(self) -> None:
-        """Write everything to the disk.
-
-        Raises:
-            DiskError: it is full, or gone.
-        """
-        self._recording.flush()
-
-    def close(self) -> None:
-        """Finish the session."""
-        self._recording.close()
+        self.add_topic(topic)
+        self.write(name, encode(topic, tree, stamp), time.time_ns())
 
 
 class Alone:
