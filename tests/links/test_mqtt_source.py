@@ -172,7 +172,7 @@ def test_a_session_sent_through_a_broker_is_judged_as_it_was_recorded(broker: Ru
         assert not list(differences(comparable(tree_of(one)), comparable(tree_of(other))))
 
 
-def test_what_a_broker_has_kept_is_no_reading_but_may_be_a_set_point(
+def test_what_a_broker_has_kept_may_be_a_set_point_but_never_a_reading(
     broker: RunningBroker, plant: Path
 ) -> None:
     client = Broker.parse(broker.url).connected(lambda _: None)
@@ -190,7 +190,7 @@ def test_what_a_broker_has_kept_is_no_reading_but_may_be_a_set_point(
     client.disconnect()
 
 
-def test_a_broker_that_is_killed_and_comes_back_leaves_a_gap_and_is_told(
+def test_a_broker_that_is_killed_and_comes_back_leaves_a_gap_and_a_word(
     stepped: InStep, broker: RunningBroker
 ) -> None:
     [first] = stepped.tick(0, said(30.0, 20.0, 10.0))
@@ -231,7 +231,7 @@ NOT_NUMBERS: tuple[Callable[[], str], ...] = (
 
 
 @pytest.mark.parametrize("payload", NOT_NUMBERS)
-def test_what_is_no_number_makes_no_sample_once_the_reading_is_stale(
+def test_what_lacks_a_number_makes_no_sample_once_the_reading_is_stale(
     stepped: InStep, payload: Callable[[], str]
 ) -> None:
     assert len(stepped.tick(0, said(30.0, 20.0, 10.0))) == 1
@@ -335,6 +335,6 @@ def test_a_url_that_cannot_be_used_is_one_message(url: str, words: str) -> None:
 
 
 @pytest.mark.parametrize("url", ["opcua://host", "host", "", "mqtt"])
-def test_a_protocol_that_is_not_known_is_told_with_those_that_are(url: str) -> None:
+def test_an_unknown_protocol_is_refused_with_those_there_are(url: str) -> None:
     with pytest.raises(SamplingError, match=r"write .*mqtt://…"):
         protocol_of(url)

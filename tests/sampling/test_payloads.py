@@ -1,4 +1,4 @@
-"""Payloads of MQTT as numbers: JSON, words, times, and what is none of these."""
+"""Payloads of MQTT as numbers: JSON, words, times, and neither."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def test_what_home_automation_sends_is_a_number(payload: bytes, path: str, numbe
         (b"\xff\xfe", "", "is not a number"),
     ],
 )
-def test_what_is_no_number_is_told_with_those_there_are(payload: bytes, path: str, words: str) -> None:
+def test_what_lacks_a_number_is_refused_with_those_there_are(payload: bytes, path: str, words: str) -> None:
     with pytest.raises(SamplingError) as caught:
         number_at(document_of(payload), path)
     assert words in str(caught.value)
@@ -128,7 +128,7 @@ def test_times_of_many_forms_are_the_same_moment(time: Any, seconds: float) -> N
 
 
 @pytest.mark.parametrize("time", ["yesterday", None, [1], math.inf])
-def test_what_is_no_time_is_told(time: Any) -> None:
+def test_what_lacks_a_time_is_refused(time: Any) -> None:
     with pytest.raises(SamplingError, match="no time at 'at'"):
         stamp_at({"at": time}, "at")
 

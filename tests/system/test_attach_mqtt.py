@@ -116,7 +116,7 @@ def test_where_ros_is_installed_the_graph_listens_to_the_broker(home: Home) -> N
     assert {"/twin/model_score", "/twin/forecast", "/plant/sample", "/diagnostics"} <= {*session.counts}
 
 
-def test_a_broker_that_is_gone_for_a_while_is_a_gap_and_is_told(home: Home) -> None:
+def test_a_broker_that_is_gone_for_a_while_is_a_gap_and_is_reported(home: Home) -> None:
     """So is a home that stands still."""
     run = home.attach()
     run.said(r"^t / s")

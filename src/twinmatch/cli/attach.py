@@ -58,13 +58,12 @@ def run(options: argparse.Namespace) -> int:
     """Run until Ctrl-C; returns the exit code: 3 if a process could not be kept running."""
     if options.listed is not None:
         if not options.source:
-            options.parser.error(
-                "--list shows a source: give --source URL; ros2 topic list shows topics of ROS"
-            )
-        print(
-            "\n".join(protocol_of(options.source).listing(options.source, options.listed)) or "nothing there"
-        )
+            options.parser.error("--list shows a source: give --source URL; ros2 topic list shows topics")
+        lines = protocol_of(options.source).listing(options.source, options.listed)
+        print("\n".join(lines) or "nothing there")
         return 0
+    if not (options.source or options.config or options.alone):
+        require_ros("attach")
     if not (options.config or options.map or options.map_file):
         options.parser.error("map topics to signals with --config FILE, --map-file FILE or --map …")
     said = column_map(options).joined(SignalMap(plant=options.plant, period=options.period))
@@ -85,10 +84,8 @@ def _run_alone(options: argparse.Namespace, values: Values, session: Path | None
     check_page_options(options, options.parser)
     settings = twin_beside(values, options.twin_config)
     candidates = read_text(options.candidates) if options.candidates else ""
-    usual, given = (
-        RecordingLimits(),
-        sections_of(options.config, SAMPLER, "recorder") if options.config else {},
-    )
+    usual = RecordingLimits()
+    given = sections_of(options.config, SAMPLER, "recorder") if options.config else {}
     own = {one.name: one.accept(given.get(one.name, one.default), "recorder") for one in parameters_of(usual)}
     limits = given_to(usual, own)
     try:

@@ -59,7 +59,7 @@ class AlonePlan:
     page: int | None = None
     """Port of the page; None: there is none."""
     tell: str | None = None
-    """Broker that is told what the page shows; None: none."""
+    """Broker that gets what the page shows; None: none."""
 
 
 class TwinSession(Recording):

@@ -1,4 +1,4 @@
-"""What a run in one process shows: the state behind the page, the page itself, and a broker that is told."""
+"""What a run in one process shows: the state behind the page, the page itself, and what a broker gets."""
 
 from __future__ import annotations
 

@@ -98,7 +98,7 @@ def steps(path: str) -> tuple[str | int, ...]:
     at = 0
     while at < len(path):
         match = _STEP.match(path, at)
-        if match is None or (not taken and path[0] == "."):
+        if match is None or (not taken and path[0] in ".["):
             form = "write names and indices, such as readings[2].value or position[elbow]"
             raise SamplingError(f"{path!r} is not a field path; {form}")
         name, index, label = match.groups()

@@ -33,8 +33,7 @@ def parse_place(text: str) -> Channel:
     topic, _, path = (part.strip() for part in text.rpartition(":")) if ":" in text else (text, "", "")
     if not topic or any(sign in topic for sign in "#+\0"):
         raise SamplingError(f"{text!r} names no topic; write TOPIC or TOPIC:KEY, such as room/t:value")
-    if path:
-        steps(path)
+    _steps(path)
     return Channel(topic, path)
 
 
@@ -61,7 +60,7 @@ def number_at(document: Any, path: str) -> float:
         SamplingError: there is none; the error lists those there are.
     """
     found = document
-    for step in steps(path):
+    for step in _steps(path):
         try:
             found = found[step if isinstance(found, list) else str(step)]
         except (LookupError, TypeError):
@@ -84,7 +83,7 @@ def stamp_at(document: Any, path: str) -> int:
         SamplingError: there is none.
     """
     found = document
-    for step in steps(path):
+    for step in _steps(path):
         found = found.get(step) if isinstance(found, dict) else None
     try:
         if isinstance(found, str):
@@ -108,6 +107,11 @@ def numbers_in(document: Any, path: str = "", deep: int = _DEEP) -> Iterator[tup
             yield from numbers_in(below, f"{path}[{index}]", deep - 1)
     elif isinstance(document, int | float):
         yield path, float(document)
+
+
+def _steps(path: str) -> tuple[str | int, ...]:
+    """The steps of a path, which may begin with an element of a list, as no path in a message of ROS does."""
+    return steps(f"document{path}")[1:] if path.startswith("[") else steps(path)
 
 
 def _listed(document: Any) -> str:
