@@ -168,9 +168,13 @@ class SignalListener:
                     fresh.clear()
 
     def samples(self) -> list[Sample]:
-        """The samples that are complete now; to be called every `interval` s."""
-        self._source.poll()
+        """The samples that are complete now; to be called every `interval` s.
+
+        Ticks that are due are read before newer values come: those belong to later ticks.
+        """
         taken = self.sampler.collect(self._now())
+        self._source.poll()
+        taken += self.sampler.collect(self._now())
         self._has_samples = self._has_samples or bool(taken)
         return taken
 
