@@ -173,11 +173,15 @@ class SignalListener:
                     fresh.clear()
 
     def samples(self) -> list[Sample]:
-        """The samples that are complete now; to be called every `interval` s."""
+        """The samples that are complete now; to be called every `interval` s.
+
+        Ticks that are due are read before newer values come: those belong to later ticks.
+        """
+        taken = self.sampler.collect(self._now())
         self._source.poll()
         if self._source.lost:  # a value that is sent when it changes no longer holds until the next one
             self.sampler.forget()
-        taken = self.sampler.collect(self._now())
+        taken += self.sampler.collect(self._now())
         self._has_samples = self._has_samples or bool(taken)
         return taken
 

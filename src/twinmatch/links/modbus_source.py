@@ -1,0 +1,197 @@
+"""A Modbus device as a source, over TCP or a serial line (RTU). It reads, and writes nothing."""
+
+from __future__ import annotations
+
+import logging
+import re
+import socket
+import time
+from collections import deque
+from collections.abc import Iterator
+from contextlib import suppress
+from functools import partial
+from typing import Any, Final
+from urllib.parse import parse_qsl
+
+from pymodbus.client import ModbusSerialClient, ModbusTcpClient
+from pymodbus.exceptions import ModbusException
+from serial import Serial
+
+from twinmatch.errors import TwinmatchError
+from twinmatch.links import Background
+from twinmatch.sampling import registers
+from twinmatch.sampling.channels import Channel
+from twinmatch.sampling.listener import Receive
+from twinmatch.sampling.registers import Span, Values, parse_place
+
+__all__ = ["ModbusSource", "listing", "open_source", "parse_place"]
+
+_TCP: Final = re.compile(r"modbus://(\[[\da-f:.]+]|[^][/?#@:\s]+)(?::(\d{1,5}))?/(\d{1,3})", re.A | re.I)
+_RTU: Final = re.compile(r"modbus\+rtu://(/[^?#]+)(?:\?(.*))?")
+_KEYS: Final = {
+    "baud": r"[1-9]\d{2,5}",
+    "parity": "[NEO]",
+    "stop": "[12]",
+    "unit": r"[1-9]\d?|1\d\d|2[0-3]\d|24[0-7]",
+}
+_USUAL: Final = {"baud": "9600", "parity": "N", "stop": "1", "unit": "1"}
+_FORM: Final = "write modbus://HOST:PORT/UNIT or modbus+rtu:///dev/ttyUSB0?baud=9600&parity=N&stop=1&unit=1"
+_ANSWERS: Final = {1: "illegal function", 2: "illegal address", 3: "illegal value", 4: "device failure"}
+_PATIENCE: Final = 1.0
+"""Longest wait for a connection or an answer, and the pause after a failure, s."""
+
+logging.getLogger("pymodbus").addHandler(logging.NullHandler())  # it would print each lost answer
+
+
+class ModbusError(TwinmatchError):
+    """A Modbus device cannot be read."""
+
+
+class RefusedReadError(ModbusError):
+    """It answers that it cannot be read there."""
+
+
+class ModbusDevice:
+    """One unit, for one thread at a time; reading connects where there is no connection."""
+
+    def __init__(self, url: str) -> None:
+        """Parse the URL; raise a ModbusError if it cannot be used."""
+        self._text, tcp, rtu = url.partition("?")[0], _TCP.fullmatch(url), _RTU.fullmatch(url)
+        given = dict(parse_qsl(rtu[2] or "", keep_blank_values=True)) if rtu else {}
+        wrong = [f"{k}={v}" for k, v in given.items() if not re.fullmatch(_KEYS.get(k, "(?!)"), v, re.A)]
+        keys, self._tcp = _USUAL | given, bool(tcp)
+        self._client: Any  # its methods have no types
+        self._open: partial[Any]
+        if rtu and not wrong:
+            baud, self._unit = int(keys["baud"]), int(keys["unit"])
+            self._client = ModbusSerialClient(rtu[1], baudrate=baud, timeout=_PATIENCE, retries=0)
+            line = partial(Serial, rtu[1], baud, parity=keys["parity"], stopbits=int(keys["stop"]))
+            self._open = partial(line, timeout=_PATIENCE, write_timeout=_PATIENCE, exclusive=True)
+        elif tcp and (port := int(tcp[2] or 502)) < 65536 and int(tcp[3]) < 256:
+            host, self._unit = tcp[1].strip("[]"), int(tcp[3])
+            self._client = ModbusTcpClient(host, port=port, timeout=_PATIENCE, retries=0)
+            self._open = partial(socket.create_connection, (host, port), _PATIENCE)
+        else:
+            raise ModbusError(f"{self._text}: {', '.join(wrong) or 'this URL'} cannot be used; {_FORM}")
+
+    def read(self, span: Span) -> Values:
+        """The values of a span that one request may read; raise a ModbusError if they do not come."""
+        (table, first, end), client = span, self._client
+        where = f"{self._text}: {registers.span_text(span)}"
+        bits = {"coil": client.read_coils, "discrete": client.read_discrete_inputs}
+        reads = {**bits, "holding": client.read_holding_registers, "input": client.read_input_registers}
+        try:
+            client.socket = client.socket or self._open()  # its own way to connect does not say what failed
+            got = reads[table](first, count=end - first, device_id=self._unit)
+        except (OSError, ValueError) as error:
+            raise ModbusError(f"{where}: no connection ({error}); check the address") from None
+        except ModbusException as error:
+            if self._tcp:  # it may be dead; a serial line stays open, as opening it restarts some devices
+                client.close()
+            what = "the unit" if self._tcp else "unit, baud, parity and stop"
+            raise ModbusError(f"{where}: no valid answer within {_PATIENCE:g} s; check {what}") from error
+        if got.isError():
+            answer = f"{_ANSWERS.get(got.exception_code, 'error')} ({got.exception_code})"
+            raise RefusedReadError(f"{where}: the device answers: {answer}")
+        values, unit = (got.bits, 8) if table in bits else (got.registers, 1)
+        if len(values) != -((first - end) // unit) * unit:  # bits come as whole bytes
+            raise ModbusError(f"{where}: what was answered belongs to another request")
+        return {(table, first + k): int(value) for k, value in enumerate(values[: end - first])}
+
+    def surely(self, span: Span) -> Values:
+        """The same, with two more attempts: a serial line that was just opened may have restarted it."""
+        for _ in range(2):
+            with suppress(ModbusError):
+                return self.read(span)
+        return self.read(span)
+
+    def close(self) -> None:
+        """Disconnect."""
+        self._client.close()
+
+
+class ModbusSource:
+    """Reads the places of some channels once per period, in a thread of its own."""
+
+    def __init__(self, device: ModbusDevice, period: float, wanted: list[Channel], receive: Receive) -> None:
+        """Send nothing yet."""
+        self.kinds: dict[str, str] = {}
+        self.lost = ""  # what is not answered becomes stale: there is a reading per period, or none
+        self._device, self._period, self._channels, self._receive = device, period, wanted, receive
+        self._requests = registers.joined(map(registers.span_of, wanted))
+        self._cycles: deque[tuple[int, Values]] = deque(maxlen=3)  # older ones would be stale
+        self._trouble, self._handed = "", 0.0
+        self._thread = Background("modbus", self._run, 3 * _PATIENCE)
+
+    def search(self, waited: float) -> None:  # noqa: ARG002 — a device that is there answers at once
+        """Read each place once, and start the thread; raise a ModbusError if one cannot be read."""
+        if not self.kinds:
+            for span in (*map(registers.span_of, self._channels), *self._requests):
+                self._device.surely(span)
+            self.kinds = dict.fromkeys((channel.topic for channel in self._channels), "")
+            self._thread.start()
+
+    def path(self, channel: Channel) -> str:
+        """Type and word order."""
+        return channel.path
+
+    def poll(self) -> None:
+        """Hand on the oldest cycle; half a period apart, so that a sampler that was held up keeps all."""
+        if self._thread.failure is not None:
+            raise self._thread.failure
+        if self._cycles and time.monotonic() >= self._handed + self._period / 2:
+            self._handed = time.monotonic()
+            stamp, values = self._cycles.popleft()
+            for topic in self.kinds:
+                self._receive(topic, partial(registers.number_at, values), stamp)
+
+    def trouble(self, topic: str) -> str:  # noqa: ARG002 — a cycle has all topics, or none
+        """Why the newest cycle was dropped."""
+        return self._trouble
+
+    def close(self) -> None:
+        """End the thread, and disconnect."""
+        self._thread.close()
+        self._device.close()
+
+    def _run(self) -> None:
+        due = time.monotonic()
+        while not self._thread.ending.wait(max(due - time.monotonic(), 0.0)):
+            try:
+                values = {place: v for span in self._requests for place, v in self._device.read(span).items()}
+                self._cycles.append((time.time_ns(), values))
+                self._trouble = ""
+            except ModbusError as error:
+                self._trouble = str(error)
+            late = time.monotonic() - due + (_PATIENCE if self._trouble else 0.0)
+            due += self._period * (1 + late // self._period)
+
+
+def open_source(url: str, period: float, channels: list[Channel], receive: Receive) -> ModbusSource:
+    """The places of the device at a URL; raise a ModbusError if it cannot be used."""
+    return ModbusSource(ModbusDevice(url), period, channels, receive)
+
+
+def listing(url: str, where: str) -> Iterator[str]:
+    """The values of a range such as `holding/0-50`, a line each, then the parts that cannot be read.
+
+    Raises:
+        TwinmatchError: URL or range cannot be used, or the device does not answer.
+    """
+    device, span = ModbusDevice(url), registers.parse_range(where or "holding/0-49")
+    try:
+        yield from registers.described(_readable(device, *span), span)
+    finally:
+        device.close()
+
+
+def _readable(device: ModbusDevice, table: str, first: int, end: int) -> Values:
+    """The values of a span that can be read, found by halving what is refused."""
+    try:
+        if end - first <= registers.LONGEST[table]:
+            return device.read((table, first, end))
+    except RefusedReadError:
+        if end - first == 1:
+            return {}
+    middle = (first + end) // 2
+    return {**_readable(device, table, first, middle), **_readable(device, table, middle, end)}
