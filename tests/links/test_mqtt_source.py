@@ -60,6 +60,12 @@ class InStep:
         values = check("sampler", *understood("sampler", given))
         self.now, self._step = BEGIN, round(period * NANOSECONDS)
         self.listener: SignalListener = listener_of("sampler", values, lambda: self.now)
+        rig = Broker.parse(broker.url.partition("?")[0])
+        self.rig, self._marked = rig.connected(lambda _: None), places["reference"]
+        self._acknowledged: set[int] = set()
+        self.rig.on_publish = lambda _client, _data, mid, *_: self._acknowledged.add(mid)
+        # amqtt loses a client that is still joining when another one subscribes.
+        self.publish("oven/ping", "1")
         opened, self.received = source_of(values), 0
         assert opened is not None
 
@@ -73,8 +79,6 @@ class InStep:
 
         self.listener.open(open_counting)
         self.listener.search()
-        rig = Broker.parse(broker.url.partition("?")[0])
-        self.rig, self._marked = rig.connected(lambda _: None), places["reference"]
         if marked:
             self.subscribed()
 
@@ -94,8 +98,9 @@ class InStep:
         wait_for(lambda: self.source.poll() or newest("reference") == mark, "the last mark")
 
     def publish(self, topic: str, payload: str | bytes, *, retain: bool = False) -> None:
-        """Send, and wait until the broker has it."""
-        self.rig.publish(topic, payload, 1, retain).wait_for_publish(30.0)
+        """Send, and wait until the broker has it; a client that has lost its connection sends it later."""
+        sent = self.rig.publish(topic, payload, 1, retain)
+        wait_for(lambda: sent.mid in self._acknowledged, "the broker's answer")
 
     def tick(self, number: int, messages: dict[str, str | bytes], *, more: int = 0) -> list[Sample]:
         """The samples of a tick at which these are sent, and `more` messages that were sent before."""
