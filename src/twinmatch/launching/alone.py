@@ -27,6 +27,7 @@ from twinmatch.sessions import Recording, RecordingLimits
 from twinmatch.sessions.encoding import description_tree, encode, topic_named
 from twinmatch.sessions.messages import SAMPLE, encode_sample
 from twinmatch.sessions.metadata import CANDIDATES, parameters_record
+from twinmatch.sessions.recording import FLUSH
 from twinmatch.sessions.spool import SampleSpool
 from twinmatch.showing.console import Console
 from twinmatch.showing.page.health import kind_of
@@ -35,8 +36,6 @@ from twinmatch.showing.terminal import view_on
 from twinmatch.signals import Sample
 from twinmatch.twin import TwinSettings
 
-FLUSH: Final = 0.4
-"""Interval at which everything is flushed to disk, s."""
 LOOK: Final = 1.0
 """Interval at which troubles are looked for, s."""
 LEAVE: Final = 5.0

@@ -34,14 +34,9 @@ class Asked:
 
     def what_if(self, level: float, hold: float | None) -> None:
         """Forecast with the set-point at a level, and back after a time (s)."""
-        question = f"set-point {level:g} {self._state.described.reference.unit}"
-        asked = Question((0.0,), (level,))
-        if hold is not None:
-            question = f"{question} for {hold:g} s"
-            now = (self._state.plant.newest() or {"reference": level})["reference"]
-            asked = Question((0.0, hold), (level, now))
+        question, times, levels = self._state.question(level, hold)
         try:
-            forecast = what_if(self.snapshot.outlook(), asked).forecast
+            forecast = what_if(self.snapshot.outlook(), Question(tuple(times), tuple(levels))).forecast
         except TwinmatchError as error:
             self._state.answer(WhatIfAnswer(question, (str(error),)))
         else:

@@ -52,7 +52,8 @@ class Broker:
         """
         shown = url.partition("?")[0]
         try:
-            parts, port = urlsplit(url), urlsplit(url).port
+            parts = urlsplit(url)
+            port = parts.port or _PORTS.get(parts.scheme, 0)
         except ValueError as error:
             raise BrokerError(f"{shown}: {error}; write mqtt://HOST:PORT") from None
         if parts.scheme not in _PORTS or not parts.hostname or parts.path.strip("/"):
@@ -75,7 +76,7 @@ class Broker:
         ca = keys.pop("ca", "")
         if ca and not secure:
             raise BrokerError(f"{shown}: ca is for mqtts:// only")
-        return cls(parts.hostname, port or _PORTS[parts.scheme], secure, user, password, ca, keys)
+        return cls(parts.hostname, port, secure, user, password, ca, keys)
 
     @property
     def text(self) -> str:

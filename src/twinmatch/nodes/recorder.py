@@ -28,6 +28,7 @@ from twinmatch.sessions import Recording, RecordingLimits, SessionError, Topic
 from twinmatch.sessions.documents import DocumentError, read_text
 from twinmatch.sessions.messages import decode_sample, schema_of
 from twinmatch.sessions.metadata import CANDIDATES, CONTINUES, parameters_record
+from twinmatch.sessions.recording import FLUSH
 
 RHYTHM = 10
 """Messages after which a topic is expected to keep its rate."""
@@ -165,8 +166,6 @@ def _read(path: str) -> str:
 
 SEARCH = 0.2
 """Interval between two searches for new topics, s."""
-FLUSH = 0.4
-"""Interval at which everything is flushed to disk, s."""
 LEAVE = 3.0
 """Time to finish the session at the end, s; part of the runner's `TEARDOWN`."""
 AHEAD = 100

@@ -39,6 +39,8 @@ from twinmatch.settings import setting
 from twinmatch.signals import NANOSECONDS, Sample, Window
 
 MEGABYTE = 1_000_000
+FLUSH = 0.4
+"""Interval at which a live recording is to be flushed to the disk, s: what a kill may lose."""
 
 
 class DiskFullError(DiskError):

@@ -70,12 +70,8 @@ class Requests:
 
     def what_if(self, level: float, hold: float | None) -> None:
         """Ask the discriminator for a forecast with the set-point at a level, and back after a time (s)."""
-        said = self._state.described.reference
-        question = f"set-point {level:g} {said.unit}" + ("" if hold is None else f" for {hold:g} s")
-        request = WhatIf.Request(times=[0.0], levels=[level])
-        if hold is not None:
-            now = (self._state.plant.newest() or {"reference": level})["reference"]
-            request = WhatIf.Request(times=[0.0, hold], levels=[level, now])
+        question, times, levels = self._state.question(level, hold)
+        request = WhatIf.Request(times=times, levels=levels)
 
         def show(answer: WhatIf.Response) -> None:
             if answer.success:

@@ -326,6 +326,15 @@ class DashboardState:
             self.forecast = forecast
             self.forecast_changes += 1
 
+    def question(self, level: float, hold: float | None) -> tuple[str, list[float], list[float]]:
+        """A what-if question in words, with its times (s) and set-points: at a level, and back after a time
+        (s)."""
+        question = f"set-point {level:g} {self.described.reference.unit}"
+        if hold is None:
+            return question, [0.0], [level]
+        now = (self.plant.newest() or {"reference": level})["reference"]
+        return f"{question} for {hold:g} s", [0.0, hold], [level, now]
+
     def answer(self, answer: WhatIfAnswer) -> None:
         """Take a what-if question and its answer."""
         with self.lock:
