@@ -28,6 +28,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Final
 
+from twinmatch.launching.tracer import tell_tracer_of_forks
 from twinmatch.nodes import problem
 
 IMPORTED: Final = (
@@ -222,7 +223,8 @@ def main() -> None:
     from twinmatch.compiled import start_runtime  # noqa: PLC0415 — the launcher waits for this module
 
     start_runtime()
-    # The tracer that ROS loads has threads; they hold no lock that a program needs.
+    tell_tracer_of_forks()
+    # Python counts the threads of the tracer, too.
     warnings.filterwarnings("ignore", ".*multi-threaded, use of fork", DeprecationWarning)
     gc.collect()
     gc.freeze()  # what is shared stays shared
