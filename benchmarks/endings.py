@@ -28,10 +28,9 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from pymodbus.server import ModbusTcpServer
 
@@ -214,27 +213,22 @@ KINDS: Final[dict[str, Kind]] = {
 }
 
 
-@dataclass
-class Endings:
-    """How the processes of a kind have ended."""
+class Ending(NamedTuple):
+    """How a process has ended."""
 
-    codes: Counter[str] = field(default_factory=Counter)
-    wrong: list[str] = field(default_factory=list)
-    """What was wrong, a line or more each."""
+    code: str
+    """Exit code; "hangs" if it had to be killed."""
+    wrong: str
+    """What was wrong, with what it has printed; empty if nothing was."""
 
 
-def end_once(
-    kind: Kind, world: World, folder: Path, rng: random.Random, within: float, into: Endings
-) -> None:
-    """Start a process of a kind and end it at a random moment."""
+def end_once(words: Words, folder: Path, moment: float, number: signal.Signals) -> Ending:
+    """Start a program and send it a signal at a moment (s after its start)."""
     temporary = folder / "tmp"
-    temporary.mkdir(parents=True)
+    temporary.mkdir()
     environment = {**os.environ, "PYTHONUNBUFFERED": "1", "TMPDIR": str(temporary)}
-    words = kind(world, folder)
     output = folder / "output.txt"
     process = Process(sys.executable, *words, output=output, environment=environment, forked=True)
-    moment = rng.uniform(0.0, within)
-    number = rng.choice(SIGNALS)
     time.sleep(moment)
     by_itself = not process.running
     started = descendants(process.id)
@@ -244,13 +238,11 @@ def end_once(
     except AssertionError:
         process.kill()
         code = None
-    into.codes["hangs" if code is None else str(code)] += 1
     wrong = list(_amiss(code, process.text, number, by_itself=by_itself))
     wrong += [f"{name} still runs" for pid, name in started.items() if _runs(pid)]
     wrong += [f"{path.name} is left" for path in temporary.iterdir() if not path.name.startswith("pymp-")]
-    if wrong:
-        where = f"{number.name} after {moment:.2f} s: {', '.join(wrong)}"
-        into.wrong.append(f"{where}\n{process.text[-3000:]}")
+    said = f"{number.name} after {moment:.2f} s: {', '.join(wrong)}\n{process.text[-3000:]}"
+    return Ending("hangs" if code is None else str(code), said if wrong else "")
 
 
 def _amiss(code: int | None, text: str, number: signal.Signals, *, by_itself: bool) -> Iterator[str]:
@@ -311,22 +303,24 @@ def world() -> Iterator[World]:
             made.close()
 
 
-def end_often(names: list[str], number: int, seed: int, within: float) -> dict[str, Endings]:
-    """End each of these kinds so many times, within so many seconds (s) of its start."""
-    ended: dict[str, Endings] = {}
-    with world() as there:
-        for name in names:
-            rng = random.Random(f"{seed} {name}")
-            endings = ended[name] = Endings()
-            for k in range(number):
-                folder = there.folder / f"{name.replace(' ', '_')}_{k}"
-                end_once(KINDS[name], there, folder, rng, within, endings)
-                shutil.rmtree(folder, ignore_errors=True)
-            codes = ", ".join(f"{code}: {count}" for code, count in sorted(endings.codes.items()))
-            print(f"{name:18} {number - len(endings.wrong)} of {number} well; exit codes {codes}", flush=True)
-            for wrong in endings.wrong:
-                print(f"   {wrong}", flush=True)
-    return ended
+def end_often(name: str, there: World, number: int, seed: int, within: float) -> int:
+    """End a kind so many times, at most `within` s after its start; returns how many have not ended well."""
+    rng = random.Random(f"{seed} {name}")
+    codes = Counter[str]()
+    wrong = 0
+    for k in range(number):
+        folder = there.folder / f"{re.sub('[^a-zA-Z_]', '_', name)}_{k}"
+        folder.mkdir()
+        words = KINDS[name](there, folder)
+        ending = end_once(words, folder, rng.uniform(0.0, within), rng.choice(SIGNALS))
+        shutil.rmtree(folder, ignore_errors=True)
+        codes[ending.code] += 1
+        if ending.wrong:
+            wrong += 1
+            print(f"   {name}: {ending.wrong}", flush=True)
+    shown = ", ".join(f"{code}: {count}" for code, count in sorted(codes.items()))
+    print(f"{name:18} {number - wrong} of {number} well; exit codes {shown}", flush=True)
+    return wrong
 
 
 def main() -> int:
@@ -340,8 +334,13 @@ def main() -> int:
     if options.list:
         print("\n".join(KINDS))
         return 0
-    ended = end_often(options.kinds, options.number, options.seed, options.within)
-    return 1 if any(endings.wrong for endings in ended.values()) else 0
+    for number in SIGNALS:  # so that the world ends, too; and a shell's background would ignore SIGINT
+        signal.signal(number, signal.default_int_handler)
+    wrong = 0
+    with world() as there:
+        for name in options.kinds:
+            wrong += end_often(name, there, options.number, options.seed, options.within)
+    return 1 if wrong else 0
 
 
 if __name__ == "__main__":

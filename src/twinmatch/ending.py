@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import ExitStack
 
 __all__ = ["end_in_order"]
 
@@ -20,12 +19,11 @@ def end_in_order(*endings: Callable[[], object]) -> bool:
     Raises:
         Exception: what the last that failed has raised; those before it are its context.
     """
-    ended: list[bool] = []
-
-    def end(ending: Callable[[], object]) -> None:
-        ended.append(ending() is not False)
-
-    with ExitStack() as calls:  # which begins with the last, and goes on if a call fails
-        for ending in reversed(endings):
-            calls.callback(end, ending)
-    return all(ended)
+    if not endings:
+        return True
+    first, *others = endings
+    try:
+        first_ended = first() is not False
+    finally:
+        others_ended = end_in_order(*others)
+    return first_ended and others_ended
