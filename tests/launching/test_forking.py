@@ -127,6 +127,15 @@ def test_without_its_parent_it_ends(tmp_path: Path, program: str) -> None:
         wait_for(gone, f"the end of {status}")
 
 
+def test_an_interrupted_program_shows_no_traceback(tmp_path: Path, program: str) -> None:
+    output = tmp_path / "output"
+    forked = start(fork_server(), output, program, "wait")
+    lines_of(output)
+    forked.send_signal(signal.SIGINT)
+    assert forked.wait(PATIENCE) == -signal.SIGINT
+    assert len(output.read_text().splitlines()) == 2
+
+
 MANY_THREADS = """
 import sys, threading
 threading.stack_size(8 << 20)

@@ -82,9 +82,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(arguments: Sequence[str] | None) -> int:
-    options = _parser().parse_args(arguments)
-    command: Callable[[argparse.Namespace], int] = options.command
     try:
+        options = _parser().parse_args(arguments)
+        command: Callable[[argparse.Namespace], int] = options.command
         if (name := command.__module__.rpartition(".")[2]) in _OF_ROS:
             require_ros(name)
         if name in _LAUNCHING and signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:

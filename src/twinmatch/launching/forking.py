@@ -26,6 +26,7 @@ from collections.abc import Mapping
 from functools import cache
 from importlib import import_module
 from pathlib import Path
+from types import TracebackType
 from typing import Final
 
 from twinmatch.launching.tracer import tell_tracer_of_forks
@@ -214,6 +215,12 @@ def _prepare(output: int, words: list[str], environment: dict[str, str], folder:
     return words
 
 
+def _show(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+    """Show what has ended a program, but for Ctrl-C while it still imported."""
+    if not issubclass(kind, KeyboardInterrupt):
+        sys.__excepthook__(kind, error, trace)
+
+
 def main() -> None:
     """The fork server, and each program that it forks."""
     if problem():  # which the launcher tells
@@ -231,6 +238,7 @@ def main() -> None:
     words = serve(socket.socket(fileno=int(sys.argv[1])))
     if not words:
         return
+    sys.excepthook = _show
     if words[0] == "-m":
         sys.argv = words[1:]
         runpy.run_module(words[1], run_name="__main__", alter_sys=True)
