@@ -17,7 +17,7 @@ import scipy.io
 from hypothesis import settings
 from xdist.scheduler import LoadFileScheduling
 
-from tests.support.places import OTHERS, RECORDINGS, TESTS
+from tests.support.places import OTHERS, RECORDINGS, TESTS, remove_temporary_folders
 from twinmatch.cli.shared import Progress
 from twinmatch.fmu import is_fmu
 from twinmatch.plants import PLANTS
@@ -63,6 +63,11 @@ def pytest_collection_finish() -> None:
     """What is imported and collected stays to the end; a search for garbage passes over it."""
     gc.collect()
     gc.freeze()
+
+
+def pytest_sessionfinish() -> None:
+    """Leave nothing behind in the temporary folder."""
+    remove_temporary_folders()
 
 
 class ByFile(LoadFileScheduling):

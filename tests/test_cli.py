@@ -483,3 +483,24 @@ def test_the_shipped_session_is_forecast_within_its_bands(tmp_path: Path) -> Non
         held.append(np.mean((np.array(one["y"]["low"]) <= came) & (came <= np.array(one["y"]["high"]))))
     # Twelve forecasts of 300 readings, 90 % of them promised; neighbours share readings and a twin.
     assert 0.8 < np.mean(held) < 0.98
+
+
+def test_sigterm_interrupts_the_start_of_a_run_as_ctrl_c_does(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """So that what has been started ends with it."""
+    pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
+    left: list[str] = []
+
+    def starting(_: object) -> int:
+        try:
+            signal.raise_signal(signal.SIGTERM)
+        finally:
+            left.append("what was started")
+        return 0
+
+    starting.__module__ = "twinmatch.cli.play"
+    monkeypatch.setattr("twinmatch.cli.play.run", starting)
+    assert main(["play", str(SHIPPED)]) == 130
+    assert left == ["what was started"]
+    assert capsys.readouterr().err == "twinmatch: interrupted\n"

@@ -125,3 +125,35 @@ def test_without_its_parent_it_ends(tmp_path: Path, program: str) -> None:
             return not status.exists() or status.read_text().rsplit(")", 1)[1].split()[0] == "Z"
 
         wait_for(gone, f"the end of {status}")
+
+
+def test_an_interrupted_program_shows_no_traceback(tmp_path: Path, program: str) -> None:
+    output = tmp_path / "output"
+    forked = start(fork_server(), output, program, "wait")
+    lines_of(output)
+    forked.send_signal(signal.SIGINT)
+    assert forked.wait(PATIENCE) == -signal.SIGINT
+    assert len(output.read_text().splitlines()) == 2
+
+
+MANY_THREADS = """
+import sys, threading
+threading.stack_size(8 << 20)
+go = threading.Event()
+threads = [threading.Thread(target=go.wait) for _ in range(int(sys.argv[1]))]
+for thread in threads:
+    thread.start()
+go.set()
+for thread in threads:
+    thread.join()
+"""
+
+
+@pytest.mark.parametrize("threads", [6, 20])
+def test_a_program_that_had_many_threads_ends_by_itself(tmp_path: Path, threads: int) -> None:
+    """The memory of stacks that are no longer used is given back; the tracer's own threads had some, too."""
+    path = tmp_path / "threads.py"
+    path.write_text(MANY_THREADS)
+    output = tmp_path / "output"
+    assert start(fork_server(), output, str(path), str(threads)).wait(PATIENCE) == 0
+    assert output.read_text() == ""

@@ -120,7 +120,7 @@ class RunningDevice:
             self._loop.close()
 
     async def _shutdown(self) -> None:
-        await self._server.shutdown()
+        await self._server.shutdown()  # type: ignore[no-untyped-call]
         rest = asyncio.all_tasks() - {asyncio.current_task()}
         for task in rest:
             task.cancel()

@@ -6,7 +6,7 @@ What measures the flow between processes, or computes verdicts while it receives
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 import pytest
@@ -77,9 +77,9 @@ def start_script(tmp_path: Path) -> Iterator[Start]:
     made = Processes(tmp_path / "scripts")
     script = tmp_path / "program.py"
 
-    def begin(text: str, *, cold: bool = False) -> Process:
+    def begin(text: str, *, cold: bool = False, environment: Mapping[str, str] | None = None) -> Process:
         script.write_text(text)
-        return made.start(sys.executable, script, forked=not cold)
+        return made.start(sys.executable, script, forked=not cold, environment=environment)
 
     yield begin
     made.end()

@@ -18,6 +18,7 @@ from twinmatch.nodes.network import (
     NetworkError,
     check_sockets,
     lease,
+    log_arguments,
     prepare,
     sockets_elsewhere,
 )
@@ -99,17 +100,15 @@ def test_other_words_are_refused(value: str) -> None:
         prepare({"TWINMATCH_NETWORK": value})
 
 
-def test_logs_go_somewhere_without_a_home() -> None:
-    environment: dict[str, str] = {}
-    prepare(environment)
-    folder = Path(environment["ROS_LOG_DIR"])
-    assert folder.is_dir()
-    folder.rmdir()
+@pytest.mark.parametrize("environment", [{}, {"HOME": "/nowhere"}])
+def test_without_a_home_no_logs_are_written(environment: dict[str, str]) -> None:
+    assert log_arguments(environment) == ["--ros-args", "--disable-external-lib-logs"]
 
 
 @pytest.mark.parametrize("given", [{"ROS_LOG_DIR": "/here"}, {"ROS_HOME": "/there"}, {"HOME": "/"}])
 def test_a_place_for_logs_is_kept(given: dict[str, str]) -> None:
     environment = dict(given)
+    assert log_arguments(environment) == []
     prepare(environment)
     assert environment.get("ROS_LOG_DIR") == given.get("ROS_LOG_DIR")
 

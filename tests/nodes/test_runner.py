@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import os
 import signal
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from rclpy.context import Context
 
 from tests.support.processes import Start
 from twinmatch.errors import TwinmatchError
 from twinmatch.nodes.network import PROFILES, sockets_elsewhere
 from twinmatch.nodes.node import TwinmatchNode
 from twinmatch.nodes.player import Player
-from twinmatch.nodes.runner import run
+from twinmatch.nodes.runner import Nodes, run
 
 pytestmark = pytest.mark.ros
 
@@ -69,6 +71,55 @@ def test_signal_ends_with_zero_and_leaves_nothing(start_script: Start, number: s
     assert sockets_elsewhere(process.id) == []
     assert process.end(number) == 0
     assert not [name for name in files if Path(name).exists()]
+
+
+@pytest.mark.parametrize("how", ["ended", "killed"])
+def test_without_a_home_nothing_is_left_in_the_temporary_folder(
+    start_script: Start, tmp_path: Path, how: str
+) -> None:
+    temporary = tmp_path / "temporary"
+    temporary.mkdir()
+    without = {"HOME", "ROS_LOG_DIR", "ROS_HOME"}
+    environment = {name: value for name, value in os.environ.items() if name not in without}
+    process = start_script(program(), environment={**environment, "TMPDIR": str(temporary)})
+    process.said("^up$")
+    if how == "killed":
+        process.kill()
+    else:
+        assert process.end() == 0
+    assert not list(temporary.iterdir())
+
+
+def test_a_part_that_fails_at_the_end_is_told_and_the_rest_ends(start_script: Start) -> None:
+    others = set(Path("/dev/shm").glob("fastrtps_*"))
+    process = start_script(program(closing="1 / 0"))
+    process.said("^up$")
+    files = [name for name in shared_memory(process.id) if Path(name) not in others]
+    assert process.end() == 1
+    assert "ZeroDivisionError" in process.text
+    assert not [name for name in files if Path(name).exists()]
+
+
+def test_threads_end_before_the_executor_then_nodes_then_the_context() -> None:
+    context = Context()
+    nodes = Nodes(context)
+    order: list[str] = []
+
+    class Telling(TwinmatchNode):
+        NAME = "telling"
+
+        def close(self) -> bool:
+            order.append(f"threads, executor {nodes._executor is not None}, context {context.ok()}")
+            return super().close()
+
+        def destroy_node(self) -> None:
+            order.append(f"node, executor {nodes._executor is not None}, context {context.ok()}")
+            super().destroy_node()
+
+    nodes.start([Telling], ["program"])
+    assert nodes.close()
+    assert order == ["threads, executor True, context True", "node, executor False, context True"]
+    assert not context.ok()
 
 
 class First(TwinmatchNode):
@@ -174,6 +225,7 @@ REFUSED: tuple[tuple[str, str, str], ...] = (
     ("camera_bridge", "roi.width:=0", "parameter roi.width is 0; allowed: pixels, 1 to 1024"),
     ("camera_bridge", "hots:=pi", "there is no parameter hots; did you mean host?"),
     ("plant_clock", "", "clock address '': give HOST:PORT, as the virtual rig prints it"),
+    ("sampler", "source:=mqtt://127.0.0.1:1 map.output:=t map.input:=u", "no MQTT broker at 127.0.0.1:1"),
     ("player", "", "player: the session is missing; give"),
     ("player", "session:=/nowhere", "session /nowhere: does not exist"),
     ("player", "session:=SESSION wait_timeout:=0.5", "player: /plant/sample has 0 of 1 subscribers"),

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import shutil
+import tempfile
 from pathlib import Path
 
 PROJECT = Path(__file__).resolve().parents[2]
@@ -21,3 +23,20 @@ CHROMIUM = (
     *("--disable-background-networking", "--disable-component-update"),
 )
 """Options of a browser that reaches nobody."""
+_TEMPORARY: list[Path] = []
+
+
+def temporary_folder() -> Path:
+    """A new folder for what is made once for many tests; it is removed when this process has run its tests.
+
+    At the exit of a process would be too late: a worker of pytest-xdist has none.
+    """
+    _TEMPORARY.append(Path(tempfile.mkdtemp(prefix="twinmatch-tests-")))
+    return _TEMPORARY[-1]
+
+
+def remove_temporary_folders() -> None:
+    """Remove them."""
+    for folder in _TEMPORARY:
+        shutil.rmtree(folder, ignore_errors=True)
+    _TEMPORARY.clear()

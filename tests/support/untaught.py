@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import atexit
-import shutil
-import tempfile
 from collections.abc import Container
 from dataclasses import replace
 from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
 
+from tests.support.places import temporary_folder
 from tests.support.plant_files import plant_file
 from twinmatch.dynamics import begin, simulate_driven
 from twinmatch.offline.judging import Judgement, judge_samples
@@ -28,9 +25,8 @@ TAUGHT = 175
 
 @lru_cache(maxsize=1)
 def settings() -> TwinSettings:
-    folder = Path(tempfile.mkdtemp())  # the plant's code is made from its file when it is first used
-    atexit.register(shutil.rmtree, folder)
-    plant = find_plant(str(plant_file(folder, "untaught")))
+    # The plant's code is made from its file when it is first used.
+    plant = find_plant(str(plant_file(temporary_folder(), "untaught")))
     assert not plant.typical
     return TwinSettings.of(plant, law=None)
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import gc
+import signal
 import sys
 from collections.abc import Callable, Sequence
 from importlib import import_module
@@ -53,6 +54,8 @@ _COMMANDS: Final[dict[str, str]] = {
 """Help text of each command."""
 _OF_ROS: Final = frozenset({"demo", "live", "play", "dashboard", "foxglove"})
 """Commands that run or show the graph; `attach` does with other sources than ROS."""
+_LAUNCHING: Final = frozenset({"attach", "live", "play"})
+"""Commands that start processes, which a signal that comes meanwhile must not leave behind."""
 
 
 class _Parser(argparse.ArgumentParser):
@@ -79,11 +82,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(arguments: Sequence[str] | None) -> int:
-    options = _parser().parse_args(arguments)
-    command: Callable[[argparse.Namespace], int] = options.command
     try:
+        options = _parser().parse_args(arguments)
+        command: Callable[[argparse.Namespace], int] = options.command
         if (name := command.__module__.rpartition(".")[2]) in _OF_ROS:
             require_ros(name)
+        if name in _LAUNCHING and signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
+            signal.signal(signal.SIGTERM, signal.default_int_handler)
         if getattr(options, "allow_fmu", None) is not None:
             from twinmatch.fmu import adopt_fmus  # noqa: PLC0415 — few commands need it
 

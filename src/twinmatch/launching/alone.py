@@ -5,14 +5,16 @@ from __future__ import annotations
 import json
 import signal
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from queue import Empty
 from typing import Any, Final
 
+from twinmatch.comparing import Candidate
 from twinmatch.dynamics.prepare import prepare
-from twinmatch.launching.judging import Judged, Judging
+from twinmatch.ending import end_in_order
+from twinmatch.launching.judging import LEAVE, Judged, Judging
 from twinmatch.launching.shown import Shown
 from twinmatch.offline.summary import Tally, conclude
 from twinmatch.parameters.candidates import parse_candidates
@@ -21,7 +23,7 @@ from twinmatch.parameters.twin import values_of
 from twinmatch.plants.records import description_of
 from twinmatch.record import Tree, tree_of
 from twinmatch.sampling.channels import SamplingError
-from twinmatch.sampling.listener import SEARCH
+from twinmatch.sampling.listener import SEARCH, Open
 from twinmatch.sampling.sampler import TIMER
 from twinmatch.sessions import Recording, RecordingLimits
 from twinmatch.sessions.encoding import description_tree, encode, topic_named
@@ -38,8 +40,6 @@ from twinmatch.twin import TwinSettings
 
 LOOK: Final = 1.0
 """Interval at which troubles are looked for, s."""
-LEAVE: Final = 5.0
-"""Longest time to judge at the end what has been sampled, s."""
 
 
 @dataclass(frozen=True)
@@ -113,6 +113,20 @@ class Alone:
         if opened is None:
             raise SamplingError("attach: topics of ROS need ROS 2; give --source URL for a plant without")
         self._settings = plan.settings
+        try:
+            self._open(plan, opened, given)
+        except BaseException:
+            self._close()
+            raise
+        self._every = {self._search: SEARCH, self._flush: FLUSH, self._look: LOOK}
+        if plan.values["paced_by"] == TIMER:
+            self._every[self._listener.tick] = plan.settings.period
+        self._tally = Tally()
+        self._taken = self._judged = self._missed = 0
+        self._troubles: dict[str, str] = {}
+        self._ended = False
+
+    def _open(self, plan: AlonePlan, opened: Open, given: Sequence[Candidate]) -> None:
         self._view = view_on(Console(soft_wrap=True), "live", plan.settings.period)
         for _ in prepare(plan.settings.plant):  # a compiler beside the samples would cost some of them
             pass
@@ -121,13 +135,7 @@ class Alone:
         self._shown = Shown(plan.settings, plan.page, plan.tell)
         self._session = TwinSession(plan.session, plan) if plan.session is not None else None
         self._judging = Judging(plan.settings, given, shown=self._shown.wanted)
-        self._every = {self._search: SEARCH, self._flush: FLUSH, self._look: LOOK}
-        if plan.values["paced_by"] == TIMER:
-            self._every[self._listener.tick] = plan.settings.period
-        self._tally, self._spool = Tally(), SampleSpool()
-        self._taken = self._judged = self._missed = 0
-        self._troubles: dict[str, str] = {}
-        self._ended = False
+        self._spool = SampleSpool()
 
     def run(self) -> None:
         """Run until `end` is called.
@@ -136,8 +144,8 @@ class Alone:
             TwinmatchError: a place cannot be used, or the disk is full.
         """
         due = dict.fromkeys(self._every, time.monotonic())
-        self._view.open()
         try:
+            self._view.open()
             while not self._ended:
                 for call, interval in self._every.items():
                     if (now := time.monotonic()) >= due[call]:
@@ -225,25 +233,32 @@ class Alone:
                 self._view.say(line)
 
     def _close(self) -> None:
-        self._view.close()
-        self._listener.close()
-        self._judging.close(LEAVE)
-        if self._session is not None:
-            self._session.close()
-        self._shown.close()
-        self._spool.close()
+        parts = (getattr(self, name, None) for name in _ORDER)
+        end_in_order(*(part.close for part in parts if part is not None))
+
+
+_ORDER: Final = ("_view", "_listener", "_judging", "_session", "_shown", "_spool")
+"""The parts in the order in which they end: what brings samples, what judges and keeps them, what shows them.
+One that could not be made is missing."""
 
 
 def run_alone(plan: AlonePlan) -> None:
-    """Run until Ctrl-C or SIGTERM.
+    """Run until Ctrl-C or SIGTERM; either of them interrupts the start.
 
     Raises:
+        KeyboardInterrupt: a signal came before the run had begun.
         TwinmatchError: a file, an option or the source cannot be used, or the disk is full.
     """
-    run = Alone(plan)
-    before = {number: signal.signal(number, run.end) for number in (signal.SIGINT, signal.SIGTERM)}
+    before = {number: signal.signal(number, _interrupt) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
+        run = Alone(plan)
+        for number in before:
+            signal.signal(number, run.end)
         run.run()
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+def _interrupt(*_: object) -> None:
+    raise KeyboardInterrupt

@@ -26,8 +26,10 @@ from collections.abc import Mapping
 from functools import cache
 from importlib import import_module
 from pathlib import Path
+from types import TracebackType
 from typing import Final
 
+from twinmatch.launching.tracer import tell_tracer_of_forks
 from twinmatch.nodes import problem
 
 IMPORTED: Final = (
@@ -213,6 +215,12 @@ def _prepare(output: int, words: list[str], environment: dict[str, str], folder:
     return words
 
 
+def _show(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+    """Show what has ended a program, but for Ctrl-C while it still imported."""
+    if not issubclass(kind, KeyboardInterrupt):
+        sys.__excepthook__(kind, error, trace)
+
+
 def main() -> None:
     """The fork server, and each program that it forks."""
     if problem():  # which the launcher tells
@@ -222,13 +230,15 @@ def main() -> None:
     from twinmatch.compiled import start_runtime  # noqa: PLC0415 — the launcher waits for this module
 
     start_runtime()
-    # The tracer that ROS loads has threads; they hold no lock that a program needs.
+    tell_tracer_of_forks()
+    # Python counts the threads of the tracer, too.
     warnings.filterwarnings("ignore", ".*multi-threaded, use of fork", DeprecationWarning)
     gc.collect()
     gc.freeze()  # what is shared stays shared
     words = serve(socket.socket(fileno=int(sys.argv[1])))
     if not words:
         return
+    sys.excepthook = _show
     if words[0] == "-m":
         sys.argv = words[1:]
         runpy.run_module(words[1], run_name="__main__", alter_sys=True)

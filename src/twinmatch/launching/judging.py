@@ -16,6 +16,8 @@ from twinmatch.twin import Mirror, MirrorState, Outcome, Snapshot, Twin, TwinSet
 
 _WAIT: Final = 0.2
 """Longest wait for a sample, s."""
+LEAVE: Final = 5.0
+"""Longest time to judge at the end what has been sampled, s."""
 
 
 class Judged(NamedTuple):
@@ -47,7 +49,7 @@ class Judging(Background):
             scale=settings.forecasts.scale,
             health=settings.health,
         )
-        super().__init__("twin", self._run)
+        super().__init__("twin", self._run, LEAVE)
         self.start()
 
     def push(self, sample: Sample) -> None:

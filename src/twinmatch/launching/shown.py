@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from typing import TYPE_CHECKING, cast
 
+from twinmatch.ending import end_in_order
 from twinmatch.errors import TwinmatchError
 from twinmatch.forecasting import Question, what_if
 from twinmatch.plants.records import description_of
@@ -17,6 +18,7 @@ from twinmatch.twin import Snapshot, TwinSettings
 
 if TYPE_CHECKING:
     from twinmatch.launching.judging import Judged
+    from twinmatch.showing.page.mqtt_outlet import MqttOutlet
     from twinmatch.showing.page.requests import Requests
     from twinmatch.showing.page.server import PageServer
 
@@ -63,8 +65,14 @@ class Shown:
         """Whether anybody looks."""
         self.state = DashboardState(described=description_of(settings.plant))
         self._settings, self._asked, self._summed_up = settings, Asked(self.state, settings), 0
-        self._server = _serve(self.state, self._asked, port) if port is not None else None
-        self._outlet = outlet_to(broker, settings.plant.name) if broker else None
+        self._server: PageServer | None = None
+        self._outlet: MqttOutlet | None = None
+        try:
+            self._server = _serve(self.state, self._asked, port) if port is not None else None
+            self._outlet = outlet_to(broker, settings.plant.name) if broker else None
+        except BaseException:
+            self.close()
+            raise
 
     def sample(self, sample: Sample) -> None:
         """Show a sample."""
@@ -95,12 +103,10 @@ class Shown:
         if self._outlet is not None:
             self.trouble("broker", self._outlet.tell(self.state))
 
-    def close(self) -> None:
-        """Stop the page, and leave the broker."""
-        if self._outlet is not None:
-            self._outlet.close()
-        if self._server is not None:
-            self._server.close()
+    def close(self) -> bool:
+        """Leave the broker, and stop the page; returns whether the threads of both have ended."""
+        parts = (self._outlet, self._server)
+        return end_in_order(*(part.close for part in parts if part is not None))
 
 
 def _serve(state: DashboardState, asked: Asked, port: int) -> PageServer:

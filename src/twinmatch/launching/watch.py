@@ -8,6 +8,7 @@ from typing import ClassVar
 from diagnostic_msgs.msg import DiagnosticArray
 
 from twinmatch.comparing import Verdict
+from twinmatch.ending import end_in_order
 from twinmatch.launching.processes import Processes
 from twinmatch.nodes.discriminator import SETTLED, VERDICTS, DiscriminatorNode
 from twinmatch.nodes.node import TwinmatchNode
@@ -115,12 +116,12 @@ class Watch(TwinmatchNode):
 
     def close(self) -> bool:
         """End the processes."""
+        return end_in_order(self.supervised.view.close, super().close, self._end_processes)
+
+    def _end_processes(self) -> None:
         run = self.supervised
-        run.view.close()
-        super().close()
         for name in run.processes.stop(run.STOP_ORDER):
             run.view.say(f"{name} did not end in time and was killed")
-        return True
 
     def _check(self) -> None:
         if self.exit_code is None:

@@ -17,6 +17,7 @@ from pymodbus.client import ModbusSerialClient, ModbusTcpClient
 from pymodbus.exceptions import ModbusException
 from serial import Serial
 
+from twinmatch.ending import end_in_order
 from twinmatch.errors import TwinmatchError
 from twinmatch.links import Background
 from twinmatch.sampling import registers
@@ -149,10 +150,9 @@ class ModbusSource:
         """Why the newest cycle was dropped."""
         return self._trouble
 
-    def close(self) -> None:
+    def close(self) -> bool:
         """End the thread, and disconnect."""
-        self._thread.close()
-        self._device.close()
+        return end_in_order(self._thread.close, self._device.close)
 
     def _run(self) -> None:
         due = time.monotonic()

@@ -14,13 +14,28 @@ from paho.mqtt.client import Client, MQTTMessage
 from paho.mqtt.enums import CallbackAPIVersion
 
 from twinmatch.errors import TwinmatchError
+from twinmatch.links import Background
 
 KEEPALIVE: Final = 10
 """After one and a half times so many seconds of silence, broker and client take the other as gone."""
 PATIENCE: Final = 10.0
 """Time limit for the first connection, s."""
+LEAVE: Final = 2.0
+"""Longest wait for the end of a client's thread, s: it may be looking a host up, or connecting."""
 _PORTS: Final = {"mqtt": 1883, "mqtts": 8883}
 _KEYS: Final = ("password_file", "ca")
+
+
+def leave(client: Client) -> bool:
+    """Disconnect a client for good; returns whether its thread has ended within `LEAVE`."""
+
+    def stop() -> None:
+        client.loop_stop()  # which waits without a limit
+
+    client.disconnect()
+    stopping = Background("leaving the broker", stop, LEAVE)
+    stopping.start()
+    return stopping.close()
 
 
 class BrokerError(TwinmatchError):
@@ -128,7 +143,7 @@ class Broker:
             raise BrokerError(f"no MQTT broker at {self.text} ({error}); check that it runs") from None
         client.loop_start()
         if not answered.wait(PATIENCE) or first:
-            client.loop_stop()
+            leave(client)
             why = first or f"it does not answer within {PATIENCE:g} s"
             raise BrokerError(f"the MQTT broker at {self.text} does not let us in: {why}")
         return client

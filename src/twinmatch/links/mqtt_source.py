@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from paho.mqtt.client import Client, MQTTMessage
 
-from twinmatch.links.mqtt_client import Broker
+from twinmatch.links.mqtt_client import Broker, leave
 from twinmatch.sampling.channels import Channel, SamplingError
 from twinmatch.sampling.listener import Receive
 from twinmatch.sampling.payloads import document_of, number_at, numbers_in, parse_place, stamp_at
@@ -71,10 +71,9 @@ class MqttSource:
         count, why = self._amiss.get(topic, (0, ""))
         return f"{count} messages on {topic} without a number, the last: {why}" if count else ""
 
-    def close(self) -> None:
+    def close(self) -> bool:
         """Disconnect."""
-        self._client.disconnect()
-        self._client.loop_stop()
+        return leave(self._client)
 
     def _subscribe(self, client: Client) -> None:
         for topic in self.kinds:
@@ -122,8 +121,7 @@ def listing(url: str, where: str) -> Iterator[str]:
         subscribe, lambda message: heard.update({message.topic: bytes(message.payload)})
     )
     time.sleep(_LISTENS)
-    client.disconnect()
-    client.loop_stop()
+    leave(client)
     for topic, payload in sorted(heard.items()):
         try:
             document = document_of(payload)

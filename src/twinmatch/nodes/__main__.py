@@ -6,6 +6,7 @@ deadline switches the output off, with those of a kit the process that holds its
 
 from __future__ import annotations
 
+import signal
 import sys
 from importlib import import_module
 from pathlib import Path
@@ -40,7 +41,9 @@ def nodes_of(program: str) -> list[type[Any]]:
 
 
 def main() -> None:
-    """Run the program that is called so."""
+    """Run the program that is called so. Until its runner takes signals over, they end it at once."""
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
     arguments = sys.argv if Path(sys.argv[0]).stem in PROGRAMS else sys.argv[1:]
     if not arguments or (name := Path(arguments[0]).stem) not in PROGRAMS:
         print(f"usage: python -m twinmatch.nodes {{{','.join(PROGRAMS)}}} [--help]", file=sys.stderr)

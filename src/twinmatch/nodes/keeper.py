@@ -12,6 +12,7 @@ from typing import Any, Final
 
 from rclpy.serialization import deserialize_message
 
+from twinmatch.ending import end_in_order
 from twinmatch.nodes.health import Report
 from twinmatch.nodes.node import KEEPER, TwinmatchNode
 from twinmatch.nodes.past import PAST
@@ -119,9 +120,8 @@ class Keeper(TwinmatchNode):
 
     def close(self) -> bool:
         """Release the files."""
-        if hasattr(self, "_store"):
-            self._store.close()
-        return True
+        stores = [self._store.close] if hasattr(self, "_store") else []
+        return end_in_order(*stores, super().close)
 
     @property
     def busy(self) -> bool:

@@ -18,7 +18,6 @@ import os
 import re
 import shlex
 import sys
-import tempfile
 from collections.abc import Iterator, Mapping, MutableMapping
 from enum import Enum
 from pathlib import Path
@@ -67,15 +66,13 @@ def prepare(
 ) -> Network:
     """Set the variables that ROS 2 reads when it starts; call it before `rclpy.init`.
 
-    Besides the network, this sets where ROS 2 finds its files when installed from wheels, and where it
-    writes its logs when there is no home folder.
+    Besides the network, this sets where ROS 2 finds its files when installed from wheels.
 
     Raises:
         NetworkError: `TWINMATCH_NETWORK` is neither `loopback` nor `open`, the profile is missing, the
             middleware is not Fast DDS and so would not read the profile, or the domain is invalid.
     """
     _find_wheels(environment)
-    _find_log_folder(environment)
     _check_domain(environment.get(DOMAIN, ""))
     value = environment.get(VARIABLE, Network.LOOPBACK.value)
     try:
@@ -161,6 +158,17 @@ def shell_lines(environment: Mapping[str, str] = os.environ) -> list[str]:
     ]
 
 
+def log_arguments(environment: Mapping[str, str] = os.environ) -> list[str]:
+    """Arguments for `rclpy.init` with which ROS 2 writes no files of logs, where it has no folder for them.
+
+    It does not start otherwise. What nodes log is printed all the same, and published on /rosout.
+    """
+    if "ROS_LOG_DIR" in environment or "ROS_HOME" in environment:
+        return []
+    home = environment.get("HOME", "")
+    return [] if home and os.access(home, os.W_OK) else ["--ros-args", "--disable-external-lib-logs"]
+
+
 def check_sockets() -> None:
     """Check the sockets of this process; call it after the nodes were created.
 
@@ -219,15 +227,6 @@ def _find_wheels(environment: MutableMapping[str, str]) -> None:
     """Set AMENT_PREFIX_PATH for a ROS 2 from wheels; a sourced ROS 2 sets it itself."""
     if "AMENT_PREFIX_PATH" not in environment and (Path(sys.prefix) / "share" / "rclpy").is_dir():
         environment["AMENT_PREFIX_PATH"] = sys.prefix
-
-
-def _find_log_folder(environment: MutableMapping[str, str]) -> None:
-    """Set a folder for logs where there is no writable home: ROS 2 does not start without one."""
-    if "ROS_LOG_DIR" in environment or "ROS_HOME" in environment:
-        return
-    home = environment.get("HOME", "")
-    if not home or not os.access(home, os.W_OK):
-        environment["ROS_LOG_DIR"] = tempfile.mkdtemp(prefix="twinmatch-log-")
 
 
 def _socket_inodes(process: int | str) -> Iterator[str]:

@@ -19,6 +19,7 @@ from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.timer import Timer
 
+from twinmatch.ending import end_in_order
 from twinmatch.errors import TwinmatchError
 from twinmatch.links import Background
 from twinmatch.nodes.entrance import Entrance
@@ -300,8 +301,7 @@ class TwinmatchNode(Node):
 
     def close(self) -> bool:
         """End what runs beside the callbacks; returns whether all of it ended."""
-        ended = [one.close() for one in self.beside]
-        return all(ended)
+        return end_in_order(*(part.close for part in self.beside))
 
     def _on_set(self, parameters: Sequence[Any]) -> SetParametersResult:
         """Handle `ros2 param set`: check against the table, then let the node adopt the values."""

@@ -30,6 +30,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
+from twinmatch.ending import end_in_order
 from twinmatch.errors import TwinmatchError
 from twinmatch.nodes import network
 from twinmatch.nodes.node import TwinmatchNode
@@ -103,7 +104,12 @@ def _run(kinds: Sequence[type[TwinmatchNode]], arguments: list[str]) -> int:
     _on_signals(signal.SIG_IGN)
     signal.signal(signal.SIGALRM, signal.SIG_DFL)
     signal.alarm(TEARDOWN + nodes.closing)
-    if not nodes.close():  # a thread still computing would be torn down with the interpreter
+    try:
+        all_ended = nodes.close()
+    except Exception:
+        traceback.print_exc()
+        all_ended, code = False, EXIT_DEFECT
+    if not all_ended:  # a thread that continues would be torn down with the interpreter
         sys.stdout.flush()
         sys.stderr.flush()
         os._exit(code or 0)
@@ -135,7 +141,8 @@ class Nodes:
         reach = network.prepare()
         with _clear_errors(arguments):
             options = SignalHandlerOptions.NO
-            rclpy.init(args=list(arguments), context=self._context, signal_handler_options=options)
+            words = [*arguments, *network.log_arguments()]
+            rclpy.init(args=words, context=self._context, signal_handler_options=options)
         self._executor = executor_of(self._context)
         for kind in kinds:
             node = kind(self._context)
@@ -167,20 +174,40 @@ class Nodes:
             self.spin_once()
 
     def close(self) -> bool:
-        """Close everything; nothing of ROS is left then. Returns whether all threads ended."""
-        ended = [] if self._step is None else [self._step.close()]
-        ended += [node.close() for node in self._nodes]
+        """End everything, in the order in which every process of nodes ends; nothing of ROS is left then.
+
+        What calls ROS from other threads is ended and joined first, then the executor, whose queue refers to
+        the nodes, then the nodes, whose parts belong to the context, which is the last.
+
+        Returns:
+            Whether all threads ended.
+
+        Raises:
+            Exception: a part failed to end; the others have been ended nonetheless.
+        """
+        return end_in_order(
+            self._end_threads, self._stop_executor, self._destroy_nodes, self._shut_context_down
+        )
+
+    def _end_threads(self) -> bool:
+        """End sources, workers and connections, and join their threads."""
+        steps = [] if self._step is None else [self._step.close]
+        return end_in_order(*steps, *(node.close for node in self._nodes))
+
+    def _stop_executor(self) -> None:
         if self._executor is not None:
             for node in self._nodes:
                 self._executor.remove_node(node)
             self._executor.shutdown(timeout_sec=1.0)
             self._executor = None
-        for node in self._nodes:
-            node.destroy_node()
+
+    def _destroy_nodes(self) -> None:
+        end_in_order(*(node.destroy_node for node in self._nodes))
         self._nodes.clear()
+
+    def _shut_context_down(self) -> None:
         rclpy.try_shutdown(context=self._context)
         gc.collect()  # remaining references to a node would hold shared memory
-        return all(ended)
 
 
 def executor_of(context: Context | None) -> Any:

@@ -7,6 +7,7 @@ from dataclasses import replace
 from functools import partial
 from typing import Any, ClassVar
 
+from twinmatch.ending import end_in_order
 from twinmatch.nodes.health import Level, Report
 from twinmatch.nodes.messages import sample_message
 from twinmatch.nodes.node import Missed, Readers, TwinmatchNode
@@ -28,6 +29,7 @@ class SamplerNode(TwinmatchNode):
     """
 
     NAME = "sampler"
+    CLOSING: ClassVar = 3
     PARAMETERS: ClassVar = sampler_table()
 
     @classmethod
@@ -60,8 +62,7 @@ class SamplerNode(TwinmatchNode):
 
     def close(self) -> bool:
         """End the source."""
-        self._listener.close()
-        return super().close()
+        return end_in_order(self._listener.close, super().close)
 
     def report(self) -> Report:
         """Each signal's value and counts, and the reason if there are no samples."""

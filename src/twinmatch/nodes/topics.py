@@ -243,8 +243,9 @@ class ForeignTopics:
             return ""
         return f"{topic} no longer has a publisher" if topic in self.kinds else f"no publisher on {topic}"
 
-    def close(self) -> None:
+    def close(self) -> bool:
         """The node destroys its subscriptions."""
+        return True
 
     def _take(self, topic: str, message: Any) -> None:
         header = getattr(message, "header", None)

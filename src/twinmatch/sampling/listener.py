@@ -68,8 +68,8 @@ class Source(Protocol):
     def trouble(self, topic: str) -> str:
         """Why no numbers come from a topic now; empty if nothing is known against it."""
 
-    def close(self) -> None:
-        """End it; nothing is handed on any longer."""
+    def close(self) -> bool:
+        """End it; nothing is handed on any longer. Returns whether its threads have ended."""
 
 
 Open = Callable[[list[Channel], Receive], Source]
@@ -112,6 +112,7 @@ class SignalListener:
         self.misnamed: dict[str, str] = {}
         """Why messages are left out, by signal."""
         self._sources, self._now, self._wait = sources, now, wait
+        self._close: Callable[[], bool] = lambda: True  # nothing is open yet
         self._units = {name: signal.unit for name, signal in signals_of(plant).items()}
         self._ready: dict[str, FollowedSignal] = {}
         self._fresh: dict[str, dict[int, tuple[float, int]]] = {name: {} for name in sources}
@@ -122,6 +123,7 @@ class SignalListener:
     def open(self, opened: Open) -> None:
         """Begin to listen to a source, which may have messages at once."""
         self._source = opened([channel for each in self.channels.values() for channel in each], self.receive)
+        self._close = self._source.close
         self.search()
 
     @property
@@ -189,9 +191,9 @@ class SignalListener:
         """A tick of the timer, where that paces the samples."""
         self.sampler.tick(self._now())
 
-    def close(self) -> None:
-        """End the source."""
-        self._source.close()
+    def close(self) -> bool:
+        """End the source, if one was opened; returns whether its threads have ended."""
+        return self._close()
 
     def trouble(self, name: str) -> str:
         """Why a signal gives no samples now; empty if it does."""

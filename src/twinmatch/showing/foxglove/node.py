@@ -15,6 +15,7 @@ from rclpy.clock import Clock, ClockType
 from rosgraph_msgs.msg import Clock as ClockMessage
 
 from twinmatch.description import Description
+from twinmatch.ending import end_in_order
 from twinmatch.nodes.health import Level, Report
 from twinmatch.nodes.messages import description_from
 from twinmatch.nodes.node import TwinmatchNode
@@ -117,10 +118,9 @@ class GraphServer(ServerListener):
             self._last[number] = last._replace(at=now)
             last.channel.log(last.data, log_time=now)
 
-    def close(self) -> None:
-        """Stop; viewers reconnect automatically."""
-        self._server.stop()
-        self._relay.close()
+    def close(self) -> bool:
+        """Stop; viewers reconnect automatically. Returns whether the threads have ended."""
+        return end_in_order(self._server.stop, self._relay.close)
 
     def on_subscribe(self, client: Client, channel: ChannelView) -> None:
         """Send a viewer the newest message of a channel; called by a thread of the SDK, as the next."""
@@ -223,9 +223,8 @@ class Foxglove(TwinmatchNode):
 
     def close(self) -> bool:
         """Stop the server."""
-        if self._serving:
-            self._server.close()
-        return True
+        servers = [self._server.close] if self._serving else []
+        return end_in_order(*servers, super().close)
 
     def _find_topics(self) -> None:
         self._has_clock = self.count_publishers("/clock") > 0

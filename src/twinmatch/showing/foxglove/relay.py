@@ -40,10 +40,15 @@ class Relay:
         self._thread = threading.Thread(target=self._run, name="relay", daemon=True)
         self._thread.start()
 
-    def close(self) -> None:
-        """End all connections; what their server has said before its end is passed on first."""
+    def close(self) -> bool:
+        """End all connections; what their server has said before its end is passed on first.
+
+        Returns:
+            Whether the thread has ended.
+        """
         self._loop.call_soon_threadsafe(self._over.set)
         self._thread.join(3.0)
+        return not self._thread.is_alive()
 
     def _run(self) -> None:
         self._loop.run_until_complete(self._serve())

@@ -12,7 +12,7 @@ from paho.mqtt.client import Client
 
 from twinmatch import __version__
 from twinmatch.comparing import TrustLevel
-from twinmatch.links.mqtt_client import Broker, BrokerError
+from twinmatch.links.mqtt_client import Broker, BrokerError, leave
 from twinmatch.record import finite
 from twinmatch.showing.page.outline import ahead, coverage, faults, level, trusted_ahead
 from twinmatch.showing.page.state import DashboardState
@@ -70,14 +70,13 @@ class MqttOutlet:
         self._client = self._broker.connected(self._repeat, will=will)
         self._name = name
 
-    def close(self) -> None:
-        """Say that nothing follows, and disconnect."""
+    def close(self) -> bool:
+        """Say that nothing follows, and disconnect; returns whether the client's thread has ended."""
         if self._name and self._client.is_connected():
             with suppress(RuntimeError, ValueError):  # the connection is lost at this moment
                 last = self._client.publish(_status(self._name), "offline", retain=True)
                 last.wait_for_publish(_GOODBYE)
-        self._client.disconnect()
-        self._client.loop_stop()
+        return leave(self._client)
 
     def _repeat(self, client: Client) -> None:
         for topic, said in dict(self._said).items():

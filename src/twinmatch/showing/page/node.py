@@ -17,6 +17,7 @@ from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy, qos_profile_
 from sensor_msgs.msg import Image
 
 from twinmatch.description import UNDESCRIBED
+from twinmatch.ending import end_in_order
 from twinmatch.nodes.health import PLANT_REPORT, Level, Report
 from twinmatch.nodes.messages import description_from, nanoseconds
 from twinmatch.nodes.node import TwinmatchNode
@@ -146,9 +147,8 @@ class Dashboard(TwinmatchNode):
 
     def close(self) -> bool:
         """Stop the server, and say goodbye to the broker."""
-        if self._outlet is not None:
-            self._outlet.close()
-        return self._server is None or self._server.close()
+        parts = (self._outlet, self._server)
+        return end_in_order(*(part.close for part in parts if part is not None), super().close)
 
     def _on_description(self, message: PlantDescription) -> None:
         self.state.describe(description_from(message))
