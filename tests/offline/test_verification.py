@@ -307,7 +307,7 @@ def test_a_forecast_is_asked_for_under_inputs(config: Path, capsys: Any, tmp_pat
 def test_a_session_with_a_verdict_that_a_defect_prevented_is_verified(
     samples: list[Sample], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It is recorded as any other. A replay with the same defect finds it again, one without finds another."""
+    """It is recorded as any other. With the same defect a replay finds it again, without another."""
     real = engine.verdict_of
 
     def broken(known: Knowledge) -> Verdict:
