@@ -17,6 +17,7 @@ import shutil
 import subprocess
 import tempfile
 import time
+import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -29,6 +30,7 @@ from llvmlite.binding import get_host_cpu_name
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from tests.golden.sources import SOURCES, MissingSourceError, documents_of
+from twinmatch.twin.defects import DefectWarning
 
 __all__ = ["SOURCES", "MissingSourceError"]
 
@@ -105,6 +107,7 @@ def compare(name: str, found: Entry) -> tuple[list[str], str]:
 
 def work(name: str, *, making: bool) -> tuple[bool, str]:
     """Compare or make one source: whether it is as it should be, and a line about it."""
+    warnings.simplefilter("error", DefectWarning)
     begun = time.process_time()
     with tempfile.TemporaryDirectory(prefix="twinmatch-golden-") as folder:
         try:

@@ -14,11 +14,14 @@ import pytest
 from tests.support.nonsense import Nonsense, is_sound
 from tests.support.processes import Start
 from tests.support.ros import Listener
+from twinmatch.comparing import Verdict
 from twinmatch.nodes.messages import message_of, parameters_message, record_of, state_message
 from twinmatch.nodes.topics import EVERYTHING, LATCHED
 from twinmatch.plants import Peltier
 from twinmatch.signals import Sample
-from twinmatch.twin import Mirror, Outcome, TwinSettings
+from twinmatch.twin import Mirror, Outcome, TwinSettings, engine
+from twinmatch.twin.defects import DefectWarning
+from twinmatch.twin.knowledge import Knowledge
 from twinmatch_msgs.msg import (
     Candidate,
     ForecastScore,
@@ -167,3 +170,32 @@ def test_three_in_one_process_have_nothing_to_say(start_process: Start, listener
     listener.spin_until(lambda: names <= set(listener.node.get_node_names()), "the nodes")
     assert process.well(process.end())
     assert process.text == ""
+
+
+def test_a_defect_ends_no_node_and_is_said_by_verdict_and_diagnostics(
+    start: Start, listener: Listener, steps: list[Sample], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real = engine.verdict_of
+
+    def broken(known: Knowledge) -> Verdict:
+        if known.sample == 119:
+            raise ZeroDivisionError("a slip")
+        return real(known)
+
+    monkeypatch.setattr(engine, "verdict_of", broken)
+    heard = listener.hear(ModelScore, "twin/model_score", EVERYTHING)
+    assert not listener.health
+
+    def judged() -> None:
+        start("discriminator")
+        listener.wait_for_nodes("twin/model_score")
+        listener.send(steps[:200])
+        listener.spin_until(lambda: len(heard) == 3, "the verdict behind the defect")
+        listener.spin_until(lambda: listener.said("a defect of this program"), "its report")
+
+    with pytest.warns(DefectWarning, match="a slip"):
+        judged()
+    assert [score.sample for score in heard] == [59, 119, 179]
+    assert [record_of(score).level.value for score in heard] == ["unknown"] * 3
+    assert "ZeroDivisionError: a slip" in heard[1].reason
+    assert "defect" not in heard[2].reason

@@ -18,6 +18,7 @@ from tests.support.places import SHIPPED
 from tests.support.recorded import Change, write_judged
 from tests.support.steps import quarter_of_an_hour
 from twinmatch.cli import main
+from twinmatch.comparing import Verdict
 from twinmatch.offline.judging import Judgement, TermsError
 from twinmatch.offline.summary import summarise
 from twinmatch.offline.verification import VerifyError, verify_session
@@ -27,7 +28,9 @@ from twinmatch.plants import Peltier, TCLabBoth
 from twinmatch.sessions import SessionError, write_session
 from twinmatch.sessions.metadata import parameters_of, parameters_record
 from twinmatch.signals import Sample, stretches
-from twinmatch.twin import Outcome, Twin, TwinSettings
+from twinmatch.twin import Outcome, Twin, TwinSettings, engine
+from twinmatch.twin.defects import DefectWarning
+from twinmatch.twin.knowledge import Knowledge
 
 pytestmark = pytest.mark.ros
 
@@ -299,3 +302,32 @@ def test_a_forecast_is_asked_for_under_inputs(config: Path, capsys: Any, tmp_pat
     assert "nan" not in told
     assert main([*asked, "--hold", "900"]) == 2
     assert "the input now is 900 PWM; give one from -255 to 255 PWM" in capsys.readouterr().err
+
+
+def test_a_session_with_a_verdict_that_a_defect_prevented_is_verified(
+    samples: list[Sample], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is recorded as any other. With the same defect a replay finds it again, without another."""
+    real = engine.verdict_of
+
+    def broken(known: Knowledge) -> Verdict:
+        if known.sample == 360:
+            raise ZeroDivisionError("a slip")
+        return real(known)
+
+    values = twin_values("twin", {})
+
+    def recorded() -> Path:
+        twin = Twin(TwinSettings())
+        outcomes = [twin.push(sample) for sample in samples[:500]]
+        return write_judged(tmp_path / "run", samples[:500], outcomes, values)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(engine, "verdict_of", broken)
+        with pytest.warns(DefectWarning, match="a slip"):
+            folder = recorded()
+        with pytest.warns(DefectWarning, match="a slip"):
+            assert verify_session(folder).identical
+    mended = verify_session(folder)
+    assert "verdict 7 at sample 360" in str(mended.difference)
+    assert "because of a defect of this program" in str(mended.difference)

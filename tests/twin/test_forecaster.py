@@ -223,3 +223,15 @@ def test_a_structure_leads_the_family_on_a_rig_that_has_it(judged: Judged) -> No
     found = next(s for s in scores if s.name == RICH).parameters
     for name, of in (("conductance", 0.1), ("heat_capacity", 0.25), ("seebeck", 0.25)):
         assert found[name] == pytest.approx(TRUTH[name], rel=of), name
+
+
+def test_no_bands_are_compared_once_nobody_leads(samples: list[Sample]) -> None:
+    """What the last of the candidates has forecast is still kept; it is no leader's any longer."""
+    forecaster = Forecaster(GAINS)
+    forecaster.enter(given(truth=TRUTH))
+    for sample in samples[:300]:
+        forecaster.push(sample)
+    assert forecaster.check_bands(60) is not None
+    forecaster.enter([])
+    assert forecaster.check_bands(60) is None
+    assert not forecaster.standings.alone

@@ -13,6 +13,7 @@ from twinmatch.forecasting import Forecast
 from twinmatch.links import Background
 from twinmatch.signals import Sample
 from twinmatch.twin import Mirror, MirrorState, Outcome, Snapshot, Twin, TwinSettings
+from twinmatch.twin.defects import without_what_fails
 
 _WAIT: Final = 0.2
 """Longest wait for a sample, s."""
@@ -27,7 +28,8 @@ class Judged(NamedTuple):
     outcome: Outcome
     stamps: dict[int, int]
     """Stamps of the samples behind the match and the verdicts, ns, by index."""
-    mirror: MirrorState
+    mirror: MirrorState | None
+    """None: a defect prevented it."""
     forecast: Forecast | None
 
 
@@ -69,12 +71,20 @@ class Judging(Background):
         made = {verdict.sample for verdict in outcome.verdicts}
         made |= {outcome.match.sample} if outcome.match is not None else set()
         stamps = {index: known.get(index, 0) for index in made}
-        forecaster, mirror, forecast = self._twin.discriminator.forecaster, self._mirror.push(sample), None
+        mirror, forecast = None, None
+        with without_what_fails("a sample could not be shown", self._twin.discriminator.defects):
+            mirror = self._mirror.push(sample)
+            forecast = self._forecast()
+        return Judged(sample, outcome, stamps, mirror, forecast)
+
+    def _forecast(self) -> Forecast | None:
+        """The leader's forecast, where it is wanted; the mirror takes its parameters."""
+        forecaster = self._twin.discriminator.forecaster
         leading = forecaster.standings.leading
         if leading is not None and leading.parameters is not self._mirror.parameters:
             self._mirror.parameters = leading.parameters
-        if leading is not None and self._shown:
-            self.snapshot = forecaster.snapshot()
-            outlook = self.snapshot.outlook()
-            forecast = outlook.forecast(np.tile(outlook.standing, (max(forecaster.horizons), 1)))
-        return Judged(sample, outcome, stamps, mirror, forecast)
+        if leading is None or not self._shown:
+            return None
+        self.snapshot = forecaster.snapshot()
+        outlook = self.snapshot.outlook()
+        return outlook.forecast(np.tile(outlook.standing, (max(forecaster.horizons), 1)))

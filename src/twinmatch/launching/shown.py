@@ -81,7 +81,9 @@ class Shown:
     def take(self, judged: Judged, snapshot: Snapshot) -> None:
         """Show what the twin made of a sample."""
         mirror, state = judged.mirror, self.state
-        state.push_twin(mirror.sample.index, TwinRow(*(getattr(mirror, name) for name in TwinRow._fields)))
+        if mirror is not None:
+            row = TwinRow(*(getattr(mirror, name) for name in TwinRow._fields))
+            state.push_twin(mirror.sample.index, row)
         self._asked.snapshot = snapshot
         if judged.forecast is not None:
             state.push_forecast(judged.forecast)

@@ -36,6 +36,7 @@ from twinmatch.parameters.candidates import candidates_in
 from twinmatch.safety import LawReport, TrialPhase
 from twinmatch.signals import Sample
 from twinmatch.twin import Discriminator, MatchReport, Snapshot, Step
+from twinmatch.twin.defects import without_what_fails
 from twinmatch_msgs import msg as messages
 from twinmatch_msgs.msg import (
     Candidate,
@@ -159,6 +160,7 @@ class DiscriminatorNode(SampleNode):
         self._nominal: tuple[object, ...] = ()  # name, window and parameters
         self._answers: deque[MatchReport] = deque()  # matches made before this node started, oldest first
         self._made = 0  # verdicts
+        self._reported_defects = 0
         self._published_before = 0  # verdicts published before this node started
         self._pending: MatchRequest | None = None
         self._requested_at = 0.0
@@ -233,12 +235,19 @@ class DiscriminatorNode(SampleNode):
     def _publish_step(self, step: Step) -> None:
         for estimate in step.estimates:
             self.publish(self._estimates, message_of(estimate, self._discriminator.stamps[estimate.sample]))
+        defects = self._discriminator.defects
         for snapshot in step.snapshots:
-            self._forecasts.publish(snapshot)
+            with without_what_fails("no forecast could be published", defects):
+                self._forecasts.publish(snapshot)
         for verdict in step.verdicts:
             self._publish(verdict)
         if step.verdicts:  # a match may have brought a candidate
-            self._forecasts.take(self._discriminator.forecaster.snapshot())
+            with without_what_fails("no question can be answered with what is new", defects):
+                self._forecasts.take(self._discriminator.forecaster.snapshot())
+        if len(defects) > self._reported_defects:
+            self._reported_defects = len(defects)
+            words = "; ".join(map(str, defects.values()))
+            self.health.flag("defect", Level.ERROR, f"a defect of this program, please report it: {words}")
         self._experimenter.take(step.settled, step.verdicts)
 
     def _request(self, request: MatchRequest) -> None:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -16,9 +17,10 @@ from twinmatch.fitting.match import not_determined
 from twinmatch.health import SLOW, Alarm, EstimatedReading, Health, HealthState, Monitor
 from twinmatch.signals import Sample, Signals, Window, point_values
 from twinmatch.twin.candidates import UNSCORED, CandidatePool
+from twinmatch.twin.defects import Defect, defect_of, log_once
 from twinmatch.twin.door import Door
 from twinmatch.twin.forecaster import Forecaster, Snapshot
-from twinmatch.twin.knowledge import Knowledge, MatchResult, verdict_of
+from twinmatch.twin.knowledge import Knowledge, MatchResult, no_verdict, verdict_of
 from twinmatch.twin.matcher import MatchReport, MatchRequest, carry_out, one_thread
 from twinmatch.twin.mirror import Residuals, residuals
 from twinmatch.twin.schedule import Schedule, Trigger
@@ -49,6 +51,16 @@ class Step(NamedTuple):
     """What sensors should have read that were not believed at these samples."""
 
 
+class _Recurring(NamedTuple):
+    """A defect that may be raised at every sample."""
+
+    place: str
+    said: int
+    """Sample of the newest verdict that said so."""
+    newest: int
+    """Newest sample at which it was raised."""
+
+
 class Discriminator:
     """Judges the family at every trigger of the schedule, and the plant's health at every sample.
 
@@ -56,6 +68,10 @@ class Discriminator:
     the answer; samples that arrive meanwhile are queued. So a request depends only on the samples before it,
     the order of verdicts does not depend on when matches arrive, and live nodes and a replay give the same
     verdicts. A fault of the plant is reported immediately, by a verdict between the triggers.
+
+    An error of this program's own ends no run: the verdict of that sample says what was raised and where, and
+    the part that raised it, whose state may be half changed, begins anew. The other parts continue as behind
+    a lost sample.
     """
 
     def __init__(
@@ -77,26 +93,53 @@ class Discriminator:
         """Stamps of the newest samples and stand-ins, ns, by index."""
         self._plain = settings or TwinSettings()
         self.settings = self._plain.informed_by(given)
-        self.monitor = _monitor(self.settings)
-        self._schedule = _schedule(self.settings)
+        self._begin_with = tuple(given)
         self._external = [model for model in watched(self.settings.plant) if model.is_external]
-        self._pool = CandidatePool(self.settings, self._spoilt, [each for each in given if each.remembered])
-        self._bands = BandHistory(self.settings.limits.doubtful, self.settings.noise.all[0])
-        self._given = [each for each in given if not each.remembered]
         self._waiting: deque[Sample] = deque()
-        self._door = Door.of(self.settings)
         self._entered: deque[Sample] = deque()
-        self._due: Trigger | None = None
-        self._request: MatchRequest | None = None
-        self._fits: Future[None] | None = None
+        self._watched: int | None = None
+        """The newest sample, once the plant's health has been judged at it."""
         self._settled: int | None = None
         self._recent: deque[Sample] = deque(maxlen=self.settings.schedule.stride)
         self._health: Health | None = None
-        self._trusted: tuple[float, ...] = ()
+        self._fault_before: Health | None = None
+        """The fault that was on when the monitor had to begin anew: nobody has seen its end."""
+        self.defects: dict[str, Defect] = {}
+        """Defects of this program that prevented verdicts, by their places."""
+        self._fits: Future[None] | None = None
+        self._recurring: _Recurring | None = None
+        self._begin_door()
+        self._begin_health()
+        self._begin_candidates()
         self._stood_in: int | None = None
         """Newest sample at which the law took an estimate in place of a reading."""
         self._trials: dict[int, float] = {}
         """First samples of which a law on trial drove, and last ones; infinite: it still drives."""
+
+    def _begin_door(self) -> None:
+        """Settle samples without knowing any before."""
+        self._door = Door.of(self.settings)
+        self._entered.clear()
+
+    def _begin_health(self) -> None:
+        """Watch the plant's health without a past; a fault that is on stays on."""
+        if self._health is not None and self._health.state is HealthState.FAULT:
+            self._fault_before = self._health
+        self.monitor = _monitor(self.settings)
+
+    def _begin_candidates(self) -> None:
+        """Schedule and candidates as at the start."""
+        if self._fits is not None:
+            wait([self._fits])  # it changes the candidates that are left
+        given = self._begin_with
+        self._schedule = _schedule(self.settings)
+        self._pool = CandidatePool(self.settings, self._spoilt, [each for each in given if each.remembered])
+        self._bands = BandHistory(self.settings.limits.doubtful, self.settings.noise.all[0])
+        self._given = [each for each in given if not each.remembered]
+        self._due: Trigger | None = None
+        self._request: MatchRequest | None = None
+        self._fits = None
+        self._trusted: tuple[float, ...] = ()
 
     def tell_of_trial(self, first: int, last: float = math.inf) -> None:
         """A law on trial drove from one sample to another. Nothing is matched or learned of these, since
@@ -146,33 +189,96 @@ class Discriminator:
             return Step((), None)
         self._request, trigger = None, self._due
         assert trigger is not None  # noqa: S101 — a request is that of a trigger
-        return self._settle([self._judge(trigger, self._admit(trigger, report))])
+        verdicts: list[Verdict] = []
+        with self._replacing_defect(verdicts, trigger.sample, self._begin_candidates):
+            verdicts.append(self._judge(trigger, self._admit(trigger, report)))
+        return self._settle(verdicts)
 
     def _settle(self, verdicts: list[Verdict]) -> Step:
         """Process the queue until it is empty or a match is needed."""
         snapshots: list[Snapshot] = []
         settled: list[Sample] = []
         estimates: list[EstimatedReading] = []
-        while (sample := self._next()) is not None:
+        while (sample := self._next(verdicts)) is not None:
             settled.append(sample)
-            verdicts += self._take(sample)
-            estimates += self.monitor.estimates
-            if not sample.usable:
+            self._settled = sample.index
+            self.stamps[sample.index] = sample.stamp
+            if len(self.stamps) > MAX_STAMPS:
+                del self.stamps[next(iter(self.stamps))]
+            taken = self._taken(sample)
+            self._watched = None
+            with self._replacing_defect(verdicts, sample.index, self._begin_health):
+                self._watch(sample)
+            if self._watched is None:
                 continue
-            if self._snapshots and (sample.seen or sample.refused):
-                snapshots.append(self.forecaster.snapshot())
-            self._due = self._schedule.push(sample)
-            if self._due is not None:
-                verdicts += self._on_trigger(self._due)
-                if self._request is not None:
-                    break
+            estimates += self.monitor.estimates
+            with self._replacing_defect(verdicts, sample.index, self._begin_candidates):
+                verdicts += self._take(sample, taken)
+                if sample.usable:
+                    if self._snapshots and (sample.seen or sample.refused):
+                        snapshots.append(self.forecaster.snapshot())
+                    self._due = self._schedule.push(sample)
+                    if self._due is not None:
+                        verdicts += self._on_trigger(self._due)
+            if self._request is not None:
+                break
         return Step(tuple(verdicts), self._request, tuple(snapshots), tuple(settled), tuple(estimates))
 
-    def _next(self) -> Sample | None:
+    def _next(self, verdicts: list[Verdict]) -> Sample | None:
         """The next sample of the queue, as the door settles it once all before it have been taken."""
         if not self._entered and self._waiting:
-            self._entered.extend(self._door.take(self._waiting.popleft()))
+            sample = self._waiting.popleft()
+            with self._replacing_defect(verdicts, sample.index, self._begin_door):
+                self._entered.extend(self._door.take(sample))
+            if not self._entered:  # a door passes every sample on
+                self._entered.append(replace(sample, usable=False))
         return self._entered.popleft() if self._entered else None
+
+    @contextmanager
+    def _replacing_defect(
+        self, verdicts: list[Verdict], sample: int, begin_anew: Callable[[], None]
+    ) -> Iterator[None]:
+        """Run one part at a sample. If it raises what nobody outside can fix, the part begins anew, and a
+        verdict that says so takes the place of the one that could not be made."""
+        try:
+            yield
+        except Exception as error:
+            window = self._window_at(sample)
+            begin_anew()
+            defect = self._logged(error)
+            if self._to_be_said(sample, defect):
+                verdicts.append(self._no_verdict(sample, window, defect))
+
+    def _logged(self, error: Exception) -> Defect:
+        """The defect behind an error, logged; an error that the user can fix is raised again."""
+        if isinstance(error, TwinmatchError):
+            raise error
+        defect = defect_of(error)
+        log_once("no verdict could be made", defect, self.defects)
+        return defect
+
+    def _window_at(self, sample: int) -> tuple[int, int]:
+        """First and last sample of the window that was due at a sample, or of the newest ones."""
+        if self._due is not None and self._due.sample == sample:
+            return self._due.window.first, self._due.window.last
+        return (self._recent[0].index if self._recent else sample), sample
+
+    def _to_be_said(self, sample: int, defect: Defect) -> bool:
+        """Whether a verdict says so: of a defect at every sample, one in as many samples as lie between
+        checks."""
+        before = self._recurring
+        goes_on = before is not None and (before.place, before.newest) == (defect.place, sample - 1)
+        said = before.said if before is not None and goes_on else None
+        due = said is None or sample - said >= self.settings.schedule.stride
+        self._recurring = _Recurring(defect.place, sample if said is None or due else said, sample)
+        return due
+
+    def _no_verdict(self, sample: int, window: tuple[int, int], defect: Defect) -> Verdict:
+        """The verdict in place of one that could not be made."""
+        horizons = self.settings.forecasts.horizons
+        return no_verdict(
+            sample, window, defect, health=self._health, horizons=horizons, decimals=self.settings.decimals
+        )
 
     def _on_trigger(self, trigger: Trigger) -> list[Verdict]:
         """Judge a window, or request its match."""
@@ -212,15 +318,11 @@ class Discriminator:
             incumbent=incumbent,
         )
 
-    def _take(self, sample: Sample) -> list[Verdict]:
-        """Judge the plant's health and have all candidates take the sample; return the verdict that is due if
-        a fault has just begun or ended."""
-        self._settled, verdicts = sample.index, []
-        self.stamps[sample.index] = sample.stamp
-        if len(self.stamps) > MAX_STAMPS:
-            del self.stamps[next(iter(self.stamps))]
-        taken = self._taken(sample)
-        news = self._watch(sample)
+    def _take(self, sample: Sample, taken: Signals | None) -> list[Verdict]:
+        """Have all candidates take a sample at which the plant's health has been judged; return the verdict
+        that is due if a fault has just begun or ended."""
+        verdicts: list[Verdict] = []
+        news = self._health.news if self._health is not None else None
         gone = self._remove_spoilt(news) if news is not None and news.last is None else ()
         if sample.usable:
             self.forecaster.push(sample, taken)
@@ -243,19 +345,23 @@ class Discriminator:
         self._stood_in = sample.index
         return tuple(map(known.get, self.settings.plant.outputs, sample.outputs))
 
-    def _watch(self, sample: Sample) -> Alarm | None:
-        """Judge the plant's health; return the alarm that has just begun or ended."""
+    def _watch(self, sample: Sample) -> None:
+        """Judge the plant's health; it tells of an alarm that has just begun or ended."""
         if self._recent and not sample.follows(self._recent[-1]):
             if not sample.continues(self._recent[-1]):  # another session: the old alarms have other indices
                 self.monitor, self._stood_in, self._trials = _monitor(self.settings), None, {}
+                self._fault_before = None
             self._recent.clear()
         if sample.usable:
             self._recent.append(sample)
         nominal = self.nominal
         if nominal is not None and self.monitor.fault_between(*nominal.samples, slow=True) is not None:
             nominal = None  # it describes a plant at fault
-        self._health = self.monitor.push(sample, nominal.parameters if nominal else None)
-        return self._health.news
+        health = self.monitor.push(sample, nominal.parameters if nominal else None)
+        if health.state is HealthState.FAULT:
+            self._fault_before = None
+        self._health = health if self._fault_before is None else replace(self._fault_before, news=health.news)
+        self._watched = sample.index
 
     def _remove_spoilt(self, alarm: Alarm) -> tuple[str, ...]:
         """Remove the candidates that were matched while the fault was already on; return their names."""
@@ -297,7 +403,11 @@ class Discriminator:
             return verdict
 
     def _told(self, known: Knowledge) -> Verdict:
-        verdict = verdict_of(known)
+        """The verdict of what is known; nothing has to begin anew if a defect prevents only this."""
+        try:
+            verdict = verdict_of(known)
+        except Exception as error:
+            return self._no_verdict(known.sample, known.window, self._logged(error))
         self._trusted = verdict.trusted
         return verdict
 

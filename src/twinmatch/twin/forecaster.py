@@ -300,14 +300,15 @@ class Forecaster:
         return self._arx.departure(self._controller)
 
     def check_bands(self, samples: int) -> BandCheck | None:
-        """How the newest readings lie in the bands forecast for them; None if there was no forecast.
+        """How the newest readings lie in the bands forecast for them; None without a forecast, or if no
+        candidate is left since: nobody leads then, whose bands these could be.
 
         The forecast is that of the leader at its time, from the last saved state before these samples, under
         the actual set-points (or inputs) and disturbances. Samples that were lost or refused
         are not compared. At the beginning of a session a forecast that covers half of these samples is
         compared with them.
         """
-        if not self._recent:
+        if not self._recent or self.leader is None:
             return None
         newest = self._recent[-1].index
         made = [sample for sample in self._departures if sample <= newest - samples]

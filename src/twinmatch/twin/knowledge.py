@@ -21,6 +21,7 @@ from twinmatch.comparing import (
 from twinmatch.dynamics import Parameters
 from twinmatch.health import SLOW, Fault, Health, HealthState
 from twinmatch.twin.candidates import FamilyScores
+from twinmatch.twin.defects import Defect
 from twinmatch.twin.mirror import Residuals
 from twinmatch.twin.trust import BandCheck
 
@@ -202,6 +203,40 @@ def verdict_of(known: Knowledge) -> Verdict:
         forecasts=known.forecasts,
         trusted=tuple(horizon for horizon in known.horizons if horizon not in doubts),
         signals=_signals(known),
+    )
+
+
+def no_verdict(
+    sample: int,
+    window: tuple[int, int],
+    defect: Defect,
+    *,
+    health: Health | None,
+    horizons: tuple[float, ...],
+    decimals: int,
+) -> Verdict:
+    """The verdict at a sample at which none could be made; it repeats the newest fault, as nobody has seen
+    its end."""
+    fault = health if health is not None and health.state is HealthState.FAULT else None
+    return Verdict(
+        sample=sample,
+        first=window[0],
+        last=window[1],
+        level=TrustLevel.UNKNOWN,
+        level_reason="no verdict could be made, because of a defect of this program",
+        stands=True,
+        nominal=None,
+        reason=f"no verdict could be made, because of a defect in {defect}",
+        decimals=decimals,
+        candidates=(),
+        order=None,
+        nu_gap=(),
+        driven_rms_y=math.nan,
+        closed_rms_u=math.nan,
+        fault=fault.fault.value if fault is not None and fault.fault is not None else "",
+        fault_signal=fault.signal if fault is not None else "",
+        fault_since=fault.since if fault is not None else None,
+        horizons=horizons,
     )
 
 

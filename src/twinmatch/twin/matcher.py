@@ -18,10 +18,13 @@ from twinmatch.fitting.lacks import LEFT, Lack, lack_of
 from twinmatch.fitting.match import explaining, usable_fit, without_fit
 from twinmatch.fitting.problem import LASTING
 from twinmatch.signals import OperatingPoint, Window
+from twinmatch.twin.defects import Defect, defect_of, log_once
 from twinmatch.twin.settings import TwinSettings
 
 _blas = cache(ThreadpoolController)
 _lock = Lock()
+_logged: dict[str, Defect] = {}
+"""Defects that prevented matches in this process, by their places."""
 _inside: list[Any] = []
 """The limit on the process's BLAS, once for every thread that relies on it."""
 
@@ -75,6 +78,7 @@ class MatchReport(NamedTuple):
 
 def carry_out(request: MatchRequest, settings: TwinSettings) -> MatchReport:
     """Carry out a request; if the window cannot be matched at all, the match is refused with the error.
+    A defect of this program refuses it, too.
 
     Where no match describes the regime yet, and the structure of the start leaves much of the window, the
     match is made in the structure that the window justifies most. An incumbent has its structure: what it
@@ -82,12 +86,24 @@ def carry_out(request: MatchRequest, settings: TwinSettings) -> MatchReport:
     """
     first, start = settings.start.model, request.start
     free = settings.free if start.model is first else start.model.structure.free
-    with one_thread():
-        found = _matched(request, settings, start, free)
-        new = request.incumbent is None and settings.free == first.structure.free
-        if new and found.chi2 > (LEFT if settings.law is None else GateLimits().chi2):
-            found = _in_another_structure(request, settings, found)
+    try:
+        with one_thread():
+            found = _matched(request, settings, start, free)
+            new = request.incumbent is None and settings.free == first.structure.free
+            if new and found.chi2 > (LEFT if settings.law is None else GateLimits().chi2):
+                found = _in_another_structure(request, settings, found)
+    except TwinmatchError:
+        raise
+    except Exception as error:
+        found = _not_made(request, free, defect_of(error))
     return MatchReport(request.sample, request.operating_point, found)
+
+
+def _not_made(request: MatchRequest, free: tuple[str, ...], defect: Defect) -> Match:
+    """The answer to a request whose match a defect has prevented: without one, no verdict would follow."""
+    log_once("a window could not be matched", defect, _logged)
+    reason = f"the window could not be matched, because of a defect in {defect}"
+    return without_fit(request.window, free, request.start, Status.DID_NOT_CONVERGE, reason)
 
 
 def _matched(

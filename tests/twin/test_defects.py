@@ -1,0 +1,194 @@
+"""Whatever part of a verdict has a defect: the verdict says so, and the run goes on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from importlib import import_module
+from typing import Any
+
+import pytest
+
+from tests.support.steps import drive_lost, quarter_of_an_hour
+from twinmatch.comparing import TrustLevel, Verdict
+from twinmatch.errors import TwinmatchError
+from twinmatch.record import comparable, tree_of
+from twinmatch.showing.lines import line_text
+from twinmatch.signals import Sample
+from twinmatch.twin import Twin
+from twinmatch.twin.defects import DefectWarning
+
+BREAKS = 295
+"""Sample from which on a part raises: the first match is due at sample 300."""
+ENDS = 490
+SAID = "no verdict could be made, because of a defect"
+PARTS = (
+    "twin.engine.Door.take",
+    "twin.engine.Monitor.push",
+    "twin.engine.Schedule.push",
+    "twin.engine.BandHistory.push",
+    "twin.engine.residuals",
+    "twin.candidates.CandidatePool.admit",
+    "twin.candidates.CandidatePool.leave_memory",
+    "twin.candidates.StructureFits.push",
+    "twin.candidates.identify",
+    "twin.candidates.score_orders",
+    "twin.candidates.plant_gaps",
+    "twin.candidates.nu_gap_matrix",
+    "twin.candidates.nominal_of",
+    "twin.candidates.judge_uncertainty",
+    "comparing.verdict.family_uncertainty",
+    "twin.structure_fits.fit_structure",
+    "twin.forecaster.Forecaster.push",
+    "twin.forecaster.Forecaster.enter",
+    "twin.forecaster.Forecaster.check_bands",
+    "twin.forecaster.Followers.push",
+    "twin.forecaster.Ledger.add",
+    "twin.forecaster.Calibration.learn",
+    "twin.forecaster.check_band",
+    "twin.entrants.Standings.sentence",
+    "twin.engine.verdict_of",
+    "twin.knowledge.trust_of",
+    "twin.knowledge._signals",
+)
+
+
+class Broken:
+    """A part that raises while it is `armed`, once or whenever it is run."""
+
+    def __init__(
+        self, patch: pytest.MonkeyPatch, part: str, error: BaseException, *, once: bool = True
+    ) -> None:
+        self.armed = False
+        self.raised = 0
+        *path, name = part.split(".")
+        owner: Any = import_module(".".join(["twinmatch", *path[:2]]))
+        for inner in path[2:]:
+            owner = getattr(owner, inner)
+        real = getattr(owner, name)
+
+        def broken(*of: Any, **more: Any) -> Any:
+            if self.armed and (self.raised == 0 or not once):
+                self.raised += 1
+                raise error
+            return real(*of, **more)
+
+        patch.setattr(owner, name, broken)
+
+
+@pytest.fixture(scope="module")
+def samples() -> list[Sample]:
+    return quarter_of_an_hour()
+
+
+def run(samples: Sequence[Sample], broken: Broken, twin: Twin, at: int = BREAKS) -> list[Verdict]:
+    """The verdicts on these samples; the part breaks at one of them."""
+    verdicts: list[Verdict] = []
+    for sample in samples:
+        broken.armed = sample.index >= at
+        verdicts += twin.push(sample).verdicts
+    return verdicts
+
+
+def defective(verdicts: Sequence[Verdict]) -> list[Verdict]:
+    return [verdict for verdict in verdicts if verdict.reason.startswith(SAID)]
+
+
+@pytest.mark.parametrize("part", PARTS)
+def test_the_verdict_says_where_a_part_failed_and_the_run_goes_on(
+    part: str, samples: list[Sample], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    broken, twin = Broken(monkeypatch, part, ZeroDivisionError("a slip")), Twin()
+    with pytest.warns(DefectWarning, match="ZeroDivisionError: a slip; please report it") as warned:
+        verdicts = run(samples[:ENDS], broken, twin)
+    assert broken.raised == 1
+    assert len(warned) == 1
+    (said,) = defective(verdicts)
+    assert (said.level, said.level_reason) == (TrustLevel.UNKNOWN, f"{SAID} of this program")
+    (defect,) = twin.discriminator.defects.values()
+    assert said.reason.endswith(f"{defect.place}, {defect.function}: ZeroDivisionError: a slip")
+    assert BREAKS <= said.sample <= 420
+    assert "a slip" in line_text(said)
+    assert comparable(tree_of(said))
+    assert verdicts[-1].sample > said.sample, "the verdicts after it are made as ever"
+    assert twin.discriminator.settled == ENDS - 1
+
+
+def test_without_a_test_the_same_defect_is_a_warning_and_here_an_error(
+    samples: list[Sample], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """So no test of this suite passes while a verdict could not be made."""
+    broken = Broken(monkeypatch, "twin.engine.verdict_of", ZeroDivisionError("a slip"))
+    with pytest.raises(DefectWarning, match="a slip"):
+        run(samples[:ENDS], broken, Twin())
+
+
+def test_a_match_that_a_defect_prevents_is_refused_in_words(
+    samples: list[Sample], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("twinmatch.twin.matcher._logged", {})
+    broken, twin = Broken(monkeypatch, "twin.matcher.match", ZeroDivisionError("a slip")), Twin()
+    with pytest.warns(DefectWarning, match="a window could not be matched"):
+        verdicts = run(samples[:ENDS], broken, twin)
+    (refused,) = [verdict for verdict in verdicts if verdict.match]
+    assert refused.match == "refused"
+    assert "because of a defect in" in refused.reason
+    assert "ZeroDivisionError: a slip" in refused.reason
+
+
+def test_candidates_begin_anew_behind_a_sample_that_was_half_taken(
+    samples: list[Sample], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From then on they are those of a twin to which nothing was said before, bit for bit."""
+    broken, twin = Broken(monkeypatch, "twin.forecaster.Forecaster.push", ZeroDivisionError()), Twin()
+    with pytest.warns(DefectWarning):
+        verdicts = run(samples, broken, twin)
+    fresh = Twin()
+    later = [verdict for sample in samples[BREAKS + 1 :] for verdict in fresh.push(sample).verdicts]
+    assert [verdict.sample for verdict in later] == [v.sample for v in verdicts if v.sample > BREAKS]
+    newest, expected = verdicts[-1], later[-1]
+    assert newest.candidates == expected.candidates
+    assert newest.candidates
+    assert [f.parameters for f in newest.forecasts] == [f.parameters for f in expected.forecasts]
+    assert newest.leader == expected.leader
+
+
+def test_a_failing_verdict_costs_nothing_else(samples: list[Sample], monkeypatch: pytest.MonkeyPatch) -> None:
+    """To say what is known changes nothing of it: all other verdicts are as without the defect."""
+    twin = Twin()
+    whole = [verdict for sample in samples[:ENDS] for verdict in twin.push(sample).verdicts]
+    broken = Broken(monkeypatch, "twin.engine.verdict_of", ZeroDivisionError())
+    with pytest.warns(DefectWarning):
+        verdicts = run(samples[:ENDS], broken, Twin())
+    (said,) = defective(verdicts)
+    assert [repr(v) for v in verdicts if v is not said] == [repr(v) for v in whole if v.sample != said.sample]
+
+
+def test_a_defect_at_every_sample_is_logged_once_and_said_in_the_interval_of_verdicts(
+    samples: list[Sample], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    broken = Broken(monkeypatch, "twin.engine.Monitor.push", ZeroDivisionError(), once=False)
+    with pytest.warns(DefectWarning) as warned:
+        verdicts = run(samples[:ENDS], broken, Twin())
+    assert len(warned) == 1
+    assert broken.raised == ENDS - BREAKS
+    assert [verdict.sample for verdict in verdicts if verdict.sample >= BREAKS] == [295, 355, 415, 475]
+
+
+def test_a_fault_whose_watch_failed_stays_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A monitor without a past knows nothing of a drive that was lost; nobody has seen it come back."""
+    steps, twin = drive_lost(), Twin()
+    broken = Broken(monkeypatch, "twin.engine.Monitor.push", ZeroDivisionError())
+    with pytest.warns(DefectWarning):
+        verdicts = run(steps, broken, twin, at=690)
+    (said,) = defective(verdicts)
+    assert (said.fault, said.fault_signal) == ("drive-lost", "pwm")
+    assert {verdict.fault for verdict in verdicts if verdict.sample >= 690} == {"drive-lost"}
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), SystemExit(3), TwinmatchError("twin.yaml: no such")])
+def test_who_ends_the_run_ends_it(
+    error: BaseException, samples: list[Sample], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    broken = Broken(monkeypatch, "twin.forecaster.Forecaster.push", error)
+    with pytest.raises(type(error)):
+        run(samples[:ENDS], broken, Twin())
