@@ -23,6 +23,14 @@ _PORTS: Final = {"mqtt": 1883, "mqtts": 8883}
 _KEYS: Final = ("password_file", "ca")
 
 
+def topic_of(message: MQTTMessage) -> str | None:
+    """The topic of a message; None if it is not UTF-8, as MQTT demands."""
+    try:
+        return message.topic
+    except UnicodeDecodeError:
+        return None
+
+
 class BrokerError(TwinmatchError):
     """A broker cannot be reached, or lets nobody in with what is given."""
 
