@@ -170,7 +170,7 @@ STRUCTURES = 'structures = {"block": Structure(free=("gain", "capacity"))}'
         (
             "    def equations",
             "    def __init__(self): raise BaseException\n    def equations",
-            "its own `__init__`",
+            "its own __init__ or __new__",
         ),
         ("def equations(self, parts)", "def equations(self)", r"write def equations\(self, parts\)"),
         ("room", "reference", "a disturbance is called 'reference', like a signal of every recording"),

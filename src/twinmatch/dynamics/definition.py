@@ -208,7 +208,7 @@ def _require_names(plant: type[PlantDefinition], base: type[PlantDefinition]) ->
     if isinstance(plant.parts, str) or not all(isinstance(part, str) for part in plant.parts):
         raise PlantError(f'plant {plant.name}: `parts` is {plant.parts!r}; write texts in a tuple: ("…",)')
     if plant.__init__ is not base.__init__ or plant.__new__ is not base.__new__:
-        raise PlantError(f"plant {plant.name}: has its own `__init__` or `__new__`; declare what it needs")
+        raise PlantError(f"plant {plant.name}: has its own __init__ or __new__; declare what it needs")
     if not callable(plant.equations):
         raise PlantError(f"plant {plant.name}: `equations` is not a method; write def equations(self, parts)")
     if len(inspect.signature(plant.equations).parameters) != 2:
