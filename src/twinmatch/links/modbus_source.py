@@ -129,8 +129,11 @@ class ModbusDevice:
             ) from error
         if got.function_code & ~_ERROR != _FUNCTIONS[table]:
             self._leave()
-            asked = f"of function {got.function_code & ~_ERROR}, but function {_FUNCTIONS[table]} was asked"
-            raise ModbusError(f"{where}: the answer is {asked} ({self._quoted}); is this a Modbus device?")
+            code = got.function_code & ~_ERROR
+            raise ModbusError(
+                f"{where}: the answer is of function {code}, but function {_FUNCTIONS[table]} was asked "
+                f"({self._quoted}); is this a Modbus device?"
+            )
         if got.isError():
             answer = f"{_ANSWERS.get(got.exception_code, 'error')} ({got.exception_code})"
             raise RefusedReadError(f"{where}: the device answers: {answer}")
