@@ -65,7 +65,10 @@ for sys.argv in (["sampler"], ["/usr/bin/rig"], ["-m", "matcher"]):
         node()
     except SystemExit as end:
         assert end.code == 2
-for command in (["demo"], ["live"], ["attach"], ["play", "session"], ["dashboard"], ["foxglove"]):
+for command in (
+    ["demo"], ["live"], ["play", "session"], ["dashboard"], ["foxglove"], ["apply", "law.json"],
+    ["apply", "--back"], ["attach"], ["experiment", "--live"], ["experiment", "--live", "--go"],
+):
     assert main(command) == 2
 """
 
@@ -73,9 +76,78 @@ for command in (["demo"], ["live"], ["attach"], ["play", "session"], ["dashboard
 def test_commands_of_the_graph_say_that_they_need_ros() -> None:
     done = subprocess.run([sys.executable, "-c", WITHOUT_ROS], capture_output=True, text=True, check=True)
     needs = "needs ROS 2: rclpy, diagnostic_msgs, twinmatch_msgs cannot be found; run make setup"
-    programs = ("sampler", "rig", "matcher", "demo", "live", "attach", "play", "dashboard", "foxglove")
-    for command, line in zip(programs, done.stderr.splitlines(), strict=True):
+    programs = ("sampler", "rig", "matcher", "demo", "live", "play", "dashboard", "foxglove")
+    programs += ("apply", "apply", "attach", "experiment", "experiment")
+    lines = done.stderr.splitlines()
+    for command, line in zip(programs, lines, strict=True):
         assert line.startswith(f"twinmatch: {command} {needs}"), line
+    assert lines[-3].endswith("; for a plant without ROS, give --source URL")
+    assert lines[-1].endswith("; without --live it works on a recorded SESSION")
+
+
+WITHOUT_EXTRAS = """
+import json
+import sys
+for name in json.loads(sys.argv[1]):
+    sys.modules[name] = None  # as if it were not installed
+from twinmatch.cli import main
+for command in json.loads(sys.argv[2]):
+    print(main(command), flush=True)
+"""
+ALONE = ("--alone", "--map", "output=a", "input=b", "--plant", "peltier", "--no-record")
+BEHIND_EXTRAS: tuple[tuple[str, tuple[str, ...], str], ...] = (
+    ("paho", ("attach", "--source", "mqtt://127.0.0.1:1", "--list"), "mqtt"),
+    ("paho", ("attach", "--source", "mqtt://127.0.0.1:1", *ALONE), "mqtt"),
+    ("pymodbus", ("attach", "--source", "modbus://127.0.0.1:1/1", "--list"), "modbus"),
+    ("bokeh", ("dashboard",), "dashboard"),
+    ("foxglove", ("foxglove",), "foxglove"),
+    ("tclab", ("virtual-rig", "--plant", "tclab", "--duration", "1"), "tclab"),
+    ("rosbags", ("import", "BAG", "--list"), "bags"),
+    ("rosbags", ("import", "BAG", "--plant", "peltier", "--map", "output=/a", "input=/b", "-o", "S"), "bags"),
+    ("fmpy", ("fmu", "model.fmu"), "fmu"),
+    ("fmpy", ("replay", "SESSION", "--allow-fmu", "MAP"), "fmu"),
+    ("fmpy", ("forecast", "SESSION", "--allow-fmu", "MAP", "--at", "9"), "fmu"),
+    ("distributed", ("replay", "SESSION", "--scheduler", "127.0.0.1:1", "--out", "OUT"), "cluster"),
+)
+"""Packages with a command that needs them, and the extra to install."""
+
+
+def test_a_command_without_its_extra_says_what_to_install(tmp_path: Path, small_session: Path) -> None:
+    (tmp_path / "bag.bag").write_bytes(b"#ROSBAG V2.0\n")
+    (tmp_path / "model.fmu").write_bytes(b"")
+    structures = {"a": {"fmu": "model.fmu", "variables": {"temperature": "t", "pwm": "u"}}}
+    (tmp_path / "map.yaml").write_text(json.dumps({"plant": "peltier", "structures": structures}))
+    files = {"BAG": "bag.bag", "SESSION": str(small_session), "MAP": "map.yaml", "OUT": "results"}
+    packages = sorted({package for package, _, _ in BEHIND_EXTRAS})
+    commands = [[files.get(word, word) for word in command] for _, command, _ in BEHIND_EXTRAS]
+    done = subprocess.run(
+        [sys.executable, "-c", WITHOUT_EXTRAS, json.dumps(packages), json.dumps(commands)],
+        capture_output=True, text=True, check=True, cwd=tmp_path,
+    )  # fmt: skip
+    assert done.stdout.split() == ["2"] * len(commands)
+    for (package, command, extra), line in zip(BEHIND_EXTRAS, done.stderr.splitlines(), strict=True):
+        assert line.startswith("twinmatch: "), command
+        assert package in line, command
+        assert line.endswith(f"pip install 'twinmatch[{extra}]'"), (command, line)
+
+
+def test_work_of_unknown_length_is_reported_without_a_share(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Progress, "SILENCE", 0.0)
+    with Progress() as progress:
+        progress.show("reading the description", 0, 0)
+    assert capsys.readouterr().err == "twinmatch: reading the description\n"
+
+
+def test_reading_a_long_table_is_reported(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Progress, "SILENCE", 0.0)
+    rows = "".join(f"{k},{20 + k % 7},{k % 2}\n" for k in range(12_000))
+    (tmp_path / "log.csv").write_text(f"t,T,duty\n{rows}")
+    assert main(["import", str(tmp_path / "log.csv"), "--list"]) == 0
+    assert re.search(r"^twinmatch: reading, \d+% done$", capsys.readouterr().err, re.MULTILINE)
 
 
 class Replayed(NamedTuple):

@@ -5,6 +5,7 @@ An unknown unit (`PWM`, `steps`) counts as a plain number.
 
 from __future__ import annotations
 
+import math
 import re
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -37,6 +38,20 @@ _FORMS = (
     (re.compile(r"(?<![A-Za-z])Nm(?![A-Za-z])"), "N m"),
 )
 """Forms of compound units, likewise."""
+_LONGEST = 100
+"""Longest text that is read as a unit, characters."""
+_LARGEST_POWER = 1000.0
+"""Largest product of all exponents in a unit: pint computes powers of whole numbers digit by digit, so that
+`m**9**9**9` would never end."""
+_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)"
+_POWER = re.compile(
+    rf"(?:\*\*|\^)\s*(?:(?P<plain>{_NUMBER})(?![\d._])|\(\s*(?P<first>{_NUMBER})\s*(?:/\s*{_NUMBER}\s*)?\))?"
+    r"(?P<again>\s*(?:\*\*|\^))?"
+)
+"""An exponent, a number or a fraction in parentheses; and whether it is raised to a power itself."""
+_POWER_WORD = re.compile(r"\b(?:sq|square|squared|cubic|cubed)\b", re.IGNORECASE)
+_RAISED = re.compile("[⁰¹²³⁴⁵⁶⁷⁸⁹⁻]+")
+_LOWERED = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻", "0123456789-")
 _FAR = 2.0**20
 """Value at which the slope of a conversion is computed: large, so that rounding of offsets is negligible."""
 _TEMPERATURE = (("[temperature]", 1.0),)
@@ -66,9 +81,29 @@ class Measure(NamedTuple):
     """Whether its zero differs from the quantity's (°C, °F)."""
 
 
+def is_readable(unit: str) -> bool:
+    """Whether a text is short, and its powers small, as those of all units are: pint may read it."""
+    return len(unit) <= _LONGEST and _power_of(_plain(unit)) <= _LARGEST_POWER
+
+
+def _power_of(text: str) -> float:
+    """The product of all exponents above 1; infinity for an exponent that is not a number."""
+    text = text.replace(",", "")  # pint ignores commas, also within **
+    text = _RAISED.sub(lambda raised: f"**{raised[0].translate(_LOWERED)}", text)
+    product = 3.0 ** len(_POWER_WORD.findall(text))
+    for power in _POWER.finditer(text):
+        exponent = power["plain"] or power["first"]
+        if exponent is None or power["again"]:
+            return math.inf
+        product *= max(abs(float(exponent)), 1.0)
+    return product
+
+
 @lru_cache(maxsize=256)
 def measure(unit: str) -> Measure:
     """The quantity that a unit measures; `W/(m² K)`, `kg m^2`, `°C` and `%` are understood."""
+    if not is_readable(unit):
+        return Measure(known=False)
     try:
         parsed: Any = _registry().parse_units(_plain(unit))
         base = _registry().Quantity(1.0, parsed)

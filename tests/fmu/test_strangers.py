@@ -22,7 +22,7 @@ from tests.support.waiting import wait_for
 from twinmatch.cli import main
 from twinmatch.dynamics import Model, PlantError, StructureLostError, begin, simulate_driven
 from twinmatch.fmu import adopt_fmus, archive, structure
-from twinmatch.fmu.archive import FmuError
+from twinmatch.fmu.archive import FmuError, Variable, _Names
 from twinmatch.plants import Peltier
 
 
@@ -380,3 +380,35 @@ def _changed(fmu: Path, folder: Path, rename=lambda name: name, more: dict[str, 
         for name, data in (more or {}).items():
             new.writestr(name, data)
     return changed
+
+
+def test_a_large_description_is_listed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """With more than 16 MiB of names and remarks, as tools write them for large models."""
+    remark = "x" * 4000
+    scalars = "".join(
+        f'<ScalarVariable name="part.{k}" valueReference="{k}" causality="parameter" variability="fixed" '
+        f'initial="exact" description="{remark}"><Real start="1.0"/></ScalarVariable>'
+        for k in range(5000)
+    )
+    xml = (
+        '<fmiModelDescription fmiVersion="2.0" modelName="Large" guid="g"><CoSimulation modelIdentifier="L"/>'
+        f"<ModelVariables>{scalars}</ModelVariables><ModelStructure/></fmiModelDescription>"
+    )
+    file = tmp_path / "large.fmu"
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("modelDescription.xml", xml)
+    assert main(["fmu", str(file)]) == 0
+    listed = capsys.readouterr().out
+    assert "and 4940 more" in listed
+    assert "declared under parameters: part.4999:" in listed
+
+
+def test_of_variables_with_like_names_the_first_is_proposed() -> None:
+    def variable(name: str) -> Variable:
+        return Variable(name, 0, "parameter", "fixed", "exact", "", 1.0, "", -1)
+
+    names = _Names([variable("other"), variable("cooler.See_beck"), variable("seebeck")])
+    liked = names.like(Peltier.parameters["seebeck"])
+    assert liked is not None
+    assert liked.name == "cooler.See_beck"
+    assert names.like(Peltier.parameters["heat_capacity"]) is None

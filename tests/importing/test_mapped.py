@@ -18,6 +18,7 @@ from tests.support.plants import Motor
 from tests.support.processes import run_twinmatch
 from twinmatch.dynamics import Plant
 from twinmatch.errors import TwinmatchError
+from twinmatch.importing import tables
 from twinmatch.importing.column_map import columns_of, proposed, read_map
 from twinmatch.importing.mapped import Mapped, map_samples, with_plant_names, without_marks
 from twinmatch.importing.tables import read_table
@@ -492,6 +493,47 @@ def test_a_table_is_read_however_it_is_written(tmp_path: Path, content: bytes) -
     temperature = table.find("T")
     assert table.unit(temperature) == "°C"
     assert table.values(temperature).tolist() == [20 + k % 7 for k in range(9)]
+
+
+ODD_CELLS = (
+    "",
+    "nan",
+    "yes",
+    "No",
+    "text",
+    " 7 ",
+    "1e400",
+    "-inf",
+    "1_0",
+    '"8"',
+    "0.1",
+    "-",
+    "1,5",
+    "9,,",
+    "３",
+)
+
+
+@pytest.mark.parametrize("divider", [",", ";"])
+@pytest.mark.parametrize("blocks", [1, 3, 4096])
+def test_a_table_holds_the_same_numbers_however_many_rows_are_read_at_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, divider: str, blocks: int
+) -> None:
+    """Each odd cell stands between plain rows, behind the lines that tell how the table is written."""
+    plain = [f"{k}{divider}{k / 7!r}{divider}{divider}" for k in range(60)]
+    odd = [f"{k}{divider}{cell}{divider}3{divider}" for k, cell in enumerate(ODD_CELLS)]
+    mixed = [row for k, one in enumerate(odd) for row in (one, *plain[k : k + 5], "", "# a remark")]
+    path = written(tmp_path, "\n".join((divider.join(("t", "T", "u", "v")), *plain, *mixed)) + "\n")
+    monkeypatch.setattr(tables, "_BLOCK", blocks)
+    if divider == ",":
+        path.write_text(path.read_text("utf-8").replace("1,5,", '"1,5",').replace("9,,,3", "9,3"), "utf-8")
+    found = read_table(path)
+    monkeypatch.setattr(tables._Cells, "plain", lambda *_: False)  # cell by cell
+    wanted = read_table(path)
+    assert list(found.lines) == list(wanted.lines)
+    assert found.texts == wanted.texts
+    for title, column in wanted.columns.items():
+        assert found.columns[title].tobytes() == column.tobytes()
 
 
 @pytest.mark.parametrize(

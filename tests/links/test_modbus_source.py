@@ -14,6 +14,7 @@ import threading
 import time
 import tty
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -33,11 +34,25 @@ from tests.support.places import PROJECT
 from tests.support.processes import Processes, no_plant_files
 from tests.support.waiting import PATIENCE, wait_for
 from twinmatch.cli import main
-from twinmatch.links.modbus_source import ModbusError, listing, open_source
+from twinmatch.links.modbus_source import (
+    ModbusDevice,
+    ModbusError,
+    RefusedReadError,
+    listing,
+    open_source,
+)
 from twinmatch.parameters.sampler import listener_of, sampler_values, source_of, sources_of
 from twinmatch.sampling.channels import Channel, SamplingError
 from twinmatch.sampling.listener import SignalListener
-from twinmatch.sampling.registers import LONGEST, joined, number_at, parse_place, parse_range, span_of
+from twinmatch.sampling.registers import (
+    LONGEST,
+    joined,
+    number_at,
+    parse_place,
+    parse_range,
+    span_of,
+    values_in,
+)
 from twinmatch.sampling.sources import SignalMap, parse_map
 from twinmatch.sessions import read_session
 from twinmatch.signals import Sample
@@ -304,6 +319,100 @@ def test_nonsense_from_the_network_ends_nothing(
     before = len(listening.samples)
     device.start()
     listening.until(lambda: len(listening.samples) > before + 3, "samples again")
+
+
+class AnsweringWrongly:
+    """A server that answers each request over TCP with what `answer` makes of it."""
+
+    def __init__(self, answer: Callable[[bytes], bytes]) -> None:
+        self._answer = answer
+        self._server = socket.create_server(("127.0.0.1", 0))
+        self.url = f"modbus://127.0.0.1:{self._server.getsockname()[1]}/1"
+        self._thread = threading.Thread(target=self._serve)
+        self._thread.start()
+
+    def _serve(self) -> None:
+        with suppress(OSError):  # it has been closed
+            while True:
+                with self._server.accept()[0] as connection:
+                    while request := connection.recv(64):
+                        connection.sendall(self._answer(request))
+
+    def close(self) -> None:
+        self._server.shutdown(socket.SHUT_RDWR)
+        self._server.close()
+        self._thread.join()
+
+
+def framed(request: bytes, pdu: bytes, *, transaction: int = 0, unit: int = 1, longer: int = 0) -> bytes:
+    """An answer to a request over TCP, with a transaction and a length that are off by so many."""
+    number = (int.from_bytes(request[:2], "big") + transaction) % 65536
+    length = len(pdu) + 1 + longer
+    return number.to_bytes(2, "big") + b"\0\0" + length.to_bytes(2, "big") + bytes((unit,)) + pdu
+
+
+RIGHT = bytes((3, 4, 0, 1, 0, 2))
+"""Two holding registers."""
+
+
+@pytest.mark.parametrize(
+    ("answer", "words"),
+    [
+        (
+            lambda r: framed(r, bytes((4, 4, 0, 1, 0, 2))),
+            "the answer is of function 4, but function 3 was asked",
+        ),
+        (
+            lambda r: framed(r, bytes((1, 4, 0, 1, 0, 2))),
+            "the answer is of function 1, but function 3 was asked",
+        ),
+        (
+            lambda r: framed(r, bytes((6, 0, 0, 0, 2))),
+            "the answer is of function 6, but function 3 was asked",
+        ),
+        (lambda r: framed(r, bytes((0x84, 2))), "the answer is of function 4, but function 3 was asked"),
+        (lambda r: framed(r, bytes((3, 5, 0, 1, 0, 2))), "states 5 and has 4 bytes of values, not 4"),
+        (lambda r: framed(r, bytes((3, 3, 0, 1, 0, 2))), "states 3 and has 4 bytes of values, not 4"),
+        (lambda r: framed(r, bytes((3, 4, 0, 1, 0, 2, 0))), "states 4 and has 5 bytes of values, not 4"),
+        (lambda r: framed(r, bytes((3, 2, 0, 1))), "states 2 and has 2 bytes of values, not 4"),
+        (lambda r: framed(r, bytes((3,))), "has 0 bytes of values, not 4"),
+        (lambda r: framed(r, RIGHT, unit=2), "what came is damaged, or answers another request: "),
+        (lambda r: framed(r, RIGHT, transaction=1), "what came is damaged, or answers another request: "),
+        (lambda r: framed(r, RIGHT, transaction=-1), "what came is damaged, or answers another request: "),
+        (lambda r: framed(r, RIGHT, longer=1), "what came is damaged, or answers another request: "),
+        (lambda r: framed(r, RIGHT, longer=-1), "states 4 and has 3 bytes of values, not 4"),
+        (lambda r: framed(r, bytes((0x55, 4, 0, 1, 0, 2))), "what came is damaged, or answers another"),
+    ],
+)
+def test_what_answers_another_request_is_not_taken_as_values(
+    answer: Callable[[bytes], bytes], words: str
+) -> None:
+    server = AnsweringWrongly(answer)
+    device = ModbusDevice(server.url)
+    with pytest.raises(ModbusError) as caught:
+        device.read(("holding", 0, 2))
+    assert words in str(caught.value)
+    assert not isinstance(caught.value, RefusedReadError)  # a listing would halve the range for ever
+    device.close()
+    server.close()
+
+
+def test_what_answers_the_request_is_taken_as_values() -> None:
+    server = AnsweringWrongly(lambda request: framed(request, RIGHT))
+    device = ModbusDevice(server.url)
+    assert device.read(("holding", 0, 2)) == {("holding", 0): 1, ("holding", 1): 2}
+    device.close()
+    server.close()
+
+
+@pytest.mark.parametrize("size", [0, 1, 3])
+def test_bits_come_in_as_many_bytes_as_they_fill(size: int) -> None:
+    answer = bytes((size, *range(size)))
+    with pytest.raises(SamplingError, match=rf"answer to coil/0-8 states {size} and has {size} bytes"):
+        values_in(answer, ("coil", 0, 9))
+    assert values_in(bytes((2, 0b101, 1)), ("coil", 0, 9)) == {
+        ("coil", k): int(k in (0, 2, 8)) for k in range(9)
+    }
 
 
 @pytest.mark.parametrize(

@@ -12,14 +12,14 @@ from typing import Any
 import pytest
 from paho.mqtt.client import Client
 
-from tests.support.broker import KINDS, RunningBroker, require
+from tests.support.broker import KINDS, LooseBroker, RunningBroker, require
 from tests.support.foreign_rig import Oven
 from tests.support.oven import HOLD, PERIOD, oven_file
 from tests.support.places import PROJECT
 from tests.support.processes import no_plant_files
 from tests.support.waiting import wait_for
 from twinmatch.links.mqtt_client import Broker, BrokerError
-from twinmatch.links.mqtt_source import listing
+from twinmatch.links.mqtt_source import listing, open_source, parse_place
 from twinmatch.links.sources import protocol_of
 from twinmatch.offline.judging import judge_samples, terms_from_files
 from twinmatch.parameters.declared import check
@@ -287,7 +287,48 @@ def test_a_listing_shows_topics_with_their_numbers(broker: RunningBroker) -> Non
     lines = ["home/boiler:a.b  1", "home/boiler:c  2", "home/door  'open'", "home/room/t  21.5"]
     assert list(listing(broker.url, "home")) == lines
     assert list(listing(broker.url, "")) == ["garden/t  3", *lines]
+    assert list(listing(broker.url, "#")) == ["garden/t  3", *lines]
+    assert list(listing(broker.url, "+/t")) == ["garden/t  3"]
+    assert list(listing(broker.url, "home/+/t")) == ["home/room/t  21.5"]
     client.disconnect()
+
+
+@pytest.mark.parametrize("where", ["a/#/b", "a#", "+b/c", "a\0", "\udcff", "a" * 70_000])
+def test_what_is_not_a_filter_is_one_message(where: str) -> None:
+    with pytest.raises(SamplingError, match="is not a filter of MQTT"):
+        list(listing("mqtt://127.0.0.1:1", where))
+
+
+@pytest.mark.parametrize("place", ["home/#", "home/+/t", "home/+/t:value"])
+def test_a_signal_from_a_filter_is_refused_in_words(place: str) -> None:
+    with pytest.raises(SamplingError, match=r"is a filter for many topics, and a signal comes from one"):
+        parse_place(place)
+
+
+@pytest.fixture
+def loose() -> Iterator[LooseBroker]:
+    made = LooseBroker([(b"room/\xff", b"1"), (b"other", b"2"), (b"\xc3\x28", b"3"), (b"room/t", b"21.5")])
+    yield made
+    made.close()
+
+
+def test_topics_that_are_not_utf_8_are_counted_and_end_nothing(loose: LooseBroker) -> None:
+    received: list[tuple[str, float | None]] = []
+
+    def receive(topic: str, read: Any, *_: Any, **__: Any) -> None:
+        received.append((topic, read(Channel(topic, ""))))
+
+    source = open_source(loose.url, 1.0, [Channel("room/t", "")], receive)
+    wait_for(lambda: source.poll() or received, "the message with a topic")
+    assert received == [("room/t", 21.5)]
+    assert source.trouble("room/t") == "2 messages left out, whose topics are not UTF-8"
+    assert not source.lost
+    source.close()
+
+
+def test_a_listing_counts_topics_that_are_not_utf_8(loose: LooseBroker) -> None:
+    counted = "2 messages left out, whose topics are not UTF-8"
+    assert list(listing(loose.url, "#")) == [counted, "other  2", "room/t  21.5"]
 
 
 def test_passwords_are_read_from_a_file_and_wrong_ones_are_refused(tmp_path: Path) -> None:

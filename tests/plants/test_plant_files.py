@@ -117,6 +117,16 @@ class Other(Plant):
         ("110.0)", "110.0), start_bounds=(5.0, 1.0)", r"start_bounds of a state is \(5\.0, 1\.0\); give two"),
         ("class Heated", "raise SystemExit(0)\nclass Heated", "the file exits Python; remove that call"),
         ("class Heated", "raise ValueError('a\\nb')\nclass Heated", "ValueError: a b$"),
+        ("class Heated", "raise type('E', (BaseException,), {})('own')\nclass Heated", "E: own$"),
+        ("class Heated", "raise type('K', (KeyboardInterrupt,), {})('own')\nclass Heated", "K: own$"),
+        ("class Heated", "raise GeneratorExit\nclass Heated", "GeneratorExit$"),
+        ("class Heated", "raise type('E', (Exception,), {'__str__': lambda e: 3})\nclass Heated", "E$"),
+        ("class Heated", "float(10**400)\nclass Heated", "a number is too large for floating point"),
+        ('unit="W/K"', 'unit="m**9**9**9**9"', r"unit of a quantity is 'm\*\*9\*\*9\*\*9\*\*9', too long or"),
+        ("noise=0.1", "noise=10**400", r"noise of the output is 10{58}…; give a finite number above 0$"),
+        ("noise=0.1", "noise=10**5000", "noise of the output is of type int, too long to be shown; give a"),
+        ("default=20.0", "default=-10**400", r"default of a disturbance is -10{57}…; give a finite number$"),
+        ("span=(0.0, 110.0)", "span=(0.0, 10**400)", r"span of a state is \(0\.0, 10{52}…; give two finite"),
         ("class Heated", f"{OTHER}class Heated", r"has 2 plants, Heated, Other; give each"),
     ],
 )  # fmt: skip
@@ -155,6 +165,13 @@ STRUCTURES = 'structures = {"block": Structure(free=("gain", "capacity"))}'
         (STRUCTURES, f"{STRUCTURES}; sensor = 'camera'", r"`sensor` is 'camera'; give a Sensor\(…\)"),
         (STRUCTURES, f"{STRUCTURES}; parts = 'lag'", r"`parts` is 'lag'; write texts in a tuple"),
         (STRUCTURES, f"{STRUCTURES}; title = 3", "title of .* is 3; give a short text in quotes"),
+        (STRUCTURES, f"{STRUCTURES}; time_constant = 10**400", "`time_constant` is 10{58}…; give seconds"),
+        ('("gain", "capacity")', '("gain",), fixed={"loss": 10**400}', "loss is 10{58}…; it must be finite"),
+        (
+            "    def equations",
+            "    def __init__(self): raise BaseException\n    def equations",
+            "its own __init__ or __new__",
+        ),
         ("def equations(self, parts)", "def equations(self)", r"write def equations\(self, parts\)"),
         ("room", "reference", "a disturbance is called 'reference', like a signal of every recording"),
         ('name="block_class_', 'name="../block_class_', "is not a valid name; use letters, digits and _"),
@@ -247,6 +264,10 @@ def test_what_a_package_declares_wrongly_is_reported(tmp_path: Path, monkeypatch
             "        if self.block > 3: pass\n        lost = ",
             "line 19: equations cannot branch",
         ),
+        ("lost = ", "raise type('E', (BaseException,), {})('own')  # ", "line 19: E: own$"),
+        ("lost = ", "raise type('K', (KeyboardInterrupt,), {})('own')  # ", "line 19: K: own$"),
+        ("self.loss * (", "10**400 * (", "the rate of block has a number that is too large for floating"),
+        ("output=self.block", "output=self.block + 10**5000", "the output has a number that is too large"),
         ("output=self.block", "output=self.heater", "the output depends on no state"),
         ("start={self.block: self.temperature}", "start={}", "state block has no start value"),
         ("rates={self.block: ", "rates={self.gain: ", "`rates` has gain, which is not declared as a state"),
@@ -293,6 +314,22 @@ def test_a_mistake_in_the_equations_is_reported(tmp_path: Path, old: str, new: s
     with pytest.raises(PlantError, match=message) as raised:
         _ = plant.model().states
     assert "\n" not in str(raised.value)
+
+
+def test_integers_beyond_64_bits_are_floating_point(tmp_path: Path) -> None:
+    path = plant_file(tmp_path, "block_far", ("110.0)", "10**30)"), ("noise=0.1", "noise=10**30"))
+    plant = find_plant(str(path))
+    assert plant.states["block"].span == (0.0, 1e30)
+    assert [type(end) for end in (*plant.states["block"].span, plant.output.noise)] == [float] * 3
+
+
+def test_ctrl_c_while_a_file_is_loaded_stays_one(tmp_path: Path) -> None:
+    path = plant_file(tmp_path, "block_stopped", ("class Heated", "raise KeyboardInterrupt\nclass Heated"))
+    with pytest.raises(KeyboardInterrupt):
+        find_plant(str(path))
+    path = plant_file(tmp_path, "block_stopped_later", ("lost = ", "raise KeyboardInterrupt  # "))
+    with pytest.raises(KeyboardInterrupt):
+        _ = find_plant(str(path)).model().states
 
 
 def test_no_name_of_a_parameter_is_taken_for_a_kink(tmp_path: Path) -> None:

@@ -8,7 +8,9 @@ import signal
 import socket
 import subprocess
 import sys
-from collections.abc import Mapping
+import threading
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
@@ -83,6 +85,60 @@ class RunningBroker:
         except OSError:
             return False
         return True
+
+
+class LooseBroker:
+    """A broker that checks nothing: it lets everybody in, and sends each subscriber these messages.
+
+    Others refuse topics that are not UTF-8; devices with a small stack of their own do not.
+    """
+
+    def __init__(self, messages: Iterable[tuple[bytes, bytes]]) -> None:
+        """Listen on a port of loopback; messages are topics with payloads."""
+        self._messages = [_published(topic, payload) for topic, payload in messages]
+        self._server = socket.create_server(("127.0.0.1", 0))
+        self.url = f"mqtt://127.0.0.1:{self._server.getsockname()[1]}"
+        self._thread = threading.Thread(target=self._serve)
+        self._thread.start()
+
+    def close(self) -> None:
+        """End it."""
+        self._server.shutdown(socket.SHUT_RDWR)
+        self._server.close()
+        self._thread.join()
+
+    def _serve(self) -> None:
+        with suppress(OSError):  # it has been closed
+            while True:
+                connection, _ = self._server.accept()
+                with connection, suppress(OSError):
+                    self._answer(connection)
+
+    def _answer(self, connection: socket.socket) -> None:
+        stream = connection.makefile("rb")
+        while len(head := stream.read(2)) == 2:
+            rest = stream.read(head[1])  # what clients send here is short: its length is one byte
+            kind = head[0] >> 4
+            if kind == _CONNECT:
+                connection.sendall(b"\x20\x02\x00\x00")
+            elif kind == _SUBSCRIBE:
+                connection.sendall(b"\x90\x03" + rest[:2] + b"\x01")
+                connection.sendall(b"".join(self._messages))
+            elif kind == _PING:
+                connection.sendall(b"\xd0\x00")
+
+
+_CONNECT: Final = 1
+_SUBSCRIBE: Final = 8
+_PING: Final = 12
+"""Kinds of packets of MQTT 3.1.1."""
+
+
+def _published(topic: bytes, payload: bytes) -> bytes:
+    """The packet that brings a short message."""
+    content = len(topic).to_bytes(2, "big") + topic + payload
+    assert len(content) < 128
+    return bytes((0x30, len(content))) + content
 
 
 _PATH: Final = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin"

@@ -150,10 +150,13 @@ def test_a_full_disk_ends_the_run_and_says_so(home: Home) -> None:
     [
         (("--source", "opcua://host"), "has no known beginning; write"),
         (("--source", "mqtt://127.0.0.1:1"), "no MQTT broker at 127.0.0.1:1"),
-        (("--source", "mqtt://127.0.0.1", "--map", "output=home/#", "input=a"), "names no topic"),
+        (
+            ("--source", "mqtt://127.0.0.1", "--map", "output=home/#", "input=a"),
+            "is a filter for many topics",
+        ),
         (("--source", "mqtt://127.0.0.1", "--map", "output=a"), "map.input is missing"),
         (("--list",), "--list shows a source: give --source URL"),
-        (("--alone", "--map", "output=/t", "input=/u"), "topics of ROS need ROS 2"),
+        (("--alone", "--map", "output=/t", "input=/u"), "--alone takes no topics of ROS; give --source URL"),
         (("--source", "mqtt://127.0.0.1", "--tell", "mqtt://h"), "--tell is done by the page"),
     ],
 )
@@ -173,5 +176,5 @@ def test_no_protocol_but_mqtt_needs_its_library(tmp_path: Path) -> None:
     said = tmp_path / "said.txt"
     process = Process(sys.executable, "-c", without("paho"), *words, output=said, folder=tmp_path)
     assert process.wait() == 2
-    assert "mqtt:// needs the package paho" in process.text
+    assert "mqtt:// needs paho, which is not installed" in process.text
     assert "install twinmatch[mqtt]" in process.text

@@ -30,6 +30,7 @@ from twinmatch.importing.tables import read_table
 from twinmatch.offline.judging import judge, terms_from_files
 from twinmatch.sampling.sources import TIME, SignalMap
 from twinmatch.sessions import Session
+from twinmatch.sessions.files import ProgressCallback
 from twinmatch.showing.series import root_mean_square
 from twinmatch.signals import FloatArray, Sample, Window, only, stretches, unbroken
 from twinmatch.twin import MatchReport, StructureScore, TwinSettings, choose_structure
@@ -59,17 +60,25 @@ _FAULTY: Final = (
 )
 
 
-def data_for(path: Path, plant: type[Plant], given: SignalMap, period: float | None = None) -> Session:
+def data_for(
+    path: Path,
+    plant: type[Plant],
+    given: SignalMap,
+    period: float | None = None,
+    progress: ProgressCallback | None = None,
+) -> Session:
     """Read a recording as a session of the plant; a table needs a map unless its columns have the names of
     the signals, and a sampling period, s, unless it has times.
+
+    `progress` is called with how much has been read, and of how much.
     """
     if path.suffix.lower() in {".csv", ".txt", ".tsv"} or given.sources:
-        table = read_table(path)
+        table = read_table(path, progress)
         whole = with_plant_names(table, plant, given)
         whole = whole if TIME in whole.sources else whole.joined(SignalMap(period=period))
         imported = map_samples(table, whole, plant)
         return session_of(path, imported.samples, plant=plant.name, has_reference=imported.has_reference)
-    return open_any(path, plant=plant.name)
+    return open_any(path, plant=plant.name, progress=progress)
 
 
 def check_data(session: Session, plant: type[Plant], show: Shown = lambda *_: None) -> CheckedPlant:

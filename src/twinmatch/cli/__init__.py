@@ -52,10 +52,23 @@ _COMMANDS: Final[dict[str, str]] = {
     "prepare": "derive and compile the plants' equations now, so that the first run need not",
 }
 """Help text of each command."""
-_OF_ROS: Final = frozenset({"demo", "live", "play", "dashboard", "foxglove"})
-"""Commands that run or show the graph; `attach` does with other sources than ROS."""
+_OF_ROS: Final = frozenset({"demo", "live", "play", "dashboard", "foxglove", "apply"})
+"""Commands that run, show or ask the graph; `attach` does with other sources than ROS, and `experiment` asks
+it with `--live` only."""
 _LAUNCHING: Final = frozenset({"attach", "live", "play"})
 """Commands that start processes, which a signal that comes meanwhile must not leave behind."""
+_EXTRAS: Final = {
+    "bokeh": "dashboard",
+    "distributed": "cluster",
+    "fmpy": "fmu",
+    "foxglove": "foxglove",
+    "paho": "mqtt",
+    "prometheus_client": "outlets",
+    "pymodbus": "modbus",
+    "rosbags": "bags",
+    "tclab": "tclab",
+}
+"""The extra of each optional package, by the name it is imported by."""
 
 
 class _Parser(argparse.ArgumentParser):
@@ -99,6 +112,8 @@ def _run(arguments: Sequence[str] | None) -> int:
         told = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in str(error))  # it may quote a file
         print(f"twinmatch: {told}", file=sys.stderr)
         return EXIT_USER_ERROR
+    except ModuleNotFoundError as error:
+        return _without(error, command)
     except KeyboardInterrupt:
         print("twinmatch: interrupted", file=sys.stderr)
         return EXIT_INTERRUPTED
@@ -111,6 +126,17 @@ def _run(arguments: Sequence[str] | None) -> int:
         # A path from any option: the file system rejects the name, or a folder may not be entered.
         print(f"twinmatch: {error.filename}: cannot be used ({error.strerror})", file=sys.stderr)
         return EXIT_USER_ERROR
+
+
+def _without(error: ModuleNotFoundError, command: Callable[[argparse.Namespace], int]) -> int:
+    """Say which optional package a command lacks; returns the exit code. Any other import is a defect."""
+    package = (error.name or "").partition(".")[0]
+    if package not in _EXTRAS:
+        raise error
+    name = command.__module__.rpartition(".")[2]
+    install = f"pip install 'twinmatch[{_EXTRAS[package]}]'"
+    print(f"twinmatch: {name} needs {package}, which is not installed; {install}", file=sys.stderr)
+    return EXIT_USER_ERROR
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -7,6 +7,7 @@ import sys
 import tempfile
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Final
 
 from twinmatch.cli.shared import add_options, column_map, session_to_record
 from twinmatch.cli.starting import remember_recorded
@@ -19,6 +20,8 @@ from twinmatch.sampling.sources import SignalMap
 from twinmatch.sessions import RecordingLimits
 from twinmatch.sessions.documents import read_text
 from twinmatch.sessions.files import DiskError
+
+_INSTEAD: Final = "for a plant without ROS, give --source URL"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -63,7 +66,7 @@ def run(options: argparse.Namespace) -> int:
         print("\n".join(lines) or "nothing there")
         return 0
     if not (options.source or options.config or options.alone):
-        require_ros("attach")
+        require_ros("attach", _INSTEAD)
     if not (options.config or options.map or options.map_file):
         options.parser.error("map topics to signals with --config FILE, --map-file FILE or --map …")
     said = column_map(options).joined(SignalMap(plant=options.plant, period=options.period))
@@ -97,7 +100,7 @@ def _run_alone(options: argparse.Namespace, values: Values, session: Path | None
 
 
 def _run_graph(options: argparse.Namespace, said: SignalMap, session: Path | None) -> tuple[list[Path], int]:
-    require_ros("attach")
+    require_ros("attach", _INSTEAD)
     from twinmatch.launching.live import Live, run_live  # noqa: PLC0415 — needs ROS
     from twinmatch.launching.plan import attach_plan  # noqa: PLC0415
 

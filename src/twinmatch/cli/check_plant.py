@@ -26,7 +26,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Check and print; returns the exit code."""
     plant = find_plant(options.plant)
-    samples = options.data and data_for(options.data, plant, column_map(options), options.period)
+    with Progress("reading") as progress:
+        samples = options.data and data_for(
+            options.data, plant, column_map(options), options.period, progress.advance
+        )
     with Progress("checking") as progress:
         checked = check_plant(plant, options.period or (samples.period if samples else None), progress.show)
     _print(checked)

@@ -26,6 +26,7 @@ from twinmatch.controllers import (
     try_controller,
 )
 from twinmatch.controllers.next_experiment import LEAST
+from twinmatch.nodes import require_ros
 from twinmatch.offline.controllers import (
     Ground,
     experiment_terms,
@@ -121,6 +122,7 @@ def _ask(options: argparse.Namespace) -> int:
         )
     within = "" if options.within is None else " ".join(map(str, options.within))
     asked = {"goal": options.goal, "minutes": options.minutes, "within": within or None, "run": options.go}
+    require_ros("experiment", "without --live it works on a recorded SESSION")
     from twinmatch.nodes.runner import run as run_nodes  # noqa: PLC0415
     from twinmatch.showing.asking import ExperimentAsking  # noqa: PLC0415 — needs ROS
 

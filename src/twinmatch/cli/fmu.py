@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 import argparse
+from concurrent.futures import ThreadPoolExecutor, wait
 from pathlib import Path
+from typing import Final
 
+from twinmatch.cli.shared import Progress
 from twinmatch.fmu.archive import draft, overview
 from twinmatch.fmu.process import FmuProcess
 from twinmatch.fmu.structure import described_by
 from twinmatch.plants import find_plant
+
+_SHOWN_EVERY: Final = 0.5
+"""Interval at which progress is shown, s."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -21,7 +27,15 @@ def run(options: argparse.Namespace) -> int:
     """Print the map as YAML, with the variables as comments; returns the exit code."""
     plant, process = find_plant(options.plant), FmuProcess()
     try:
-        described = described_by(options.file, process)
+        with Progress() as progress, ThreadPoolExecutor(1) as executor:
+            reading = executor.submit(described_by, options.file, process)
+            try:
+                while not wait([reading], _SHOWN_EVERY).done:
+                    progress.show("reading the description", 0, 0)
+            except KeyboardInterrupt:
+                process.close()  # ends the reading, which the executor waits for
+                raise
+        described = reading.result()
     finally:
         process.close()
     for line in overview(described):

@@ -90,7 +90,9 @@ def _import_mapped(options: argparse.Namespace) -> int:
         with Progress("reading") as progress:
             imported = map_bag(options.recording, given, plant, progress=progress.advance, **limits)
     else:
-        table = read_table(options.recording)
+        with Progress("reading") as progress:
+            table = read_table(options.recording, progress.advance)
+            progress.show(f"mapping {len(table.lines)} rows", 0, 0)
         imported = map_samples(table, with_plant_names(table, plant, given), plant, **limits)
     columns = "; ".join(f"{signal} = {source.text}" for signal, source in imported.sources.items())
     record = {"plant": plant.name, "source": options.recording.name, "map": columns}
@@ -127,7 +129,9 @@ def _list(path: Path) -> int:
             shown.add_row(topic.name, topic.kind, str(topic.messages), rate, numbers)
         sources = {name: source for name, source in proposed(columns).items() if name != "time"}
     else:
-        columns, notes = columns_of(read_table(path)), []
+        with Progress("reading") as progress:
+            table = read_table(path, progress.advance)
+        columns, notes = columns_of(table), []
         shown = Table("column", "unit", "from", "to", "values", "empty", "looks like")
         for c in columns:
             ends = ("", "") if c.kind == "text" else (f"{c.low:.10g}", f"{c.high:.10g}")

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from twinmatch.adding import Proposal, example, files_of, propose
-from twinmatch.cli.shared import add_options, positive_period
+from twinmatch.cli.shared import Progress, add_options, positive_period
 from twinmatch.errors import TwinmatchError
 from twinmatch.importing.column_map import SEEN, columns_of, proposed, seen_by_controller
 from twinmatch.importing.tables import read_table
@@ -57,7 +57,8 @@ def _proposal(options: argparse.Namespace) -> Proposal:
         if given.sources:
             raise TwinmatchError("new-plant: --map needs the table it maps; name it with --from")
         return example()
-    table = read_table(options.table)
+    with Progress("reading") as progress:
+        table = read_table(options.table, progress.advance)
     if not given.sources:
         columns = columns_of(table)
         given = SignalMap(proposed(columns))

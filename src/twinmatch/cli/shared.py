@@ -237,7 +237,7 @@ class Progress:
         self.show(self._doing, done, total)
 
     def show(self, doing: str, done: int, total: int) -> None:
-        """Show what is being done, and that `done` of `total` parts of it are."""
+        """Show what is being done, and that `done` of `total` parts of it are; 0 parts: nobody knows."""
         self._at = done, total
         if self._bar is None and self._shown:
             from rich.progress import Progress as Bar  # noqa: PLC0415 — needed only for the bar
@@ -248,10 +248,11 @@ class Progress:
             self._task = self._bar.add_task(doing, total=None)
             self._bar.start()
         if self._bar is not None:
-            self._bar.update(self._task, description=doing, completed=done, total=total)
+            self._bar.update(self._task, description=doing, completed=done, total=total or None)
         elif not self._shown and time.monotonic() - self._said_at >= self.SILENCE:
             self._said_at = time.monotonic()
-            print(f"twinmatch: {doing}, {done / max(total, 1):.0%} done", file=sys.stderr, flush=True)
+            share = f", {done / total:.0%} done" if total else ""
+            print(f"twinmatch: {doing}{share}", file=sys.stderr, flush=True)
 
 
 def add_serving_options(parser: argparse.ArgumentParser, port: int) -> None:

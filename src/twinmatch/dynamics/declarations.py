@@ -9,15 +9,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any, Protocol, TypeVar, overload
 
 from twinmatch.errors import TwinmatchError
+from twinmatch.units import is_readable
 
 _Self = TypeVar("_Self", bound="Declaration")
 
 _STEP = 20.0
 """Step that excites a plant, in units of the noise."""
+
+_LARGEST_INTEGER = 2**63 - 1
+_LONGEST_SHOWN = 60
+"""Length to which a message shortens a value, characters."""
 
 ROLES = ("", "losses", "room")
 """Roles that a parameter can have for the health of a plant."""
@@ -45,6 +50,13 @@ class Declaration:
     def __post_init__(self) -> None:
         for what in ("unit", "text", "symbol"):
             require_text(f"{what} of a quantity", getattr(self, what))
+        if not is_readable(self.unit):
+            raise PlantError(
+                f"plant: unit of a quantity is {shown(self.unit)}, too long or with too large powers; "
+                "write one such as W/(m² K)"
+            )
+        for item in fields(self):
+            object.__setattr__(self, item.name, _in_range(getattr(self, item.name)))
 
     def __set_name__(self, owner: type, name: str) -> None:
         object.__setattr__(self, "name", name)
@@ -285,15 +297,44 @@ class Structure:
         return len(self.free) + windows * len(self.free_starts)
 
 
+def shown(value: Any) -> str:
+    """A value of a plant's file as a message quotes it: in at most 60 characters."""
+    try:
+        text = repr(value)
+    except Exception:  # Python writes no integer of more than 4300 digits; a class may write itself wrongly
+        return f"of type {type(value).__name__}, too long to be shown"
+    return text if len(text) <= _LONGEST_SHOWN else f"{text[: _LONGEST_SHOWN - 1]}…"
+
+
+def is_number(value: Any) -> bool:
+    """Whether a value is a number within the range of floating point, which the integer 10**400 is not."""
+    if not isinstance(value, int | float) or isinstance(value, bool):
+        return False
+    try:
+        float(value)
+    except OverflowError:
+        return False
+    return True
+
+
+def _in_range(value: Any) -> Any:
+    """A value, with integers that an array of integers cannot hold, such as 10**30, as floating point."""
+    if isinstance(value, tuple):
+        return tuple(map(_in_range, value))
+    if isinstance(value, int) and abs(value) > _LARGEST_INTEGER and is_number(value):
+        return float(value)
+    return value
+
+
 def require_number(what: str, value: Any, *, above: float = -math.inf) -> None:
     """Check that a value is a finite number above `above`.
 
     Raises:
         PlantError: it is none.
     """
-    if not _is_number(value) or not above < value < math.inf:
+    if not is_number(value) or not above < value < math.inf:
         least = f" above {above:g}" if above > -math.inf else ""
-        raise PlantError(f"plant: {what} is {value!r}; give a finite number{least}")
+        raise PlantError(f"plant: {what} is {shown(value)}; give a finite number{least}")
 
 
 def require_range(what: str, ends: Any, *, finite: bool = True) -> None:
@@ -302,12 +343,12 @@ def require_range(what: str, ends: Any, *, finite: bool = True) -> None:
     Raises:
         PlantError: it is none.
     """
-    if isinstance(ends, tuple | list) and len(ends) == 2 and all(map(_is_number, ends)):
+    if isinstance(ends, tuple | list) and len(ends) == 2 and all(map(is_number, ends)):
         low, high = ends
         if low < high and (not finite or (math.isfinite(low) and math.isfinite(high))):
             return
     kind = "two finite numbers" if finite else "two numbers"
-    raise PlantError(f"plant: {what} is {ends!r}; give {kind}, the smaller first, such as (0.0, 100.0)")
+    raise PlantError(f"plant: {what} is {shown(ends)}; give {kind}, the smaller first, such as (0.0, 100.0)")
 
 
 def require_text(what: str, value: Any) -> None:
@@ -317,8 +358,4 @@ def require_text(what: str, value: Any) -> None:
         PlantError: it is none.
     """
     if not isinstance(value, str) or "\n" in value:
-        raise PlantError(f"plant: {what} is {value!r}; give a short text in quotes")
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
+        raise PlantError(f"plant: {what} is {shown(value)}; give a short text in quotes")

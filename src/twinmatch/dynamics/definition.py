@@ -18,7 +18,9 @@ from twinmatch.dynamics.declarations import (
     PlantError,
     State,
     Structure,
+    is_number,
     require_text,
+    shown,
 )
 from twinmatch.dynamics.loop import Law
 from twinmatch.dynamics.sensor import Sensor
@@ -146,8 +148,8 @@ def require_consistent(plant: type[PlantDefinition], base: type[PlantDefinition]
         )
     if not plant.structures:
         raise PlantError(f"plant {plant.name}: has no structure; declare at least one in `structures`")
-    if not (isinstance(plant.time_constant, int | float) and 0.0 <= plant.time_constant < math.inf):
-        raise PlantError(f"plant {plant.name}: `time_constant` is {plant.time_constant!r}; give seconds")
+    if not (is_number(plant.time_constant) and 0.0 <= plant.time_constant < math.inf):
+        raise PlantError(f"plant {plant.name}: `time_constant` is {shown(plant.time_constant)}; give seconds")
     if plant.followed and plant.followed not in plant.structures:
         raise PlantError(f"plant {plant.name}: `followed` is {plant.followed!r}; name one of its structures")
     _require_names_of(
@@ -205,6 +207,8 @@ def _require_names(plant: type[PlantDefinition], base: type[PlantDefinition]) ->
         require_text(f"{attribute} of {plant.name}", getattr(plant, attribute))
     if isinstance(plant.parts, str) or not all(isinstance(part, str) for part in plant.parts):
         raise PlantError(f'plant {plant.name}: `parts` is {plant.parts!r}; write texts in a tuple: ("…",)')
+    if plant.__init__ is not base.__init__ or plant.__new__ is not base.__new__:
+        raise PlantError(f"plant {plant.name}: has its own __init__ or __new__; declare what it needs")
     if not callable(plant.equations):
         raise PlantError(f"plant {plant.name}: `equations` is not a method; write def equations(self, parts)")
     if len(inspect.signature(plant.equations).parameters) != 2:
@@ -230,10 +234,9 @@ def _require_values(
     plant: type[PlantDefinition], place: str, values: Mapping[str, Any], known: Mapping[str, Any]
 ) -> None:
     for name, value in values.items():
-        number = isinstance(value, int | float) and not isinstance(value, bool)
-        if not number or not known[name].possible(value):
-            msg = f"plant {plant.name}, {place}: {name} is {value!r}; it must be {known[name].requirement}"
-            raise PlantError(msg)
+        if not is_number(value) or not known[name].possible(value):
+            required = known[name].requirement
+            raise PlantError(f"plant {plant.name}, {place}: {name} is {shown(value)}; it must be {required}")
 
 
 def _table(plant: type[PlantDefinition], place: str, values: Any) -> Mapping[str, Any]:

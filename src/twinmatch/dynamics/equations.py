@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import difflib
+import math
 import re
 import threading
 import traceback
@@ -12,7 +13,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Final
 
-from twinmatch.dynamics.declarations import PlantError
+from twinmatch.dynamics.declarations import PlantError, is_number
 from twinmatch.dynamics.definition import Equations, Expression, PlantDefinition
 from twinmatch.dynamics.terms import Kinks, Roots
 
@@ -146,7 +147,9 @@ def written_equations(plant: PlantDefinition, parts: frozenset[str]) -> Equation
             written = plant.equations(parts)
     except PlantError:
         raise
-    except (Exception, SystemExit) as error:
+    except BaseException as error:
+        if is_interrupt(error):
+            raise
         lines = [f for f in traceback.extract_tb(error.__traceback__) if f.name == "equations"]
         place = f", {lines[-1].filename}, line {lines[-1].lineno}" if lines else ""
         raise PlantError(f"plant {plant.name}{place}: {_mistake(plant, error)}") from error
@@ -172,9 +175,19 @@ def _mistake(plant: PlantDefinition, error: BaseException) -> str:
     return error_words(error)
 
 
+def is_interrupt(error: BaseException) -> bool:
+    """Whether Ctrl-C ended the code of a plant's file; every other error is a mistake in it."""
+    return type(error) is KeyboardInterrupt
+
+
 def error_words(error: BaseException) -> str:
     """A Python error in a plant's file, in one line."""
-    text = " ".join(str(error).replace(".__init__()", "()").split())
+    if isinstance(error, OverflowError):
+        return "a number is too large for floating point; give one below 1e308"
+    try:
+        text = " ".join(str(error).replace(".__init__()", "()").split())
+    except Exception:  # the file's own class of errors may have a mistake in its text
+        text = ""
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 
@@ -185,7 +198,9 @@ def _require_usable(plant: PlantDefinition, written: Equations) -> None:
         PlantError: a state without rate or start, something that is not an expression, an undeclared quantity
             or one in the wrong place, a function that cannot be compiled.
     """
-    title = f"plant {plant.name}"
+    code = getattr(plant.equations, "__code__", None)  # a decorated method may have none
+    place = "" if code is None else f", {code.co_filename}, line {code.co_firstlineno}"
+    title = f"plant {plant.name}{place}"
     for name in ("rates", "start", "quantities"):
         if not isinstance(getattr(written, name), Mapping):
             kind = type(getattr(written, name)).__name__
@@ -236,6 +251,8 @@ def _require(place: str, expression: Any, allowed: Iterable[Any], declared: Mapp
         raise PlantError(f"{place} is not finite ({_short(formula)}): it divides by zero, or contains NaN")
     if formula.has(sympy.I):
         raise PlantError(f"{place} is complex ({_short(formula)}); write it with real quantities")
+    if not all(map(_fits, formula.atoms(sympy.Number))):
+        raise PlantError(f"{place} has a number that is too large for floating point; give one below 1e308")
     for part in sympy.preorder_traversal(formula):
         if isinstance(part, sympy.Function | sympy.Derivative | sympy.Integral):
             name = type(part).__name__
@@ -246,6 +263,13 @@ def _require(place: str, expression: Any, allowed: Iterable[Any], declared: Mapp
         if symbol not in declared.values():
             raise PlantError(f"{place} uses {str(symbol)!r}, which is not declared; declare it")
         raise PlantError(f"{place} uses {symbol}, which {_reason(place)}")
+
+
+def _fits(number: Any) -> bool:
+    """Whether floating point holds a number of SymPy; of a fraction, both its parts."""
+    if number.is_Rational:
+        return is_number(number.p) and is_number(number.q)
+    return math.isfinite(float(number))
 
 
 def _reason(place: str) -> str:

@@ -10,8 +10,9 @@ import re
 import stat
 import zipfile
 import zlib
-from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields
+from functools import cached_property
 from pathlib import Path, PurePosixPath
 from typing import Any, Final
 from xml.etree import ElementTree
@@ -140,7 +141,12 @@ class Described:
 
     def called(self, name: str) -> Variable | None:
         """The real variable of this name; None without one."""
-        return next((variable for variable in self.variables if variable.name == name), None)
+        return self._by_name.get(name)
+
+    @cached_property
+    def _by_name(self) -> Mapping[str, Variable]:
+        """Each real variable; of several with one name, the first."""
+        return {variable.name: variable for variable in reversed(self.variables)}
 
     def of(self, *causalities: str) -> list[Variable]:
         """The variables of these causalities."""
@@ -149,7 +155,8 @@ class Described:
     @property
     def tree(self) -> dict[str, Any]:
         """The description as a dictionary for JSON."""
-        return asdict(self)
+        values = {item.name: getattr(self, item.name) for item in fields(self)}
+        return {**values, "variables": [vars(variable) for variable in self.variables]}
 
 
 def described_from(tree: dict[str, Any]) -> Described:
@@ -187,9 +194,10 @@ def read_description(folder: Path, names: Iterable[str]) -> Described:
     for _, way in supported:
         if not re.fullmatch(r"[A-Za-z_]\w*", str(way.modelIdentifier), re.ASCII):
             raise ValueError(f"its modelIdentifier is {way.modelIdentifier!r}; FMI demands a name of C")
-    order = [
+    derived = [
         unknown.variable.derivative.name for unknown in description.derivatives if unknown.variable.derivative
     ]
+    order = {name: place for place, name in reversed(list(enumerate(derived)))}
     exchange, usual = description.modelExchange, description.defaultExperiment
     return Described(
         version=description.fmiVersion,
@@ -243,7 +251,7 @@ def _foreign(declared: Any) -> str:
     return " ".join(f"{declared.name}: {kind}, {about}".split())
 
 
-def _variable(declared: Any, order: list[str]) -> Variable:
+def _variable(declared: Any, order: Mapping[str, int]) -> Variable:
     unit = declared.unit or (declared.declaredType.unit if declared.declaredType is not None else "")
     return Variable(
         name=declared.name,
@@ -254,7 +262,7 @@ def _variable(declared: Any, order: list[str]) -> Variable:
         unit=unit or "",
         start=_number(declared.start),
         text=declared.description or "",
-        state=order.index(declared.name) if declared.name in order else -1,
+        state=order.get(declared.name, -1),
     )
 
 
@@ -304,16 +312,20 @@ def _listed(title: str, rows: Sequence[str]) -> list[str]:
 
 def draft(file: Path, described: Described, plant: type[Plant]) -> str:
     """A draft of its map for a plant, as YAML, with question marks for missing entries."""
-    output, drive = described.of("output"), described.of("input")
-    links = {plant.output.name: _alike(plant.output, output), plant.drive.name: _alike(plant.drive, drive)}
+    output = described.of("output")
+    drive = described.of("input")
+    own = [v for v in described.variables if v.state >= 0] or _others(described)
+    drives = _Names(drive)
+    links = {plant.output.name: _Names(output).like(plant.output), plant.drive.name: drives.like(plant.drive)}
     if len(output) == 1:
         links[plant.output.name] = output[0]
     if len(drive) == 1 + len(plant.disturbances) == 1:
         links[plant.drive.name] = drive[0]
-    own = [v for v in described.variables if v.state >= 0] or _others(described)
-    links |= {name: _alike(of, drive) for name, of in plant.disturbances.items()}
-    states = {name: _alike(of, own) for name, of in plant.states.items()}
-    parameters = {name: _alike(of, described.of("parameter")) for name, of in plant.parameters.items()}
+    links |= {name: drives.like(of) for name, of in plant.disturbances.items()}
+    named_states = _Names(own)
+    states = {name: named_states.like(of) for name, of in plant.states.items()}
+    named_parameters = _Names(described.of("parameter"))
+    parameters = {name: named_parameters.like(of) for name, of in plant.parameters.items()}
     taken = {name for name, variable in (states | parameters).items() if variable is not None}
     entry: dict[str, Any] = {
         "fmu": file.name,
@@ -368,13 +380,22 @@ def _line(variable: Variable) -> str:
     return " ".join(f"{variable.name}{start}{unit}{text}".split())
 
 
-def _alike(of: Any, variables: Iterable[Variable]) -> Variable | None:
-    """The variable with the name of a quantity, or with it as last part, ignoring case and punctuation."""
-    wanted = {_plain(of.name), _plain(of.symbol)} - {""}
-    for variable in variables:
-        if {_plain(variable.name), _plain(variable.name.rsplit(".", 1)[-1])} & wanted:
-            return variable
-    return None
+class _Names:
+    """Variables by their names and the last parts of these, ignoring case and punctuation."""
+
+    def __init__(self, variables: Sequence[Variable]) -> None:
+        """Of several with one name, the first counts."""
+        self._variables = variables
+        self._places: dict[str, int] = {}
+        for place, variable in enumerate(variables):
+            self._places.setdefault(_plain(variable.name), place)
+            self._places.setdefault(_plain(variable.name.rsplit(".", 1)[-1]), place)
+
+    def like(self, quantity: Any) -> Variable | None:
+        """The first variable with the name or the symbol of a quantity."""
+        wanted = {_plain(quantity.name), _plain(quantity.symbol)} - {""}
+        places = [self._places[name] for name in wanted if name in self._places]
+        return self._variables[min(places)] if places else None
 
 
 def _plain(name: str) -> str:

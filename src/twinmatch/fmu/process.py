@@ -24,6 +24,7 @@ import threading
 import time
 import weakref
 from collections.abc import Callable, Mapping, Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -32,7 +33,7 @@ from numpy.typing import NDArray
 
 from twinmatch.fmu.archive import FmuError
 
-MAX_HEADER: Final = 1 << 24
+MAX_HEADER: Final = 1 << 27
 MAX_NUMBERS: Final = 1 << 27
 """Largest header, and largest block of numbers after it, bytes."""
 
@@ -167,7 +168,13 @@ class FmuProcess:
     """One process for one FMU; requests from several threads are serialised."""
 
     def __init__(self) -> None:
-        """Start the process, with its own folder, which is deleted when the process ends."""
+        """Start the process, with its own folder, which is deleted when the process ends.
+
+        Raises:
+            FmuError: the package that reads FMUs is not installed.
+        """
+        if find_spec("fmpy") is None:
+            raise FmuError("FMUs need fmpy, which is not installed; pip install 'twinmatch[fmu]'")
         self._folder = tempfile.TemporaryDirectory(prefix="twinmatch-fmu-")
         self.folder = Path(self._folder.name)
         self._lock = threading.Lock()

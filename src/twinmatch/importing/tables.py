@@ -17,9 +17,9 @@ import math
 import os
 import re
 from array import array
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import chain, islice
+from itertools import islice
 from pathlib import Path
 from typing import Final
 
@@ -32,6 +32,8 @@ from twinmatch.units import measure
 
 MAX_BYTES: Final = 500_000_000
 """Largest file; anything larger is not a recording of a loop, or should be split before the import."""
+_BLOCK: Final = 4096
+"""Lines that are read at once."""
 _HEAD: Final = 53
 """Lines that tell how a table is written."""
 _WORDS: Final = {
@@ -215,33 +217,85 @@ def _parse(path: Path, lines: Iterator[tuple[int, str]]) -> Table:
         msg = f"{path}: give column names and at least two rows; the file has {len(head)} lines of a table"
         raise RecordingError(msg)
     divider = stated[1] if stated else max(",;\t", key=head[0][1].count)
-    rows = _rows(path, chain(head, lines), divider)
-    (place, titles), *beginning = islice(rows, len(head))
+    (first_place, titles), *beginning = _rows(path, iter(head), divider)
     if all(number(title) is not None for title in titles):
         names = ("time", "output", "input", *(f"other {k}" for k in range(1, 4)))[: len(titles)]
         raise RecordingError(
-            f"{path}, line {place}: has numbers; the first line must name the columns: write "
+            f"{path}, line {first_place}: has numbers; the first line must name the columns: write "
             f"one above it, such as {divider.join(names)}"
         )
     _check_titles(path, titles)
     titles, skipped = _with_units(titles, [cells for _, cells in beginning[:2]])
     decimal = _decimal([cells for _, cells in beginning], quoted=divider == ",")
-    places, numbers = array("q"), [array("d") for _ in titles]
-    texts: list[dict[int, str]] = [{} for _ in titles]
-    for place, cells in chain(beginning[skipped:], rows):
-        for column, others, text in zip(numbers, texts, cells, strict=True):
-            try:
-                column.append(float(text))
-            except ValueError:
-                value = number(text, decimal)
-                if value is None:
-                    others[len(places)] = text
-                column.append(math.nan if value is None else value)
-        places.append(place)
+    read = _Cells(len(titles), divider, decimal)
+    read.rows(beginning[skipped:])
+    while block := list(islice(lines, _BLOCK)):
+        if not read.plain(block):
+            read.rows(_rows(path, iter(block), divider, first=(first_place, len(titles))))
     distinct = _distinct(titles)
-    columns = {title: np.frombuffer(column) for title, column in zip(distinct, numbers, strict=True)}
-    odd = {title: others for title, others in zip(distinct, texts, strict=True) if others}
-    return Table(path, columns, places, texts=odd)
+    columns = dict(zip(distinct, read.columns(), strict=True))
+    odd = {title: others for title, others in zip(distinct, read.texts, strict=True) if others}
+    return Table(path, columns, read.places, texts=odd)
+
+
+class _Cells:
+    """The cells of a table, taken in row by row, or many plain rows at once."""
+
+    def __init__(self, width: int, divider: str, decimal: str) -> None:
+        """Begin without rows."""
+        self.places = array("q")
+        """The line of each row in the file."""
+        self.texts: list[dict[int, str]] = [{} for _ in range(width)]
+        """Of each column, the cells that are not numbers, by row."""
+        self._numbers = [array("d") for _ in range(width)]
+        self._divider = divider
+        self._decimal = decimal
+        self._empty = re.compile(rf"(^|{re.escape(divider)})(?={re.escape(divider)}|$)")
+
+    def rows(self, rows: Iterable[tuple[int, list[str]]]) -> None:
+        """Take rows of any cells, each with its place."""
+        for place, cells in rows:
+            for column, others, text in zip(self._numbers, self.texts, cells, strict=True):
+                try:
+                    column.append(float(text))
+                except ValueError:
+                    value = number(text, self._decimal)
+                    if value is None:
+                        others[len(self.places)] = text
+                    column.append(math.nan if value is None else value)
+            self.places.append(place)
+
+    def plain(self, lines: Sequence[tuple[int, str]]) -> bool:
+        """Take lines all of whose cells are numbers or empty, as NumPy reads them.
+
+        NumPy reads the digits of a number as Python does. Returns whether the lines are such ones; if not,
+        none is taken.
+        """
+        texts = [line for _, line in lines]
+        if self._decimal == "," and self._divider != ",":
+            texts = [text.replace(",", ".") for text in texts]
+        values = self._loaded(texts)
+        if values is None:
+            values = self._loaded([self._empty.sub(r"\1nan", text) for text in texts])
+        if values is None:
+            return False
+        if values.shape != (len(lines), len(self._numbers)):
+            return False
+        for column, numbers in zip(self._numbers, values.T, strict=True):
+            column.frombytes(numbers.tobytes())
+        self.places.extend(place for place, _ in lines)
+        return True
+
+    def _loaded(self, texts: list[str]) -> FloatArray | None:
+        """The numbers of plain lines, shape (lines, columns); None if a cell is not a number."""
+        try:
+            return np.loadtxt(texts, delimiter=self._divider, comments=None, ndmin=2)
+        except ValueError:
+            return None
+
+    def columns(self) -> list[FloatArray]:
+        """The numbers of each column; nan without one."""
+        return [np.frombuffer(column) for column in self._numbers]
 
 
 def _check_titles(path: Path, titles: Sequence[str]) -> None:
@@ -254,9 +308,15 @@ def _check_titles(path: Path, titles: Sequence[str]) -> None:
         raise RecordingError(f"{path}: has a column title of {longest} characters; give at most {MAX_TITLE}")
 
 
-def _rows(path: Path, lines: Iterator[tuple[int, str]], divider: str) -> Iterator[tuple[int, list[str]]]:
-    """The cells of each line, as many as in the first, with its place."""
-    place, width = 0, 0
+def _rows(
+    path: Path, lines: Iterator[tuple[int, str]], divider: str, first: tuple[int, int] | None = None
+) -> Iterator[tuple[int, list[str]]]:
+    """The cells of each line, as many as the column names, with its place.
+
+    `first` is the line of the names with their number; without it, that is the first of these lines.
+    """
+    place = 0
+    first_place, width = first or (0, 0)
 
     def texts() -> Iterator[str]:
         nonlocal place
@@ -267,11 +327,12 @@ def _rows(path: Path, lines: Iterator[tuple[int, str]], divider: str) -> Iterato
     for count, cells in enumerate(reader, 1):
         if reader.line_num > count:
             raise RecordingError(f"{path}: a quoted cell spans several lines; write it without line breaks")
-        if count == 1:
-            first, width = place, len(cells)
+        if count == 1 and first is None:
+            first_place = place
+            width = len(cells)
         if any(map(str.strip, cells[width:])):
             raise RecordingError(
-                f"{path}, line {place}: has {len(cells)} cells, but line {first} has {width} "
+                f"{path}, line {place}: has {len(cells)} cells, but line {first_place} has {width} "
                 "column names; remove lines before the names, or begin them with #"
             )
         yield place, cells[:width] + [""] * (width - len(cells))

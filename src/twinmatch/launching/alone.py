@@ -111,7 +111,10 @@ class Alone:
         given = parse_candidates(plan.candidates, "candidates") if plan.candidates else []
         opened = source_of(plan.values)
         if opened is None:
-            raise SamplingError("attach: topics of ROS need ROS 2; give --source URL for a plant without")
+            raise SamplingError(
+                "attach: --alone takes no topics of ROS; give --source URL, such as mqtt://HOST or "
+                "modbus://HOST/UNIT, or leave --alone out"
+            )
         self._settings = plan.settings
         try:
             self._open(plan, opened, given)

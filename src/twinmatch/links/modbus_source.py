@@ -15,13 +15,14 @@ from urllib.parse import parse_qsl
 
 from pymodbus.client import ModbusSerialClient, ModbusTcpClient
 from pymodbus.exceptions import ModbusException
+from pymodbus.pdu import ModbusPDU
 from serial import Serial
 
 from twinmatch.ending import end_in_order
 from twinmatch.errors import TwinmatchError
 from twinmatch.links import Background
 from twinmatch.sampling import registers
-from twinmatch.sampling.channels import Channel
+from twinmatch.sampling.channels import Channel, SamplingError
 from twinmatch.sampling.listener import Receive
 from twinmatch.sampling.registers import Span, Values, parse_place
 
@@ -38,6 +39,12 @@ _KEYS: Final = {
 _USUAL: Final = {"baud": "9600", "parity": "N", "stop": "1", "unit": "1"}
 _FORM: Final = "write modbus://HOST:PORT/UNIT or modbus+rtu:///dev/ttyUSB0?baud=9600&parity=N&stop=1&unit=1"
 _ANSWERS: Final = {1: "illegal function", 2: "illegal address", 3: "illegal value", 4: "device failure"}
+_FUNCTIONS: Final = {"coil": 1, "discrete": 2, "holding": 3, "input": 4}
+"""Code of the function that reads a table."""
+_ERROR: Final = 0x80
+"""Bit of the function code that marks an answer as an error."""
+_QUOTED: Final = 24
+"""Most bytes of an answer that a message quotes."""
 _PATIENCE: Final = 1.0
 """Longest wait for a connection or an answer, and the pause after a failure, s."""
 
@@ -50,6 +57,22 @@ class ModbusError(TwinmatchError):
 
 class RefusedReadError(ModbusError):
     """It answers that it cannot be read there."""
+
+
+class _ReadAnswer(ModbusPDU):
+    """An answer with values, undecoded: pymodbus takes byte counts that do not fit for right."""
+
+    rtu_byte_count_pos = 2
+    payload = b""
+
+    def decode(self, data: bytes) -> None:
+        """Keep the byte count and what follows it."""
+        self.payload = data
+
+
+_READ_ANSWERS: Final = [
+    type(f"_ReadAnswer{code}", (_ReadAnswer,), {"function_code": code}) for code in _FUNCTIONS.values()
+]
 
 
 class ModbusDevice:
@@ -65,20 +88,28 @@ class ModbusDevice:
         self._open: partial[Any]
         if rtu and not wrong:
             baud, self._unit = int(keys["baud"]), int(keys["unit"])
-            self._client = ModbusSerialClient(rtu[1], baudrate=baud, timeout=_PATIENCE, retries=0)
+            self._client = ModbusSerialClient(
+                rtu[1], baudrate=baud, timeout=_PATIENCE, retries=0, trace_packet=self._trace
+            )
             line = partial(Serial, rtu[1], baud, parity=keys["parity"], stopbits=int(keys["stop"]))
             self._open = partial(line, timeout=_PATIENCE, write_timeout=_PATIENCE, exclusive=True)
         elif tcp and (port := int(tcp[2] or 502)) < 65536 and int(tcp[3]) < 256:
             host, self._unit = tcp[1].strip("[]"), int(tcp[3])
-            self._client = ModbusTcpClient(host, port=port, timeout=_PATIENCE, retries=0)
+            self._client = ModbusTcpClient(
+                host, port=port, timeout=_PATIENCE, retries=0, trace_packet=self._trace
+            )
             self._open = partial(socket.create_connection, (host, port), _PATIENCE)
         else:
             raise ModbusError(f"{self._text}: {', '.join(wrong) or 'this URL'} cannot be used; {_FORM}")
+        self._received = b""
+        for answer in _READ_ANSWERS:
+            self._client.register(answer)
 
     def read(self, span: Span) -> Values:
         """The values of a span that one request may read; raise a ModbusError if they do not come."""
         (table, first, end), client = span, self._client
         where = f"{self._text}: {registers.span_text(span)}"
+        self._received = b""
         bits = {"coil": client.read_coils, "discrete": client.read_discrete_inputs}
         reads = {**bits, "holding": client.read_holding_registers, "input": client.read_input_registers}
         try:
@@ -87,17 +118,49 @@ class ModbusDevice:
         except (OSError, ValueError) as error:
             raise ModbusError(f"{where}: no connection ({error}); check the address") from None
         except ModbusException as error:
-            if self._tcp:  # it may be dead; a serial line stays open, as opening it restarts some devices
-                client.close()
+            self._leave()
             what = "the unit" if self._tcp else "unit, baud, parity and stop"
-            raise ModbusError(f"{where}: no valid answer within {_PATIENCE:g} s; check {what}") from error
+            came = (
+                f" (what came is damaged, or answers another request: {self._quoted})"
+                if self._received
+                else ""
+            )
+            raise ModbusError(
+                f"{where}: no valid answer within {_PATIENCE:g} s{came}; check {what}"
+            ) from error
+        if got.function_code & ~_ERROR != _FUNCTIONS[table]:
+            self._leave()
+            code = got.function_code & ~_ERROR
+            raise ModbusError(
+                f"{where}: the answer is of function {code}, but function {_FUNCTIONS[table]} was asked "
+                f"({self._quoted}); is this a Modbus device?"
+            )
         if got.isError():
             answer = f"{_ANSWERS.get(got.exception_code, 'error')} ({got.exception_code})"
             raise RefusedReadError(f"{where}: the device answers: {answer}")
-        values, unit = (got.bits, 8) if table in bits else (got.registers, 1)
-        if len(values) != -((first - end) // unit) * unit:  # bits come as whole bytes
-            raise ModbusError(f"{where}: what was answered belongs to another request")
-        return {(table, first + k): int(value) for k, value in enumerate(values[: end - first])}
+        try:
+            return registers.values_in(got.payload, span)
+        except SamplingError as error:
+            self._leave()
+            raise ModbusError(f"{self._text}: {error} ({self._quoted}); is this a Modbus device?") from None
+
+    @property
+    def _quoted(self) -> str:
+        """What came since the last request, in hexadecimal."""
+        return self._received[:_QUOTED].hex(" ") + (" …" if len(self._received) > _QUOTED else "")
+
+    def _trace(self, sending: bool, data: bytes) -> bytes:
+        if not sending:
+            self._received = data
+        return data
+
+    def _leave(self) -> None:
+        """Close a connection on which an answer was amiss: another one may be under way.
+
+        A serial line stays open, as opening it restarts some devices.
+        """
+        if self._tcp:
+            self._client.close()
 
     def surely(self, span: Span) -> Values:
         """The same, with two more attempts: a serial line that was just opened may have restarted it."""

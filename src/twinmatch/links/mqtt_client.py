@@ -38,6 +38,14 @@ def leave(client: Client) -> bool:
     return stopping.close()
 
 
+def topic_of(message: MQTTMessage) -> str | None:
+    """The topic of a message; None if it is not UTF-8, as MQTT demands."""
+    try:
+        return message.topic
+    except UnicodeDecodeError:
+        return None
+
+
 class BrokerError(TwinmatchError):
     """A broker cannot be reached, or lets nobody in with what is given."""
 

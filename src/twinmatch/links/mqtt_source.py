@@ -7,12 +7,19 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Final
 
-from paho.mqtt.client import Client, MQTTMessage
+from paho.mqtt.client import Client, MQTTMessage, topic_matches_sub
 
-from twinmatch.links.mqtt_client import Broker, leave
+from twinmatch.links.mqtt_client import Broker, leave, topic_of
 from twinmatch.sampling.channels import Channel, SamplingError
 from twinmatch.sampling.listener import Receive
-from twinmatch.sampling.payloads import document_of, number_at, numbers_in, parse_place, stamp_at
+from twinmatch.sampling.payloads import (
+    document_of,
+    number_at,
+    numbers_in,
+    parse_filter,
+    parse_place,
+    stamp_at,
+)
 
 __all__ = ["MqttSource", "listing", "open_source", "parse_place"]
 
@@ -38,6 +45,8 @@ class MqttSource:
         self._arrived: deque[MQTTMessage] = deque(maxlen=_WAITING)
         self._amiss: dict[str, tuple[int, str]] = {}
         """Messages in a row of a topic without a number, and why the last had none."""
+        self._unreadable = 0
+        """Messages whose topic is not UTF-8."""
         self._client = broker.connected(self._subscribe, self._arrived.append)
 
     def search(self, waited: float) -> None:
@@ -51,14 +60,20 @@ class MqttSource:
         """Hand on the messages that have arrived."""
         while self._arrived:
             message = self._arrived.popleft()
+            topic = topic_of(message)
+            if topic is None:
+                self._unreadable += 1
+                continue
+            if topic not in self.kinds:
+                continue
             try:
                 document = document_of(bytes(message.payload))
                 place = self._broker.more.get(_TIME)
                 stamp = stamp_at(document, place) if place else 0
             except SamplingError as error:
-                self._miss(message.topic, str(error))
+                self._miss(topic, str(error))
                 continue
-            self._receive(message.topic, self._reader(message.topic, document), stamp, held=message.retain)
+            self._receive(topic, self._reader(topic, document), stamp, held=message.retain)
 
     @property
     def lost(self) -> str:
@@ -67,9 +82,10 @@ class MqttSource:
         return "" if self._client.is_connected() else text
 
     def trouble(self, topic: str) -> str:
-        """That the newest messages have no number."""
+        """That the newest messages have no number, or topics that cannot be read."""
         count, why = self._amiss.get(topic, (0, ""))
-        return f"{count} messages on {topic} without a number, the last: {why}" if count else ""
+        without = f"{count} messages on {topic} without a number, the last: {why}" if count else ""
+        return without or unreadable_words(self._unreadable)
 
     def close(self) -> bool:
         """Disconnect."""
@@ -95,6 +111,11 @@ class MqttSource:
         self._amiss[topic] = self._amiss.get(topic, (0, ""))[0] + 1, why
 
 
+def unreadable_words(count: int) -> str:
+    """That so many messages were left out for their topics; empty for none."""
+    return f"{count} messages left out, whose topics are not UTF-8" if count else ""
+
+
 def open_source(url: str, period: float, channels: list[Channel], receive: Receive) -> MqttSource:  # noqa: ARG001
     """The topics of the broker at a URL; see `Broker.parse`.
 
@@ -107,21 +128,34 @@ def open_source(url: str, period: float, channels: list[Channel], receive: Recei
 
 
 def listing(url: str, where: str) -> Iterator[str]:
-    """The topics below `where` on which something is sent within two seconds, with their numbers.
+    """The topics on which something is sent within two seconds, with their numbers.
+
+    `where` is a filter of MQTT, such as `home/+/t` or `#`, or the topic above those that are listed.
 
     Raises:
         BrokerError: as for `open_source`.
+        SamplingError: `where` is not a filter.
     """
+    chosen = parse_filter(where)
     heard: dict[str, bytes] = {}
+    unreadable = 0
 
     def subscribe(client: Client) -> None:
-        client.subscribe(f"{where.strip('/')}/#" if where else "#")
+        client.subscribe(chosen)
 
-    client = Broker.parse(url, (_TIME,)).connected(
-        subscribe, lambda message: heard.update({message.topic: bytes(message.payload)})
-    )
+    def hear(message: MQTTMessage) -> None:
+        nonlocal unreadable
+        topic = topic_of(message)
+        if topic is None:
+            unreadable += 1
+        elif topic_matches_sub(chosen, topic):  # some brokers send what they have kept, whatever was asked
+            heard[topic] = bytes(message.payload)
+
+    client = Broker.parse(url, (_TIME,)).connected(subscribe, hear)
     time.sleep(_LISTENS)
     leave(client)
+    if unreadable:
+        yield unreadable_words(unreadable)
     for topic, payload in sorted(heard.items()):
         try:
             document = document_of(payload)

@@ -55,5 +55,6 @@ def protocol_of(url: str) -> WireProtocol:
     try:
         return cast("WireProtocol", import_module(f"{links.__name__}.{known[kind]}"))
     except ModuleNotFoundError as error:
-        need = f"{kind}:// needs the package {error.name}; install twinmatch[{kind}]"
+        package = (error.name or "").partition(".")[0]
+        need = f"{kind}:// needs {package}, which is not installed; pip install 'twinmatch[{kind}]'"
         raise SamplingError(f"source: {need}") from None

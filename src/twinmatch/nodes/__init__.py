@@ -47,8 +47,8 @@ def problem(environment: Mapping[str, str] = os.environ, own: str = sys.prefix) 
     )
 
 
-def require_ros(program: str) -> None:
-    """Check that there is what a program that runs or shows the graph imports.
+def require_ros(program: str, instead: str = "") -> None:
+    """Check that there is what a program that runs or shows the graph imports; `instead`: what else would do.
 
     Raises:
         TwinmatchError: ROS 2, or our messages, cannot be found.
@@ -57,7 +57,7 @@ def require_ros(program: str) -> None:
     if missing:
         raise TwinmatchError(
             f"{program} needs ROS 2: {', '.join(missing)} cannot be found; run make setup in a clone of "
-            "twinmatch, or source a ROS 2 workspace that has them"
+            f"twinmatch, or source a ROS 2 workspace that has them{instead and f'; {instead}'}"
         )
 
 

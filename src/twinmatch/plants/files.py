@@ -25,7 +25,7 @@ from typing import Final
 
 from twinmatch.dynamics import Law, Plant, PlantError, channel
 from twinmatch.dynamics.definition import PlantType
-from twinmatch.dynamics.equations import PATIENCE, TooLongError, at_most, error_words
+from twinmatch.dynamics.equations import PATIENCE, TooLongError, at_most, error_words, is_interrupt
 
 GROUP: Final = "twinmatch.plants"
 _MODULES: Final = "twinmatch_plant_file_"
@@ -53,8 +53,10 @@ def installed_plant(name: str) -> type[Plant] | None:
     package = point.dist.name if point.dist is not None else point.module
     try:
         plant = point.load()
-    except Exception as error:
-        msg = f"plant {name!r} of {package}: cannot be imported ({type(error).__name__}: {error})"
+    except BaseException as error:
+        if is_interrupt(error):
+            raise
+        msg = f"plant {name!r} of {package}: cannot be imported ({error_words(error)})"
         raise PlantError(msg) from error
     if not (isinstance(plant, type) and issubclass(plant, Plant)):
         raise PlantError(f"plant {name!r} of {package}: {point.value} is not a Plant; declare the class")
@@ -150,8 +152,10 @@ def _run(path: Path, name: str) -> ModuleType:
     try:
         with at_most():
             spec.loader.exec_module(module)
-    except (Exception, SystemExit) as error:
+    except BaseException as error:
         del sys.modules[spec.name]
+        if is_interrupt(error):
+            raise
         raise PlantError(f"{_place(name, path, error)}: {_words(error)}") from error
     finally:
         sys.path.remove(beside)

@@ -13,6 +13,8 @@ from twinmatch.signals import NANOSECONDS
 _WORDS: Final = {"on": 1.0, "true": 1.0, "open": 1.0, "heating": 1.0} | dict.fromkeys(
     ("off", "false", "closed", "idle"), 0.0
 )
+_WILDCARDS: Final = ("#", "+")
+_LONGEST_TOPIC: Final = 65535
 _LARGEST: Final = 1_000_000
 """Longest payload that is read, bytes."""
 _MAX_LISTED: Final = 30
@@ -27,14 +29,53 @@ def parse_place(text: str) -> Channel:
     """A channel from `home/room/temperature` or `zigbee2mqtt/Living room:temperature`.
 
     Raises:
-        SamplingError: the topic is missing or a pattern, or the rest is not a path.
+        SamplingError: the topic is missing or a filter, or the rest is not a path.
     """
     text = text.strip()
     topic, _, path = (part.strip() for part in text.rpartition(":")) if ":" in text else (text, "", "")
-    if not topic or any(sign in topic for sign in "#+\0"):
+    if any(sign in topic for sign in _WILDCARDS):
+        raise SamplingError(
+            f"{text!r} is a filter for many topics, and a signal comes from one; write TOPIC or TOPIC:KEY, "
+            "such as room/t:value; --list shows the topics of a filter"
+        )
+    if not topic or not _may_be_sent(topic):
         raise SamplingError(f"{text!r} names no topic; write TOPIC or TOPIC:KEY, such as room/t:value")
     _steps(path)
     return Channel(topic, path)
+
+
+def parse_filter(text: str) -> str:
+    """A filter of topics: as it is written, if it has a wildcard; otherwise the topics below `text`.
+
+    Raises:
+        SamplingError: MQTT has no such filter.
+    """
+    has_wildcard = any(sign in text for sign in _WILDCARDS)
+    chosen = text if has_wildcard else _all_below(text.rstrip("/"))
+    levels = chosen.split("/")
+    for number, level in enumerate(levels, 1):
+        alone = level in _WILDCARDS or not any(sign in level for sign in _WILDCARDS)
+        if not alone or (level == "#" and number < len(levels)):
+            raise SamplingError(
+                f"{text!r} is not a filter of MQTT: + stands for a whole level between slashes, and # for "
+                "all that follow, at the end; write room, room/# or room/+/t"
+            )
+    if not _may_be_sent(chosen):
+        raise SamplingError(f"{text[:40]!r} is not a filter of MQTT; write room, room/# or room/+/t")
+    return chosen
+
+
+def _all_below(topic: str) -> str:
+    """The filter of all topics below one; of all topics, if it is empty."""
+    return f"{topic}/#" if topic else "#"
+
+
+def _may_be_sent(topic: str) -> bool:
+    """Whether MQTT can send this topic or filter: UTF-8 of at most 65535 bytes, without NUL."""
+    try:
+        return len(topic.encode()) <= _LONGEST_TOPIC and "\0" not in topic
+    except UnicodeEncodeError:
+        return False
 
 
 def document_of(payload: bytes) -> Any:

@@ -73,6 +73,23 @@ def _code(channel: Channel) -> str:
     return ">" + _TYPES.get(channel.path.partition(" ")[0], "H")
 
 
+def values_in(answer: bytes, span: Span) -> Values:
+    """The values of a span from an answer that a device gave: the number of bytes, then these bytes.
+
+    Raises:
+        SamplingError: it has another number of bytes than it says, or than the span has.
+    """
+    table, first, end = span
+    count = end - first
+    wanted = -(-count // 8) if table in BITS else 2 * count
+    if len(answer) != wanted + 1 or answer[0] != wanted:
+        stated = f"states {answer[0]} and has {len(answer) - 1}" if answer else "has 0"
+        raise SamplingError(f"the answer to {span_text(span)} {stated} bytes of values, not {wanted}")
+    if table in BITS:
+        return {(table, first + k): answer[1 + k // 8] >> k % 8 & 1 for k in range(count)}
+    return {(table, first + k): int.from_bytes(answer[1 + 2 * k : 3 + 2 * k], "big") for k in range(count)}
+
+
 def joined(spans: Iterable[Span]) -> list[Span]:
     """The fewest spans with these and nothing else, none longer than a request; each is whole in one."""
     made: list[Span] = []
