@@ -53,15 +53,24 @@ class InStep:
     """A rig that publishes, and a listener by plant time, which passes once everything has arrived."""
 
     def __init__(
-        self, broker: RunningBroker, plant: str, period: float, places: dict[str, str], *, marked: bool = True
+        self,
+        broker: RunningBroker,
+        plant: str,
+        period: float,
+        places: dict[str, str],
+        *,
+        mark: Callable[[float], str] | None = repr,
     ) -> None:
+        """Wait for the subscription by marks, payloads of the set-point; without any, kept messages do."""
         given: dict[str, Any] = {f"map.{name}": place for name, place in places.items()}
         given |= {"plant": plant, "period": period, "source": broker.url}
         values = check("sampler", *understood("sampler", given))
         self.now, self._step = BEGIN, round(period * NANOSECONDS)
         self.listener: SignalListener = listener_of("sampler", values, lambda: self.now)
         rig = Broker.parse(broker.url.partition("?")[0])
-        self.rig, self._marked = rig.connected(lambda _: None), places["reference"]
+        self.rig = rig.connected(lambda _: None)
+        self._marked_topic = places["reference"].partition(":")[0]
+        self._mark = mark
         self._acknowledged: set[int] = set()
         self.rig.on_publish = lambda _client, _data, mid, *_: self._acknowledged.add(mid)
         # amqtt loses a client that is still joining when another one subscribes.
@@ -79,17 +88,18 @@ class InStep:
 
         self.listener.open(open_counting)
         self.listener.search()
-        if marked:
+        if mark is not None:
             self.subscribed()
 
     def subscribed(self) -> None:
         """Wait until what is sent arrives: what is sent before the subscription stands is lost."""
-        mark, newest, before = 1000.0, self.listener.sampler.newest, self.received
+        payload_of, mark = self._mark or repr, 1000.0
+        newest, before = self.listener.sampler.newest, self.received
 
         def arrives() -> bool:
             nonlocal mark
             mark += 1.0
-            self.publish(self._marked, repr(mark))
+            self.publish(self._marked_topic, payload_of(mark))
             self.source.poll()
             return self.received > before
 
@@ -183,7 +193,7 @@ def test_what_a_broker_has_kept_may_be_a_set_point_but_never_a_reading(
     client = Broker.parse(broker.url).connected(lambda _: None)
     for topic, payload in said(30.0, 99.0, 77.0).items():
         client.publish(topic, payload, 1, retain=True).wait_for_publish(30.0)
-    stepped = InStep(broker, str(plant), PERIOD, PLACES, marked=False)
+    stepped = InStep(broker, str(plant), PERIOD, PLACES, mark=None)
     assert stepped.tick(0, {}, more=3) == []
     newest = stepped.listener.sampler.newest
     assert (newest("reference"), newest("output"), newest("input")) == (30.0, None, None)
@@ -259,12 +269,16 @@ def test_a_clock_that_is_set_back_and_forth_leaves_gaps(stepped: InStep) -> None
 def test_times_in_payloads_count(broker: RunningBroker, plant: Path) -> None:
     broker.url += "?time=at"
     places = {**PLACES, "reference": "oven/set_point:wanted", "output": "oven/room:t"}
-    stepped = InStep(broker, str(plant), PERIOD, places, marked=False)
     at = BEGIN / NANOSECONDS
+
+    def wanted(value: float) -> str:
+        return json.dumps({"wanted": value, "at": at})
+
+    stepped = InStep(broker, str(plant), PERIOD, places, mark=wanted)
 
     def told(at: float) -> dict[str, str | bytes]:
         return {
-            "oven/set_point": json.dumps({"wanted": 30.0, "at": at}),
+            "oven/set_point": wanted(30.0),
             "oven/room": json.dumps({"t": 20.0, "at": at}),
             "oven/heater": json.dumps({"duty cycle": 5.0, "at": at}),
         }
