@@ -187,7 +187,7 @@ KINDS: Final[dict[str, Kind]] = {
     "tclab_bridge": lambda world, _: node("tclab_bridge", port=world.kit["serial"]),
     "tclab_rig": lambda world, _: node("tclab_rig", **{"tclab_bridge:port": world.kit["serial"]}),
     "plant_clock": lambda world, _: node("plant_clock", address=world.rig["clock"]),
-    "player": lambda _, __: node("player", session=SESSION, rate=50.0),
+    "player": lambda _, __: node("player", session=SESSION, rate=50.0, wait_timeout=60.0),
     "recorder": lambda _, folder: node("recorder", folder=folder / "sessions"),
     "twin": lambda _, __: node("twin"),
     "twin_simulator": lambda _, __: node("twin_simulator"),

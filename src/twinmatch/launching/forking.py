@@ -235,10 +235,10 @@ def main() -> None:
     warnings.filterwarnings("ignore", ".*multi-threaded, use of fork", DeprecationWarning)
     gc.collect()
     gc.freeze()  # what is shared stays shared
+    sys.excepthook = _show
     words = serve(socket.socket(fileno=int(sys.argv[1])))
     if not words:
         return
-    sys.excepthook = _show
     if words[0] == "-m":
         sys.argv = words[1:]
         runpy.run_module(words[1], run_name="__main__", alter_sys=True)
