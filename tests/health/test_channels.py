@@ -193,3 +193,17 @@ def test_a_drive_that_is_given_back_ends_no_reading_through() -> None:
         monitor.push(off)
         if sample.index >= BEGINS + 20:
             assert [each.signal for each in monitor.estimates] == ["second_temperature"], sample.index
+
+
+def test_a_rehearsal_from_before_the_plant_is_known_counts_until_a_later_one_is_over() -> None:
+    """The parameters of a kit are not known in its first quarter of an hour; later estimates are better."""
+    monitor = ChannelMonitor(typical(), 1.0)
+    sums, numbers = [], []
+    for sample in islice(run(21, "nothing"), 1520):
+        monitor.push(sample)
+        rehearsal = monitor.competition._rehearsals[0]
+        sums.append(rehearsal._sums[-1])
+        numbers.append(rehearsal._count[-1])
+    assert numbers[890] == 0.0
+    assert numbers[950] == numbers[-1] == 1.0
+    assert sums[-1] < sums[950]

@@ -86,12 +86,21 @@ class Rehearsal:
         self._usual, self._strays = (_STRAYS * noise) ** 2, _AGES[-2] * second
         self._ends = np.round(_AGES * second).astype(np.int64)
         self._sums, self._count = np.zeros((2, _AGES.size))
+        self._early = True
+        """Whether all of them began before the plant was known well."""
         self.drop()
 
     def drop(self) -> None:
         """Forget the one that is on: something else than its error may have come into it."""
         self.on: ReadThrough | None = None
+        self._began_early = False
         self._squares, self._samples = np.zeros((2, _AGES.size))
+
+    def begin(self, estimate: ReadThrough, *, early: bool) -> None:
+        """Begin one; `early`: the plant is not known well yet. What such a one shows counts only until a
+        later one is over: the errors that it has made are made no longer."""
+        self.on = estimate
+        self._began_early = early
 
     def push(self, given: Reading, variance: float, output: int) -> None:
         """Take a sample of all outputs, and the variance of the noise of this one."""
@@ -104,6 +113,10 @@ class Rehearsal:
             if given.repeated[output]:
                 return  # it may be frozen, and this is what shows it
             # the sensor was right: so far off are estimates
+            if self._early and not self._began_early:
+                self._sums[:] = 0.0
+                self._count[:] = 0.0
+                self._early = False
             known = self._samples > 0.0
             self._sums[known] += self._squares[known] / self._samples[known]
             self._count += known
