@@ -54,6 +54,8 @@ class LawReport:
     proportional: tuple[float, ...] = ()
     integral: tuple[float, ...] = ()
     derivative: tuple[float, ...] = ()
+    request: str = ""
+    """The word of the request that it belongs to."""
     reason: str = ""
     """The answer in a sentence; why it is refused, or was taken back."""
 
