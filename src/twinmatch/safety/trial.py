@@ -54,10 +54,10 @@ class LawReport:
     proportional: tuple[float, ...] = ()
     integral: tuple[float, ...] = ()
     derivative: tuple[float, ...] = ()
-    request: str = ""
-    """The word of the request that it belongs to."""
     reason: str = ""
     """The answer in a sentence; why it is refused, or was taken back."""
+    request: str = ""
+    """The word of the request that it belongs to."""
 
     def of(self, gains: Sequence[PidGains]) -> LawReport:
         """The same about the law of these PIDs."""

@@ -50,10 +50,10 @@ class ExperimentReport:
     """Set-points still to come: one of each output, then the next of each."""
     holds: tuple[float, ...] = ()
     """How long each of them is held, s."""
-    request: str = ""
-    """The word of the request that it belongs to."""
     reason: str = ""
     """The same in words; why it ended, or is refused."""
+    request: str = ""
+    """The word of the request that it belongs to."""
 
 
 @dataclass(frozen=True)
