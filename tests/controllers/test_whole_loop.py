@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.signal import cont2discrete, lfilter
 
 from tests.support.exchanging import Heaters
-from twinmatch.comparing import StateSpace, best_scaling, matrix_nu_gap, nu_gap
+from twinmatch.comparing import StateSpace, UndefinedError, best_scaling, matrix_nu_gap, nu_gap
 from twinmatch.controllers import FilteredPid, WholeLoop, as_linear, pid_law
 from twinmatch.controllers.whole_loop import UNSTABLE
 from twinmatch.dynamics import (
@@ -28,6 +28,7 @@ from twinmatch.dynamics import (
     rest_at,
     simulate_closed_loop,
 )
+from twinmatch.plants import Peltier
 
 WIDE = {"low": -1e9, "high": 1e9}
 REST = Rest(np.zeros(0), np.zeros(0))
@@ -323,3 +324,12 @@ def test_the_gaps_of_pure_double_integrators_are_those_of_their_polynomials() ->
         found = best_scaling(spaces[0], spaces, controller, outputs=np.array([unit]), inputs=np.ones(1))
         scaled = [each * float(found.inputs[0] / found.outputs[0]) for each in exact]
         assert found.gap == pytest.approx(nu_gap(*scaled), abs=1e-6)
+
+
+def test_a_margin_without_a_value_is_one_error() -> None:
+    """Gains of 1e-320 leave a matrix whose singular values are not found."""
+    tiny = dict.fromkeys(("proportional", "integral", "derivative", "back_calculation"), 1e-320)
+    plant = linearised(Peltier.model().typical(), 40.0, 1.0)
+    loop = WholeLoop(plant, as_linear(PidGains(**tiny, low=-255.0, high=255.0)))
+    with pytest.raises(UndefinedError, match="the sensitivity of the loop has no value"):
+        loop.sensitivity()

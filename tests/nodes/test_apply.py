@@ -9,19 +9,29 @@ from typing import Any
 import pytest
 
 from tests.nodes.test_controller import Bench
+from tests.support.odd_values import odd_values
 from tests.support.processes import Start
 from tests.support.rig import GAINS
 from tests.support.ros import Listener
+from tests.support.signed import SECRET, signed
+from twinmatch.nodes.signature import VARIABLE
 from twinmatch.nodes.topics import EVERYTHING, LATCHED
 from twinmatch.signals import Sample
+from twinmatch.twin import Snapshot
 from twinmatch_msgs import msg as messages
-from twinmatch_msgs.srv import ApplyLaw, TryLaw
+from twinmatch_msgs.srv import ApplyLaw, Experiment, TryLaw, WhatIf
 
 pytestmark = pytest.mark.ros
 
 CALM = ("-p", "period:=0.1", "-p", "command_period:=0.05", "-p", "max_age:=10.0")
 """Readings and ticks may be late by seconds on a busy machine, for which a law on trial is taken back."""
 PATIENCE = 100
+
+
+@pytest.fixture(autouse=True)
+def _secret(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All nodes are of one run, unless a test says otherwise."""
+    monkeypatch.setenv(VARIABLE, SECRET)
 
 
 class Operator:
@@ -40,7 +50,7 @@ class Operator:
 
 
 def law(bench: Bench, half: float = 2.0, **fields: Any) -> dict[str, Any]:
-    """A law that is to hold 40 °C, as the twin would send it."""
+    """A law that is to hold 40 °C, as the twin would send and sign it."""
     asked = {
         "proportional": [GAINS.proportional / 2],
         "integral": [GAINS.integral / 2],
@@ -53,7 +63,7 @@ def law(bench: Bench, half: float = 2.0, **fields: Any) -> dict[str, Any]:
         "decision": "safe",
         "sample": bench.samples[-1].index,
     }
-    return asked | fields
+    return signed(**(asked | fields))
 
 
 def test_the_controller_takes_a_law_back_by_itself(start: Start, listener: Listener) -> None:
@@ -74,15 +84,33 @@ def test_the_controller_takes_a_law_back_by_itself(start: Start, listener: Liste
         ({"high": [math.nan] * 1000}, "pairs of finite ends"),
         ({"low": []}, "pairs of finite ends"),
         ({"patience": 0}, "a patience of 0"),
+        ({"proportional": [-50.0], "integral": [-5.0]}, "pid.proportional is -50.0; allowed: "),
+        ({"proportional": [1e9]}, "pid.proportional is 1000000000.0; allowed: "),
+        ({"proportional": [9e3]}, "the plant of its file is not stable (largest eigenvalue "),
     ):
         said = operator(bench, **law(bench, **fields))
         assert not said.success, fields
         assert words in said.message
+    for request in odd_values(ApplyLaw, seed=7, count=60):
+        said = operator(bench, **signed(**fields_of(request)))
+        assert not said.success, request
+        assert "a defect of twinmatch" not in said.message
+    safe = law(bench)
+    for forged in (
+        safe | {"signature": ""},
+        safe | {"proportional": [9.0]},
+        signed("another run's secret", **safe),
+    ):
+        said = operator(bench, **forged)
+        assert "lacks the signature of this run's twin" in said.message
+    assert not reports, "the law of the configuration drives"
     assert not operator(bench, back=True).success
-    assert operator(bench, **law(bench, decision="fails", although=True)).success
+    unsafe = law(bench, decision="fails", although=True, request="mine")
+    assert operator(bench, **unsafe).success
     bench.feed(lambda: reports, "a report")
     assert (reports[-1].phase_name, reports[-1].decision, reports[-1].although) == ("driving", "fails", True)
     assert list(reports[-1].proportional) == [GAINS.proportional / 2]
+    assert reports[-1].request == "mine"
     assert "on trial already" in operator(bench, **law(bench)).message
     bench.pass_time(0.5)
     assert reports[-1].phase_name == "driving"
@@ -91,6 +119,7 @@ def test_the_controller_takes_a_law_back_by_itself(start: Start, listener: Liste
     assert reports[-1].reason.startswith("output 1 is 43, not 38 to 42, for 100 samples")
     assert reports[-1].sample - reports[-1].first >= PATIENCE - 1
     bench.temperature = 40.0
+    assert "on trial already; ask again" in operator(bench, **unsafe).message
     assert operator(bench, **law(bench, shadow=2)).success
     bench.feed(lambda: reports[-1].phase_name == "driving", "the shadow's end")
     assert operator(bench, back=True).success
@@ -109,7 +138,7 @@ def test_the_twin_answers_before_anything_is_run(
     ask = Operator(listener, TryLaw, "twin/try_law")
     reports = listener.hear(messages.LawReport, "twin/law", EVERYTHING)
     start_process("matcher")
-    start_process("discriminator")
+    twin = start_process("discriminator")
     text = json.dumps(DOCUMENT)
     assert "no controller is here" in ask(law=text, run=True).message
     for asked, words in (
@@ -135,3 +164,83 @@ def test_the_twin_answers_before_anything_is_run(
     assert report.decision in {"safe", "fails", "undecided"}
     assert len(report.family) == 12
     assert list(report.integral) == [2.0]
+    answers_belong_to_requests(listener, ask, reports)
+    assert odd_questions(listener, reports) == []
+    assert twin.running
+
+
+def answers_belong_to_requests(listener: Listener, ask: Operator, reports: list[Any]) -> None:
+    """Each report has the word of its request; a request that is refused at once has no report."""
+
+    def reported(word: str) -> list[str]:
+        return [report.phase_name for report in reports if report.request == word]
+
+    listener.spin_until(lambda: ask(law="{", request="bad").success, "its turn")
+    listener.spin_until(lambda: reported("bad"), "its refusal")
+    assert ask(law=json.dumps(DOCUMENT), request="good").success
+    listener.spin_until(lambda: reported("good"), "its answer")
+    assert reported("bad") == ["refused"]
+    assert reported("good") == ["answered"]
+    for shadow in (math.nan, math.inf, -1.0, 1e300):
+        assert ask(law=json.dumps(DOCUMENT), shadow=shadow).message.startswith("shadow is ")
+
+
+def odd_questions(listener: Listener, laws: list[Any]) -> list[str]:
+    """Ask the twin what nobody means; returns what it calls a defect. Every request is answered, and one that
+    is taken on has a report."""
+    courses = listener.hear(messages.ExperimentReport, "twin/experiment", EVERYTHING)
+    asked = (
+        (TryLaw, "twin/try_law", laws),
+        (Experiment, "twin/experiment", courses),
+        (WhatIf, "twin/what_if", []),
+    )
+    said = []
+    for seed, (kind, name, reports) in enumerate(asked):
+        ask = Operator(listener, kind, name)
+        for request in odd_values(kind, seed, count=40):
+            seen = len(reports)
+            answer = ask(**fields_of(request))
+            said.append(answer.message)
+            if answer.success and kind is not WhatIf:
+                listener.spin_until(lambda r=reports, n=seen: len(r) > n, f"a report on {request}")
+                said.append(reports[-1].reason)
+    return [text for text in said if "a defect of twinmatch" in text]
+
+
+def fields_of(request: Any) -> dict[str, Any]:
+    return {name: getattr(request, name) for name in request.get_fields_and_field_types()}
+
+
+def test_a_defect_is_answered_in_a_sentence_and_the_node_continues(
+    start: Start, listener: Listener, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whatever is asked of the twin begins with its newest snapshot, which is broken here for a while."""
+
+    def broken(*_: object) -> None:
+        raise ZeroDivisionError("as no user could cause it")
+
+    laws = listener.hear(messages.LawReport, "twin/law", EVERYTHING)
+    courses = listener.hear(messages.ExperimentReport, "twin/experiment", EVERYTHING)
+    asked = (
+        Operator(listener, WhatIf, "twin/what_if"),
+        Operator(listener, TryLaw, "twin/try_law"),
+        Operator(listener, Experiment, "twin/experiment"),
+    )
+    start("discriminator")
+
+    def ask_all() -> list[str]:
+        laws.clear()
+        courses.clear()
+        what_if, try_law, experiment = asked
+        said = [what_if().message]
+        listener.spin_until(lambda: try_law(law=json.dumps(DOCUMENT)).success, "its turn")
+        listener.spin_until(lambda: experiment().success, "its turn")
+        listener.spin_until(lambda: laws and courses, "reports")
+        return [*said, laws[0].reason, courses[0].reason]
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Snapshot, "outlook", broken)
+        for words in ask_all():
+            assert words.startswith("a defect of twinmatch (ZeroDivisionError at "), words
+            assert "as no user could cause it" in words
+    assert all("there is no candidate yet" in words for words in ask_all())

@@ -101,6 +101,32 @@ def test_samples_are_steps_of_the_pid(start: Start, bench: Bench) -> None:
     assert len(bench.commands) > len(samples), "commands are repeated between ticks"
 
 
+def test_a_course_is_followed_in_place_of_the_profile_which_waits_until_it_is_continued(
+    start: Start, bench: Bench
+) -> None:
+    """It begins at once; its last level stays; the profile neither begins again nor moves on meanwhile."""
+    references = bench.listener.hear(Float64, "plant/reference", LATCHED)
+    profile = ("profile.levels:=[40.0, 60.0]", "profile.holds:=[0.5, 1.0]", "profile.repeat:=false")
+    start("controller", *FAST, *(word for value in profile for word in ("-p", value)))
+
+    def heard(*levels: float) -> None:
+        bench.feed(lambda: [m.data for m in references][-len(levels) :] == list(levels), f"{levels}")
+
+    heard(40.0, 60.0)
+    course = {"course.levels": [50.0, 55.0], "course.holds": [0.5, 0.5], "course.followed": True}
+    for name, value in course.items():
+        assert bench.put(name, value).successful
+    heard(60.0, 50.0, 55.0)
+    followed = len(bench.samples)
+    bench.feed(lambda: len(bench.samples) > followed + 40, "more than the profile lasts")
+    assert references[-1].data == 55.0
+    assert not bench.put("course.levels", [200.0]).successful
+    assert bench.put("course.levels", [45.0]).reason.startswith("course: 1 levels and 2 times are given")
+    assert bench.put("course.followed", False).successful
+    heard(55.0, 60.0)
+    assert [m.data for m in references] == [40.0, 60.0, 50.0, 55.0, 60.0]
+
+
 def test_without_temperatures_the_output_is_off_and_samples_have_a_gap(start: Start, bench: Bench) -> None:
     start("controller", *FAST, "-p", "profile.levels:=[30.0]", "-p", "profile.holds:=[9.0]")
     bench.feed(lambda: len(bench.samples) >= 20, "samples")

@@ -51,6 +51,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--live", action="store_true", help=live)
     go = "with --live: the controller follows it, replanned at every verdict, until it is decided or Ctrl-C"
     parser.add_argument("--go", action="store_true", help=go)
+    resume = "let the controller's profile continue, which waits since an experiment on the running plant"
+    parser.add_argument("--resume", action="store_true", help=resume)
     minutes = "longest course (default: 10 on a plant with a time constant of 100 s, on others in proportion)"
     parser.add_argument("--minutes", type=positive(float, "a number of minutes"), metavar="MIN", help=minutes)
     within = "range that every output keeps, bands included (default: the plant file's safe range)"
@@ -72,6 +74,8 @@ def run(options: argparse.Namespace) -> int:
     Raises:
         TwinmatchError: the session or an option cannot be used, or there is nothing to decide.
     """
+    if options.resume:
+        return _resume(options)
     if options.live or options.go:
         return _ask(options)
     if options.session is None:
@@ -105,6 +109,15 @@ def _tried(path: Path, ground: Ground, twins: tuple[TriedTwin, ...]) -> Controll
     with Progress("trying") as progress:
         question = ControllerQuestion(law, references, ground.level, ground.holding)
         return try_controller(twins, question, progress.advance)
+
+
+def _resume(options: argparse.Namespace) -> int:
+    if options.live or options.go or options.session is not None:
+        options.parser.error("give --resume alone")
+    from twinmatch.nodes.runner import run as run_nodes  # noqa: PLC0415
+    from twinmatch.showing.asking import ProfileAsking  # noqa: PLC0415 — needs ROS
+
+    return run_nodes([ProfileAsking], node_words("experiment", {}))
 
 
 def _ask(options: argparse.Namespace) -> int:

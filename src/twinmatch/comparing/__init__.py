@@ -35,6 +35,7 @@ from twinmatch.comparing.plant_gap import LoopConditions, plant_gap, plant_gaps,
 from twinmatch.comparing.polynomials import DiscriminationError
 from twinmatch.comparing.scaling import Scaling, best_scaling
 from twinmatch.comparing.state_space import StateSpace
+from twinmatch.comparing.undefined import UndefinedError, having_value
 from twinmatch.comparing.verdict import (
     ADMITTED,
     BASELINES,
@@ -75,6 +76,7 @@ __all__ = [
     "SimoModel",
     "StateSpace",
     "TrustLevel",
+    "UndefinedError",
     "Verdict",
     "akaike_weights",
     "best_scaling",
@@ -83,6 +85,7 @@ __all__ = [
     "code_length",
     "common_order",
     "doubt_words",
+    "having_value",
     "identify",
     "information_gain",
     "judge_uncertainty",

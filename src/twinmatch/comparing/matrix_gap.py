@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from twinmatch.comparing.polynomials import DiscriminationError
 from twinmatch.comparing.state_space import ON_AXIS, Matrix, StateSpace, half_plane
+from twinmatch.comparing.undefined import having_value
 from twinmatch.signals import FloatArray
 
 MAX_LEVELS = 30
@@ -48,11 +49,13 @@ COARSE, CLOSER, FINE = 3e-2, 0.03, 1e-6
 NEIGHBOURS = np.array([-1.0, 0.0, 1.0])
 
 
+@having_value("the ν-gap")
 def matrix_nu_gap(first: StateSpace, second: StateSpace) -> float:
     """ν-gap between two systems, 0 (equal) to 1.
 
     Raises:
-        DiscriminationError: they differ in period or in numbers of inputs or outputs.
+        DiscriminationError: they differ in period or in numbers of inputs or outputs, or the ν-gap has no
+            value.
     """
     if first.D.shape != second.D.shape:
         of = [f"{s.n_inputs} inputs and {s.n_outputs} outputs" for s in (first, second)]
@@ -74,6 +77,7 @@ def matrix_nu_gap(first: StateSpace, second: StateSpace) -> float:
     return 1.0 if largest >= ONE else largest
 
 
+@having_value("the stability margin")
 def matrix_margin(plant: StateSpace, controller: StateSpace) -> float:
     """Stability margin b(P, C) of the loop u = −C·y around y = P·u, 0 (not stable) to 1.
 
@@ -81,7 +85,8 @@ def matrix_margin(plant: StateSpace, controller: StateSpace) -> float:
     controller do not count.
 
     Raises:
-        DiscriminationError: they differ in period, or their numbers of signals do not fit.
+        DiscriminationError: they differ in period, their numbers of signals do not fit, or the margin has no
+            value.
     """
     if plant.D.shape != controller.D.shape[::-1]:
         raise DiscriminationError(

@@ -35,6 +35,7 @@ from twinmatch.comparing.matrix_gap import matrix_nu_gap
 from twinmatch.comparing.nu_gap import nu_gap
 from twinmatch.comparing.polynomials import DiscriminationError
 from twinmatch.comparing.state_space import StateSpace
+from twinmatch.comparing.undefined import UndefinedError
 from twinmatch.dynamics import (
     Law,
     Linear,
@@ -191,10 +192,10 @@ def plant_gaps(
     for point in sorted(set(points), key=point_values):
         try:
             rows.append(_gaps_between([symbol_in_loop(twin, point, loop) for twin in twins]))
+        except UndefinedError as error:
+            left_out.append(f"at {point} {error}")
         except TwinmatchError as error:
             left_out.append(str(error))
-        except np.linalg.LinAlgError as error:
-            left_out.append(f"at {point} a ν-gap has no value ({error})")
         else:
             shared.append(point)
     at = np.array(rows) if rows else (1.0 - np.eye(len(twins)))[None]

@@ -26,6 +26,7 @@ from twinmatch.comparing.matrix_gap import (
     sizes_of,
 )
 from twinmatch.comparing.state_space import StateSpace, half_plane
+from twinmatch.comparing.undefined import having_value
 from twinmatch.signals import FloatArray
 
 RATIOS = np.logspace(-3, 3, 19)
@@ -63,6 +64,7 @@ class Scaling(NamedTuple):
         return self.margin > self.gap
 
 
+@having_value("the stability margin beside the ν-gaps")
 def best_scaling(
     plant: StateSpace,
     family: Sequence[StateSpace],
@@ -81,7 +83,7 @@ def best_scaling(
         outputs, inputs: units to begin with, shapes (p,) and (m,); default 1.
 
     Raises:
-        DiscriminationError: periods or numbers of signals differ.
+        DiscriminationError: periods or numbers of signals differ, or a gap or margin has no value.
     """
     p = plant.n_outputs
     begin = np.concatenate([

@@ -22,6 +22,7 @@ from twinmatch.comparing.plant_gap import LoopConditions, PlantGaps, spans_of
 from twinmatch.comparing.scaling import best_scaling
 from twinmatch.comparing.state_space import StateSpace
 from twinmatch.comparing.uncertainty import CONFIDENCE, SEED, FamilyUncertainty, family_uncertainty
+from twinmatch.comparing.undefined import UndefinedError
 from twinmatch.dynamics import Law, LinearLaw, Parameters, PidGains, Plant, linearised
 from twinmatch.errors import TwinmatchError
 from twinmatch.signals import OperatingPoint, one_of_each, point_values
@@ -457,7 +458,7 @@ def with_margins(
         twins = tuple((c.parameters, c.operating_point) for c in candidates)
         try:
             figures = _held_by(law, twins, chosen)
-        except np.linalg.LinAlgError:  # they have no value
+        except UndefinedError:
             return tuple(candidates)
     elif isinstance(law, PidGains):
         try:

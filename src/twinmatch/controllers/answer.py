@@ -43,6 +43,8 @@ MIN_DRAWS: Final = 25
 """Draws of each twin, at least."""
 MAX_SAMPLES: Final = 20_000_000
 """Samples of a question's courses in all, at most: a day of seconds in 200 draws."""
+_LARGE: Final = 1000.0
+"""Eigenvalue from which on its order of magnitude says enough."""
 MAX_POINTS: Final = 8
 """Operating points at which the loop is linearised, at most."""
 
@@ -163,6 +165,7 @@ def operating_points(references: FloatArray) -> tuple[Point, ...]:
     return tuple(tuple(row) for row in every.tolist())
 
 
+@np.errstate(over="ignore", invalid="ignore")  # an unstable course grows without bound; NaN is unsafe
 def try_controller(
     members: Sequence[TriedTwin],
     question: ControllerQuestion,
@@ -191,8 +194,8 @@ def try_controller(
     if stability and all(one.eigenvalue < 1.0 for one in stability):
         try:
             guarantee = guarantee_of(plant, stability, as_linear(question.law))
-        except (DiscriminationError, np.linalg.LinAlgError) as error:
-            reservations.append(f"nothing is guaranteed: the gaps between the plants have no value ({error})")
+        except DiscriminationError as error:
+            reservations.append(f"nothing is guaranteed: {error}")
     return ControllerAnswer(
         plant,
         decision,
@@ -361,7 +364,8 @@ def _decide(
     if failing:
         first = max(failing, key=lambda one: one.eigenvalue)
         where = levels_words(plant, first.point)
-        why = f"its loop is unstable at {where}: largest eigenvalue {first.eigenvalue:.4f}"
+        size = f"{first.eigenvalue:.4f}" if first.eigenvalue < _LARGE else f"{first.eigenvalue:.3g}"
+        why = f"its loop is unstable at {where}: largest eigenvalue {size}"
         return ControllerDecision.FAILS, _fails(len(failing), names, first.member.name, why), None
     conduct = _misconduct(names, courses)
     if conduct is not None and conduct[0] is ControllerDecision.FAILS:

@@ -13,7 +13,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from twinmatch.comparing import Scaling, StateSpace, best_scaling, matrix_nu_gap, spans_of
+from twinmatch.comparing import Scaling, StateSpace, best_scaling, having_value, matrix_nu_gap, spans_of
 from twinmatch.comparing.matrix_gap import beside, frequencies_of, gaps_of
 from twinmatch.comparing.state_space import half_plane
 from twinmatch.controllers.stability import MemberStability, Point
@@ -43,11 +43,12 @@ class Guarantee(NamedTuple):
         return self.scaling.margin > max(self.scaling.gap, self.drawn)
 
 
+@having_value("the margin beside the gaps between the plants")
 def guarantee_of(plant: type[Plant], stability: Sequence[MemberStability], law: LinearLaw) -> Guarantee:
     """The margin at the plant in the middle, in the units in which it exceeds the ν-gaps most.
 
     Raises:
-        DiscriminationError: a plant or the law has no valid linear model.
+        DiscriminationError: a plant or the law has no valid linear model, or a gap or margin has no value.
     """
     named = [(one.member.name, point, linear) for one in stability for point, linear in one.plants.items()]
     spaces = [StateSpace.of(linear) for *_, linear in named]

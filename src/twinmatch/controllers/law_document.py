@@ -17,7 +17,7 @@ from scipy.linalg import solve_discrete_are
 from twinmatch.controllers.answer import ControllerError
 from twinmatch.decoding import decoded, document_type, given_keys
 from twinmatch.dynamics import Law, LinearLaw, PidGains, Plant, TwoLevel
-from twinmatch.dynamics.pids import FilteredPid, pid_law
+from twinmatch.dynamics.pids import GREATEST, FilteredPid, pid_law
 from twinmatch.signals import FloatArray
 
 _Numbers = float | list[float | list[float]]
@@ -169,8 +169,10 @@ def _arrays(kind: type[msgspec.Struct], given: Mapping[str, Any]) -> dict[str, F
         if not array.ndim or (array.ndim != 2 and not vector):
             what = "a list" if vector else "a matrix"
             raise ControllerError(f"{key}: is not {what} of numbers with rows of one length; give one")
-        if key not in ("low", "high") and not np.isfinite(array).all():
-            raise ControllerError(f"{key}: has a number that is not finite; give finite ones")
+        if key not in ("low", "high") and not (np.abs(array) <= GREATEST).all():  # true for NaN, too
+            raise ControllerError(
+                f"{key}: has a number that is not finite, or above {GREATEST:g} in size; give others"
+            )
         arrays[key] = array.ravel() if vector else array
     return arrays
 

@@ -19,7 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq, minimize_scalar
 
-from twinmatch.dynamics import Linear, LinearLaw
+from twinmatch.comparing import having_value
+from twinmatch.dynamics import Linear, LinearLaw, largest_eigenvalue, loop_matrix
 from twinmatch.signals import FloatArray
 
 _SLOWEST: Final = 1e-6
@@ -64,13 +65,12 @@ class WholeLoop(NamedTuple):
     @property
     def matrix(self) -> FloatArray:
         """How the states of plant and law deviate one sample later, shape (n + q, n + q)."""
-        return self._free + np.vstack([self.plant.B, self.law.G]) @ self._commands
+        return loop_matrix(self.plant, self.law)
 
     @property
     def eigenvalue(self) -> float:
         """Size of the largest eigenvalue; infinite where the plant has no finite linearisation."""
-        matrix = self.matrix
-        return float(np.abs(np.linalg.eigvals(matrix)).max()) if np.isfinite(matrix).all() else math.inf
+        return largest_eigenvalue(self.matrix)
 
     @property
     def stable(self) -> bool:
@@ -80,12 +80,6 @@ class WholeLoop(NamedTuple):
     @property
     def _commands(self) -> FloatArray:
         return np.hstack([self.law.D @ self.plant.C, self.law.C])
-
-    @property
-    def _free(self) -> FloatArray:
-        """The same without commands."""
-        plant, law = self.plant, self.law
-        return np.block([[plant.A, np.zeros((len(plant.A), len(law.A)))], [law.B @ plant.C, law.A]])
 
     @property
     def _load(self) -> FloatArray:
@@ -100,11 +94,13 @@ class WholeLoop(NamedTuple):
         states = np.linalg.solve(shifted, np.broadcast_to(self._load, (angles.size, *self._load.shape)))
         return np.asarray(self._commands @ states, dtype=np.complex128)
 
+    @having_value("the margin of the loop")
     def margins(self) -> tuple[ChannelMargins, ...]:
         """Those of every command, all others closed.
 
         Raises:
             PlantError: plant and law have different sample times.
+            UndefinedError: they have no value.
         """
         self.law.require_period(self.plant.period)
         channels = range(self.plant.B.shape[1])
@@ -118,9 +114,14 @@ class WholeLoop(NamedTuple):
 
         return tuple(_margins(at(k), grid, values[:, k, k], self.plant.period) for k in channels)
 
+    @having_value("the sensitivity of the loop")
     def sensitivity(self) -> float:
         """Maximum sensitivity of the loop, over all commands together: the largest singular value of
-        (1 + C·P)⁻¹."""
+        (1 + C·P)⁻¹.
+
+        Raises:
+            UndefinedError: it has no value.
+        """
         matrix = self.matrix
         eigenvalues = np.linalg.eigvals(matrix) if np.isfinite(matrix).all() else np.array([np.inf])
         if not np.abs(eigenvalues).max() < 1.0:

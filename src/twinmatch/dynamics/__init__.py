@@ -26,7 +26,15 @@ from twinmatch.dynamics.descent import Descended, box_step, descend
 from twinmatch.dynamics.experiment import Experiment, Known, sensitivities
 from twinmatch.dynamics.forecasts import Foresight, LoopForecast, noise_scores
 from twinmatch.dynamics.laws import LawCode, commands_of
-from twinmatch.dynamics.linear import Linear, Rest, linearised, linearised_at, rest_at
+from twinmatch.dynamics.linear import (
+    Linear,
+    Rest,
+    largest_eigenvalue,
+    linearised,
+    linearised_at,
+    loop_matrix,
+    rest_at,
+)
 from twinmatch.dynamics.loop import (
     Controller,
     Law,
@@ -114,11 +122,13 @@ __all__ = [
     "dead_zone",
     "descend",
     "dry_friction",
+    "largest_eigenvalue",
     "law_for",
     "law_of",
     "limited",
     "linearised",
     "linearised_at",
+    "loop_matrix",
     "magnitude",
     "maximum",
     "minimum",

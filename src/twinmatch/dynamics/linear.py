@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from twinmatch.dynamics.declarations import PlantError
+from twinmatch.dynamics.loop import LinearLaw
 from twinmatch.dynamics.plant import Parameters
 from twinmatch.signals import FloatArray, only
 
@@ -43,6 +45,19 @@ class Linear(NamedTuple):
     """Sample time, s."""
     rest: Rest
     """The point of linearisation: an equilibrium or, for `linearised_at`, a point that is passed through."""
+
+
+def loop_matrix(plant: Linear, law: LinearLaw) -> FloatArray:
+    """How the states of a plant and a law around it deviate one sample later, shape (n + q, n + q)."""
+    free = np.block([[plant.A, np.zeros((len(plant.A), len(law.A)))], [law.B @ plant.C, law.A]])
+    commands = np.hstack([law.D @ plant.C, law.C])
+    with np.errstate(over="ignore", invalid="ignore"):  # the caller looks whether it is finite
+        return np.asarray(free + np.vstack([plant.B, law.G]) @ commands, dtype=np.float64)
+
+
+def largest_eigenvalue(matrix: FloatArray) -> float:
+    """Size of the largest eigenvalue of a square matrix; infinite where one of its values is not finite."""
+    return float(np.abs(np.linalg.eigvals(matrix)).max()) if np.isfinite(matrix).all() else math.inf
 
 
 def rest_at(parameters: Parameters, output: ArrayLike, disturbances: ArrayLike | None = None) -> Rest:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from typing import Final
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -17,13 +18,17 @@ from scipy.linalg import block_diag
 from twinmatch.dynamics.declarations import PlantError
 from twinmatch.dynamics.loop import Law, LinearLaw, PidGains
 
+GREATEST: Final = 1e12
+"""Greatest size of a number in a law, in any unit: products of some of them stay finite."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class FilteredPid:
     """A PID of one reading, in units of its command u and its reading y.
 
     Raises:
-        PlantError: a value is not finite, a time is negative, or the limits are not in increasing order.
+        PlantError: a value is not finite or absurdly large, a time is negative, or the limits are not in
+            increasing order.
     """
 
     proportional: float
@@ -49,8 +54,11 @@ class FilteredPid:
 
     def __post_init__(self) -> None:
         for each in fields(self):
-            if not math.isfinite(getattr(self, each.name)):
-                raise PlantError(f"pid: {each.name} is {getattr(self, each.name)}; give a finite number")
+            if not abs(getattr(self, each.name)) <= GREATEST:  # true for NaN, too
+                raise PlantError(
+                    f"pid: {each.name} is {getattr(self, each.name):g}; give a finite number, of at most "
+                    f"{GREATEST:g} in size"
+                )
         if self.filter < 0 or not self.low < self.high:
             raise PlantError(
                 f"pid: the filter {self.filter:g} s must not be negative, and the limits {self.low:g} and "

@@ -21,6 +21,8 @@ from twinmatch.launching.processes import EXIT_NOT_RECORDED, LaunchError
 from twinmatch.launching.watch import Supervised, Watch
 from twinmatch.nodes.health import PLANT_REPORT, Level
 from twinmatch.nodes.network import lease
+from twinmatch.nodes.signature import VARIABLE as SECRET
+from twinmatch.nodes.signature import new_secret
 from twinmatch.nodes.step import PATIENCE, VARIABLE, InStep
 from twinmatch.nodes.topics import EVERYTHING
 from twinmatch.offline.summary import SessionSummary, Tally, conclude
@@ -211,6 +213,7 @@ class _LiveRun(Supervised):
         self._plan = live.plan
         self._errors = Errors(view.say)
         self._addresses: dict[str, str] = {}
+        self._secret = new_secret()
         self._ready = threading.Event()
         self._restarts: dict[str, list[float]] = {}
         self._over: tuple[int, str] | None = None
@@ -315,6 +318,8 @@ class _LiveRun(Supervised):
         plan = self._plan
         follows = plan.in_step and name != "plant_clock"
         self.processes.environment = {VARIABLE: self._addresses["clock"]} if follows else {}
+        if name in (plan.driver, "twin"):  # no other process can have a law put on trial
+            self.processes.environment[SECRET] = self._secret
         if name == "recorder":
             self._live.sessions.append(self._next_session())
         program = plan.wiring.program if name == plan.driver else name

@@ -16,16 +16,17 @@ from sensor_msgs.msg import Temperature
 from std_msgs.msg import Float64, Float64MultiArray
 
 from twinmatch.control import ControlError, Loop, Profile
-from twinmatch.dynamics import Controller, Output, PidLoops, Plant, PlantError, pids_of
+from twinmatch.dynamics import Controller, Law, Output, PidGains, PidLoops, Plant, PlantError, pids_of
 from twinmatch.errors import TwinmatchError
 from twinmatch.nodes.health import Level, Report
 from twinmatch.nodes.messages import message_of, sample_message, time_message
 from twinmatch.nodes.node import Missed, Readers, TwinmatchNode
+from twinmatch.nodes.signature import WITHOUT, RunSignature
 from twinmatch.nodes.topics import LATCHED, NEWEST, RELIABLE
 from twinmatch.parameters.declared import READERS, ParameterError, Setting, Values
 from twinmatch.parameters.twin import joined_units, loop_parameters, one_or_each, running_law
 from twinmatch.plants import Peltier, find_plant, written_name
-from twinmatch.safety import LawReport, LawTrial, TrialBands, TrialPhase, is_limit
+from twinmatch.safety import LawReport, LawTrial, TrialBands, TrialPhase, is_limit, nominal_eigenvalue
 from twinmatch.safety.trial import GAINS
 from twinmatch.signals import Signals, point_values
 from twinmatch_msgs.msg import LawReport as LawMessage
@@ -37,6 +38,9 @@ _LOWEST = "Lowest accepted set-point, also from the topic; it can only be raised
 _HIGHEST = "Highest accepted set-point; it can only be lowered while the node runs."
 _RAMP = "Rate at which the set-point changes; 0: in steps."
 _REPEATED = "Interval at which the command is repeated; the bridge treats silence as a fault."
+_COURSE = "Set-points of a course, in place of the profile: one of each output, then the next of each."
+_HOLDS = "How long each of them is held; the last one stays."
+_FOLLOWED = "Follow the course; the profile waits meanwhile, and continues where it was."
 _LEVELS = (1 / 7, 3 / 7, 5 / 7, 3 / 7)
 """Levels of the default profile, as fractions of the range of sensible set-points."""
 _LEVEL = ("Set-points, one after the other.", "Set-points: one of each output, then the next of each.")
@@ -77,6 +81,9 @@ def controller_table(plant: type[Plant] = Peltier) -> tuple[Setting, ...]:
         changing("profile.ramp", ramp, _RAMP, f"{unit}/s", 0.0, high - low),
         changing("profile.lowest", lowest, _LOWEST, unit, low, high),
         changing("profile.highest", highest, _HIGHEST, unit, low, high),
+        changing("course.levels", levels[: len(outputs)], _COURSE, unit, low, high),
+        changing("course.holds", [1.0], _HOLDS, "s", 1e-3, 1e6),
+        changing("course.followed", False, _FOLLOWED),
         Setting("exit_at_end", False, "Exit at the end of a profile that is not repeated."),
         Setting("max_age", 2.0, "A reading older than this switches the output off.", "s", 0.05, 10.0),
         Setting("command_period", 0.25, _REPEATED, "s", 0.01, 1.0),
@@ -107,19 +114,57 @@ def profiles_from(values: Mapping[str, Any]) -> tuple[Profile, ...] | None:
         raise ControlError(
             "controller: with profile.repeat, exit_at_end would never take effect; set one of them to false"
         )
-    levels, holds, several = values["profile.levels"], tuple(values["profile.holds"]), len(outputs) > 1
+    ramps = [ramp for *_, ramp in ranges]
+    return _staircases("profile", values, ramps, repeats=values["profile.repeat"])
+
+
+def course_from(values: Mapping[str, Any]) -> tuple[Profile, ...] | None:
+    """The course of each output that is followed in place of its profile; None if the profiles are.
+
+    Raises:
+        ControlError: the course cannot be run, or the set-points come from the topic.
+    """
+    if not values["course.followed"]:
+        return None
+    if values["reference_source"] == "topic":
+        raise ControlError("controller: course.followed needs a profile; give these levels on the topic")
+    return _staircases("course", values, [0.0] * len(find_plant(values["plant"]).outputs), repeats=False)
+
+
+def _staircases(
+    kind: str, values: Mapping[str, Any], ramps: Sequence[float], *, repeats: bool
+) -> tuple[Profile, ...]:
+    """The set-points of each output from the levels and times of a profile or a course.
+
+    Raises:
+        ControlError: they cannot be run.
+    """
+    outputs = find_plant(values["plant"]).outputs
+    levels = values[f"{kind}.levels"]
+    holds = tuple(values[f"{kind}.holds"])
+    several = len(outputs) > 1
     if several and len(levels) != len(outputs) * len(holds):
         raise ControlError(
-            f"controller: profile.levels has {len(levels)} values for {len(holds)} times; give one of "
+            f"controller: {kind}.levels has {len(levels)} values for {len(holds)} times; give one of "
             f"each output ({', '.join(outputs)}) for each time"
         )
-    return tuple(
-        Profile(
-            tuple(levels[k :: len(outputs)]), holds, values["profile.repeat"], ramp, lowest=low, highest=high,
-            unit=output.unit, name=f"profile of {name}" if several else "profile",
+    lows = _each(values, "lowest")
+    highs = _each(values, "highest")
+    made = []
+    for k, (name, output) in enumerate(outputs.items()):
+        made.append(
+            Profile(
+                tuple(levels[k :: len(outputs)]),
+                holds,
+                repeats,
+                ramps[k],
+                lowest=lows[k],
+                highest=highs[k],
+                unit=output.unit,
+                name=f"{kind} of {name}" if several else kind,
+            )
         )
-        for k, ((name, output), (low, high, ramp)) in enumerate(zip(outputs.items(), ranges, strict=True))
-    )  # fmt: skip
+    return tuple(made)
 
 
 def _each(values: Mapping[str, Any], name: str) -> list[float]:
@@ -179,6 +224,12 @@ PELTIER = PlantTopics(
 )  # fmt: skip
 """The Peltier rig has its own, older topics, which are named for its temperature and its PWM."""
 
+
+def _law_of(gains: Sequence[PidGains]) -> Law:
+    """The law of these PIDs, one for each output."""
+    return gains[0] if len(gains) == 1 else PidLoops.of(*gains)
+
+
 ROUNDED = 0.5
 """Difference of applied and commanded drive that is rounding, in the drive's unit."""
 EXPIRES = 120
@@ -211,8 +262,12 @@ class ControllerNode(TwinmatchNode):
         self._plant: type[Plant] = find_plant(values["plant"])
         self.entrance.plant = self._plant
         self._profiles = profiles_from(values)
+        self._course = course_from(values)
+        """What is followed in place of the profiles, which wait; None: they do not."""
         self._begun = 0.0
-        """Start of the profiles, s since sample 0."""
+        """Start of the profiles, or of the course, s since sample 0."""
+        self._waited_at = 0.0
+        """Time of the profiles at which they wait for a course to end, s since their start."""
         law = running_law(values, self._plant.loop)
         self._loop = Loop(self._plant, law, max_age=values["max_age"])
         self._pids = pids_of(law)
@@ -224,11 +279,16 @@ class ControllerNode(TwinmatchNode):
         self._commands: Any = None
         self._on_trial = LawReport(0, TrialPhase.KEPT)
         """What was reported last of a law on trial."""
+        self._signature = RunSignature.of_run()
+        self._taken_answers: set[str] = set()
+        """Signatures of the requests that were taken: each puts a law on trial once."""
 
     def open(self) -> None:
         """Subscribe to readings and start to tick."""
         # Loading the compiled step takes a quarter of a second: too long for the first tick.
         Controller(self._pids[0]).step(0.0, 0.0)
+        if self._signature is not None:
+            self._eigenvalue(self._pids)
         wiring = self._wiring
         self.create_subscription(wiring.reading_type, wiring.reading, self._on_reading, NEWEST)
         self.create_subscription(wiring.applied_type, wiring.applied, self._on_applied, RELIABLE)
@@ -258,14 +318,33 @@ class ControllerNode(TwinmatchNode):
         self.report_on()
 
     def change(self, values: Values) -> None:
-        """Adopt a new profile or a narrower range; new levels start now, with the first of them."""
-        self._profiles = changed_profiles(self.values, values)
-        if any(values[name] != self.values[name] for name in ("profile.levels", "profile.holds")):
-            self._begun = self._loop.time
+        """Adopt a new profile or course, or a narrower range; new levels start now, with the first of them.
+
+        While a course is followed, the time of the profile stands still.
+        """
+        profiles = changed_profiles(self.values, values)
+        course = course_from(values)
+        now = self._loop.time
+        if course is not None and self._course is None:
+            self._waited_at = now - self._begun
+            self._begun = now
+        elif course is not None and self._differ(values, "course"):
+            self._begun = now
+        elif course is None and self._course is not None:
+            self._begun = now - self._waited_at
+        if self._differ(values, "profile"):
+            self._waited_at = 0.0
+            self._begun = now if course is None else self._begun
+        self._profiles = profiles
+        self._course = course
         if self._profiles is None and self._set_points is not None:
             ranges = _each(values, "lowest"), _each(values, "highest")
             each = zip(self._set_points, *ranges, strict=True)
             self._set_points = tuple(min(max(one, low), high) for one, low, high in each)
+
+    def _differ(self, values: Values, kind: str) -> bool:
+        """Whether the levels or times of a profile or a course are others than those in use."""
+        return any(values[name] != self.values[name] for name in (f"{kind}.levels", f"{kind}.holds"))
 
     def report(self) -> Report:
         """Ticks, lateness, and the reason if there are no samples."""
@@ -273,6 +352,7 @@ class ControllerNode(TwinmatchNode):
         self.health.set("output", ", ".join(map(str, loop.inputs)))
         set_points = ["none"] if self._set_points is None else [f"{one:g}" for one in self._set_points]
         self.health.set("set-point", ", ".join(set_points))
+        self.health.set("set-point from", "course" if self._course else self.values["reference_source"])
         self.health.set("tick late by", f"{1000 * loop.jitter:.1f} ms")
         self.health.set("missed ticks", loop.missed)
         self.health.set("ticks without sample", loop.idle)
@@ -347,10 +427,13 @@ class ControllerNode(TwinmatchNode):
         """Put a law on trial.
 
         Raises:
-            TwinmatchError: it is not safe, its answer has expired, or gains or bands cannot be used.
+            TwinmatchError: the twin of this run has not asked for it, it is not safe, its answer has
+                expired, or gains or bands cannot be used.
             ValueError: the bands are not whole rows.
         """
-        loop, size = self._loop, len(self._pids)
+        loop = self._loop
+        size = len(self._pids)
+        self._check_signature(asked)
         if asked.decision != "safe" and not asked.although:
             raise ControlError(f"loop: the law is {asked.decision or 'not tried'}, not safe")
         if not (loop.running and 0 <= self._index - asked.sample <= EXPIRES):
@@ -362,11 +445,50 @@ class ControllerNode(TwinmatchNode):
         rows = zip(*(getattr(asked, name) for name in GAINS), strict=True)
         each = zip(self._pids, rows, strict=True)
         gains = [replace(own, **dict(zip(GAINS, row, strict=True))) for own, row in each]
+        self._check_gains(gains)
+        eigenvalue = self._eigenvalue(gains)
+        if eigenvalue >= 1.0 and not asked.although:
+            raise ControlError(
+                "loop: with this law the plant of its file is not stable (largest eigenvalue "
+                f"{eigenvalue:.4g}); it is run with --although only"
+            )
         low, high = (np.reshape(ends, (-1, size)) for ends in (asked.low, asked.high))
         trial = LawTrial(TrialBands(low, high, asked.shadow, asked.patience))
-        loop.try_law(gains[0] if size == 1 else PidLoops.of(*gains), trial)
+        loop.try_law(_law_of(gains), trial)
+        self._taken_answers.add(asked.signature)
         found = self._index, TrialPhase.ANSWERED, 0, asked.decision, asked.family, asked.although
-        self._on_trial = LawReport(*found).of(gains)
+        self._on_trial = replace(LawReport(*found), request=asked.request).of(gains)
+
+    def _check_signature(self, asked: ApplyLaw.Request) -> None:
+        """Refuse what the twin of this run has not signed, or what was taken before.
+
+        Raises:
+            ControlError: it is refused.
+        """
+        if self._signature is None:
+            raise ControlError(f"loop: the controller {WITHOUT}")
+        if not self._signature.signs(asked):
+            raise ControlError(
+                "loop: the request lacks the signature of this run's twin; ask the twin (twinmatch apply)"
+            )
+        if asked.signature in self._taken_answers:
+            raise ControlError("loop: that answer has put its law on trial already; ask again")
+
+    def _check_gains(self, gains: Sequence[PidGains]) -> None:
+        """Refuse gains that the configuration would refuse: of the wrong sign, or absurdly large.
+
+        Raises:
+            ParameterError: there is one.
+        """
+        for setting in loop_parameters(self._plant):
+            name = setting.name.removeprefix("pid.")
+            if name in GAINS:
+                setting.accept(one_or_each([getattr(each, name) for each in gains]), "loop: a law on trial")
+
+    def _eigenvalue(self, gains: Sequence[PidGains]) -> float:
+        """Size of the largest eigenvalue of the loop of these PIDs with the plant of the file, where the
+        set-point is; NaN if it has none there."""
+        return nominal_eigenvalue(self._plant.model().typical(), _law_of(gains), self._set_points or ())
 
     def _report_law(self) -> None:
         """Publish how far a trial is, when that changes."""
@@ -418,11 +540,11 @@ class ControllerNode(TwinmatchNode):
         if self._profiles is None:
             return self._set_points
         at -= self._begun
-        if self.values["exit_at_end"] and self._profiles[0].ended(at):
+        if self._course is None and self.values["exit_at_end"] and self._profiles[0].ended(at):
             self.get_logger().info("the profile has ended")
             self.exit_code = 0
             return None
-        references = tuple(profile.reference(at) for profile in self._profiles)
+        references = tuple(profile.reference(at) for profile in self._course or self._profiles)
         if references != self._set_points:
             self._set_points = references
             data = Float64(data=references[0]) if self._single else Float64MultiArray(data=references)

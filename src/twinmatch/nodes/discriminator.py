@@ -33,7 +33,7 @@ from twinmatch.nodes.messages import (
 from twinmatch.nodes.samples import SampleNode, TwinNode
 from twinmatch.nodes.topics import EVERYTHING, LATCHED, RELIABLE
 from twinmatch.parameters.candidates import candidates_in
-from twinmatch.safety import LawReport, TrialPhase
+from twinmatch.safety import LawReport, TrialPhase, Turn
 from twinmatch.signals import Sample
 from twinmatch.twin import Discriminator, MatchReport, Snapshot, Step
 from twinmatch.twin.defects import without_what_fails
@@ -163,6 +163,7 @@ class DiscriminatorNode(SampleNode):
         self._reported_defects = 0
         self._published_before = 0  # verdicts published before this node started
         self._pending: MatchRequest | None = None
+        self._newest_index = 0
         self._requested_at = 0.0
         self._tries = 0
         self._scores = self.create_publisher(ModelScore, "twin/model_score", RELIABLE)
@@ -171,9 +172,9 @@ class DiscriminatorNode(SampleNode):
         self._requests = self.create_publisher(MatchRequest, "twin/match_request", RELIABLE)
         super().open()
         stamps = self._discriminator.stamps
-        asked = self, lambda: self._forecasts.newest, lambda k: stamps.get(k, 0)
-        self._experimenter, self._laws, self._on_trial = Experimenter(*asked), LawDesk(*asked), ""
-        self._experimenter.busy, self._laws.busy = lambda: self._on_trial, lambda: self._experimenter.runs
+        asked = self, lambda: self._forecasts.newest, lambda k: stamps.get(k, 0), Turn()
+        self._experimenter = Experimenter(*asked)
+        self._laws = LawDesk(*asked)
         self.create_subscription(Match, "twin/match", self._on_match, EVERYTHING)
         self.create_subscription(messages.LawReport, "plant/law", self.put, LATCHED)
         if self.step is not None:
@@ -192,8 +193,7 @@ class DiscriminatorNode(SampleNode):
     def work(self, item: Sample | MatchReport | LawReport) -> None:
         """Take one sample or match, publish the verdicts now due, and request the match they need."""
         if isinstance(item, LawReport):
-            tried = item.phase in {TrialPhase.SHADOW, TrialPhase.DRIVING}
-            self._on_trial = "a law is on trial, which holds the set-point; wait" if tried else ""
+            self._laws.observe(item)
             if item.first:
                 last = item.sample if item.phase is TrialPhase.BACK else math.inf
                 self._discriminator.tell_of_trial(item.first, last)
@@ -201,6 +201,9 @@ class DiscriminatorNode(SampleNode):
         if isinstance(item, MatchReport):
             step = self._discriminator.push_match(item)
         else:
+            if item.index < self._newest_index:
+                self._laws.begin_again()
+            self._newest_index = item.index
             step = self._discriminator.push_sample(item)
         self._publish_step(step)
         while step.request is not None and (known := self._answer(step.request)) is not None:

@@ -22,11 +22,12 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message
 
-from twinmatch.errors import TwinmatchError
+from twinmatch.errors import TwinmatchError, defect_words
 from twinmatch.nodes.cdr import serialized
 from twinmatch.nodes.expected import MESSAGES, MessageRules, check, check_readable
 from twinmatch.nodes.fields import Expected, MessageError
 from twinmatch.nodes.health import Level, NodeHealth
+from twinmatch.printing import printable
 
 Take = Callable[[Any], None]
 
@@ -122,7 +123,7 @@ class Entrance:
             self._seconds.pop(subscription).destroy()
 
     def serving(self, name: str, answer: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
-        """What a service calls in place of `answer`."""
+        """What a service calls in place of `answer`: it answers, whatever it was asked."""
 
         def respond(request: Any, response: Any) -> Any:
             try:
@@ -131,6 +132,11 @@ class Entrance:
             except TwinmatchError as error:
                 self.refuse(name, str(error))
                 return _refuse(request, response, str(error))
+            except Exception as error:  # nothing that is asked ends a node
+                words = defect_words(error)
+                self._node.get_logger().error(f"{name}: {words}")
+                self.refuse(name, words)
+                return _refuse(request, response, words)
 
         return respond
 
@@ -297,5 +303,5 @@ def _refuse(request: Any, response: Any, why: str) -> Any:
     elif isinstance(getattr(response, "result", None), SetParametersResult):
         response.result = SetParametersResult(successful=False, reason=why)
     elif hasattr(response, "message"):
-        response.success, response.message = False, why
+        response.success, response.message = False, printable(why)
     return response

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
-from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final
@@ -14,10 +12,11 @@ from rclpy.parameter import Parameter, parameter_value_to_python
 
 from twinmatch.comparing import Verdict
 from twinmatch.errors import TwinmatchError
+from twinmatch.nodes.desk import Desk, Newest, StampOf
 from twinmatch.nodes.messages import message_of
-from twinmatch.nodes.node import Worker
 from twinmatch.nodes.samples import TwinNode
 from twinmatch.nodes.topics import LATCHED
+from twinmatch.safety import Mover, Turn
 from twinmatch.signals import Sample
 from twinmatch.twin import Snapshot
 from twinmatch.twin.experiment import ExperimentError, ExperimentPhase, ExperimentReport, Wish
@@ -27,118 +26,97 @@ from twinmatch_msgs.srv import Experiment
 if TYPE_CHECKING:
     from twinmatch.twin.live_experiment import LiveExperiment
 
-Newest = Callable[[], Snapshot]
-StampOf = Callable[[int], int]
-
-_PROFILE: Final = ("profile.levels", "profile.holds", "profile.repeat", "profile.ramp")
-"""Parameters of the controller that an experiment sets, and gives back."""
-_ASKED: Final = (*_PROFILE, "profile.lowest", "profile.highest", "reference_source")
-
-
-class Desk:
-    """Does what a service is asked for in a thread of its own, one job after the other."""
-
-    def __init__(self, node: TwinNode, newest: Newest, stamp_of: StampOf) -> None:
-        """Create the thread.
-
-        `newest` returns the newest snapshot of all candidates, `stamp_of` the stamp of a sample, ns.
-        """
-        self._node, self._newest, self._stamp_of = node, newest, stamp_of
-        self.busy: Callable[[], str] = str
-        """Why nothing can be run now, since something else moves the plant; empty if it can."""
-        self._jobs: deque[None] = deque()  # a mark for each that is not done
-        self._worker: Worker[Callable[[], None]] = Worker(self._do, node.health)
-        node.beside.append(self._worker)
-        if node.step is not None:
-            node.step.wait_for(lambda: bool(self._jobs))
-
-    @abstractmethod
-    def refuse(self, reason: str) -> None:
-        """Report that nothing comes of a request."""
-
-    def _put(self, work: Callable[..., None], *given: Any) -> None:
-        self._jobs.append(None)
-        self._worker.put(partial(work, *given))
-
-    def _do(self, job: Callable[[], None]) -> None:
-        try:
-            job()
-        except TwinmatchError as error:
-            self.refuse(str(error))
-        finally:
-            self._jobs.pop()
+_ASKED: Final = ("profile.lowest", "profile.highest", "reference_source")
+"""Parameters of the controller that an experiment needs to know."""
 
 
 class Experimenter(Desk):
     """Serves `twin/experiment`, and publishes there what comes of it.
 
     Courses are sought in a thread of their own, so that no verdict waits for them. A course that runs ends
-    where the set-point was before, so that nobody has to live to end it. The guard acts as ever.
+    where the set-point was before, so that nobody has to live to end it, and the set-point stays there: the
+    controller's profile waits for the operator. The guard acts as ever.
     """
 
-    def __init__(self, node: TwinNode, newest: Newest, stamp_of: StampOf) -> None:
+    def __init__(self, node: TwinNode, newest: Newest, stamp_of: StampOf, turn: Turn) -> None:
         """Create service and topic; as for a `Desk`."""
-        super().__init__(node, newest, stamp_of)
+        super().__init__(node, newest, stamp_of, turn)
         self._live: LiveExperiment | None = None
         self._running = False
-        self._usual: Mapping[str, Any] = {}
+        self._sought = False
+        """Whether a request has not been answered yet."""
+        self._request = ""
+        """The word of the newest request that was not refused at once."""
         self._reports = node.create_publisher(messages.ExperimentReport, "twin/experiment", LATCHED)
         self._get = node.create_client(GetParameters, "controller/get_parameters")
         self._set = node.create_client(SetParametersAtomically, "controller/set_parameters_atomically")
         node.create_service(Experiment, "twin/experiment", self._on_request)
 
-    @property
-    def runs(self) -> str:
-        """That an experiment runs, in words; empty if none does."""
-        return "an experiment runs; stop it first" if self._running else ""
-
     def take(self, samples: Sequence[Sample], verdicts: Sequence[Verdict]) -> None:
         """Pass on what the twin has settled and judged."""
-        if self._running or self._jobs:
+        if self._running or self._sought:
             for sample in samples:
-                self._put(self._push, sample)
+                self.put(partial(self._push, sample))
             for verdict in verdicts:
-                self._put(self._judge, verdict, self._newest())
+                self.put(partial(self._judge, verdict, self._newest()))
 
     def _on_request(self, request: Experiment.Request, _: Experiment.Response) -> Experiment.Response:
-        if why := self._against(request):
-            return Experiment.Response(success=False, message=why)
-        if request.stop:
-            self._put(self._end, "stopped by the operator")
-            return Experiment.Response(success=True, message="the set-point returns to where it was")
-        low_high = (request.within[0], request.within[1]) if request.within else None
-        wish = Wish(request.goal or None, request.minutes or None, low_high)
-        if self._get.service_is_ready():
-            asked = self._get.call_async(GetParameters.Request(names=list(_ASKED)))
-            asked.add_done_callback(lambda said: self._put(self._seek, wish, request.run, said))
-        else:
-            self._put(self._seek, wish, False)
-        return Experiment.Response(success=True, message="seeking; twin/experiment has what comes of it")
+        try:
+            said = self._stop() if request.stop else self._begin(request)
+        except TwinmatchError as error:
+            return Experiment.Response(success=False, message=str(error))
+        return Experiment.Response(success=True, message=said)
 
-    def _against(self, request: Experiment.Request) -> str:
-        """Why a request is refused; empty if it is not."""
-        if request.stop:
-            return "" if self._running else "no experiment runs"
-        if self._running or self._jobs:
-            return "an experiment runs, or is being sought; stop it first, or wait"
+    def _stop(self) -> str:
+        """End the experiment that runs; returns what happens now.
+
+        Raises:
+            ExperimentError: there is none.
+        """
+        if not (self._running or self._sought):
+            raise ExperimentError("no experiment runs")
+        self.put(partial(self._end, "stopped by the operator"))
+        return "the set-point returns to where it was, and stays there"
+
+    def _begin(self, request: Experiment.Request) -> str:
+        """Seek the course for a request; returns what happens now.
+
+        Raises:
+            ExperimentError: it is refused.
+        """
+        if self._running or self._sought:
+            raise ExperimentError(Mover.EXPERIMENT.value)
         if request.run and not self._set.service_is_ready():
-            return f"no controller is here (no service {self._set.srv_name}): give these set-points yourself"
-        if len(request.within) not in (0, 2):
-            return f"within has {len(request.within)} values; give the lowest and the highest, or none"
-        return self.busy() if request.run else ""
+            raise ExperimentError(
+                f"no controller is here (no service {self._set.srv_name}): give these set-points yourself"
+            )
+        wish = Wish(request.goal or None, request.minutes or None, tuple(request.within) or None)
+        if request.run and (why := self._turn.take(Mover.EXPERIMENT)):
+            raise ExperimentError(why)
+        self._sought = True
+        self._request = request.request
+        self.put(partial(self._seek, wish, request.run))
+        return "seeking; twin/experiment has what comes of it"
 
     def refuse(self, reason: str) -> None:
-        """Report that nothing comes of a request."""
-        self._publish(ExperimentReport(0, ExperimentPhase.REFUSED, "", 0, reason=reason))
+        """Report that nothing comes of a request, or that the experiment that runs has ended with this."""
+        if self._running and self._live is not None:
+            self._finish(self._live.ended(reason))
+        else:
+            self._sought = False
+            self._turn.give_back(Mover.EXPERIMENT)
+            self._publish(ExperimentReport(0, ExperimentPhase.REFUSED, "", 0, reason=reason))
 
-    def _seek(self, wish: Wish, run: bool, said: Any = None) -> None:
-        """Find the course for a wish, given the controller's answer."""
+    def _seek(self, wish: Wish, run: bool) -> None:
+        """Find the course for a wish and, if it is to run, have the controller follow it."""
         newest = self._newest()
-        usual = [parameter_value_to_python(value) for value in said.result().values] if said else []
-        if usual:
-            each = [one if isinstance(one, Sequence) else [one] for one in usual[-3:-1]]
-            wish = replace(wish, ranges=tuple(zip(*each, strict=True)))
-        self._live = None
+        usual: list[Any] = []
+        if run or self._get.service_is_ready():
+            answer = self.answer_of(self._get, GetParameters.Request(names=list(_ASKED)))
+            usual = [parameter_value_to_python(value) for value in answer.values]
+        if len(usual) == len(_ASKED) and None not in usual:
+            lowest, highest = (each if isinstance(each, Sequence) else [each] for each in usual[:2])
+            wish = replace(wish, ranges=tuple(zip(lowest, highest, strict=True)))
         if run and usual[-1:] != ["profile"]:
             raise ExperimentError(
                 "experiment: the controller takes its set-points from a topic; give these levels there, or "
@@ -147,10 +125,10 @@ class Experimenter(Desk):
         from twinmatch.twin.live_experiment import LiveExperiment  # noqa: PLC0415 — slow, and seldom needed
 
         self._live = LiveExperiment(self._node.settings, wish, newest)
+        self._running = run
+        self._sought = False  # the reader of the proposal may ask at once
         self._publish(self._live.report)
         if run:
-            self._usual = dict(zip(_PROFILE, usual, strict=False))
-            self._running = True
             self._follow(self._live.run())
 
     def _judge(self, verdict: Verdict, snapshot: Snapshot) -> None:
@@ -166,22 +144,38 @@ class Experimenter(Desk):
             self._follow(self._live.ended(reason))
 
     def _follow(self, report: ExperimentReport) -> None:
-        """Publish a report, and have the controller follow its course, or its own profile again."""
-        self._running = report.phase is ExperimentPhase.RUNNING
-        ramp = [0.0] * len(self._node.settings.plant.outputs)
-        course = (list(report.levels), list(report.holds), False, ramp if ramp[1:] else 0.0)
-        values = dict(zip(_PROFILE, course, strict=True)) if self._running else self._usual
-        given = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
-        setting = self._set.call_async(SetParametersAtomically.Request(parameters=given))
-        if self._running:
-            setting.add_done_callback(lambda said: self._put(self._obeyed, said))
+        """Publish a report, and have the controller follow its course, or return to where it was."""
+        if report.phase is ExperimentPhase.RUNNING:
+            self._publish(report)
+            self._command(list(report.levels), list(report.holds))
+        else:
+            self._finish(report)
+
+    def _finish(self, report: ExperimentReport) -> None:
+        """End the experiment that runs: the set-point returns to where it was, and stays there."""
+        self._running = self._sought = False
+        try:
+            if self._live is not None:
+                self._command(list(self._live.before), [self._node.settings.period])
+        except TwinmatchError as error:
+            report = replace(report, reason=f"{report.reason}; the set-point is not back: {error}")
+        finally:
+            self._turn.give_back(Mover.EXPERIMENT)
         self._publish(report)
 
-    def _obeyed(self, said: Any) -> None:
-        """End an experiment that the controller does not follow."""
-        if not said.result().result.successful:
-            self._end(f"the controller refuses: {said.result().result.reason}")
+    def _command(self, levels: list[float], holds: list[float]) -> None:
+        """Have the controller follow a course of set-points, the last of which stays.
+
+        Raises:
+            ExperimentError: it refuses, or does not answer.
+        """
+        course = {"course.levels": levels, "course.holds": holds, "course.followed": True}
+        given = [Parameter(name, value=value).to_parameter_msg() for name, value in course.items()]
+        answer = self.answer_of(self._set, SetParametersAtomically.Request(parameters=given))
+        if not answer.result.successful:
+            raise ExperimentError(f"the controller refuses: {answer.result.reason}")
 
     def _publish(self, report: ExperimentReport) -> None:
+        self._newest_report = replace(report, request=self._request)
         self._node.health.set("experiment", f"{report.phase.value}: {report.reason}")
-        self._node.publish(self._reports, message_of(report, self._stamp_of(report.sample)))
+        self._node.publish(self._reports, message_of(self._newest_report, self._stamp_of(report.sample)))

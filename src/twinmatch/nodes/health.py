@@ -9,6 +9,8 @@ from typing import Final, NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
+from twinmatch.printing import printable
+
 PLANT_REPORT: Final = "discriminator: plant"
 """How the name of the report on the plant's own health ends on /diagnostics: for programs that read nothing
 else. What shows verdicts leaves it out."""
@@ -90,5 +92,6 @@ class NodeHealth:
 
 def status_message(name: str, report: Report) -> DiagnosticStatus:
     """One report as a message."""
-    values = [KeyValue(key=key, value=value) for key, value in report.values.items()]
-    return DiagnosticStatus(level=bytes([report.level]), name=name, message=report.message, values=values)
+    values = [KeyValue(key=key, value=printable(value)) for key, value in report.values.items()]
+    message = printable(report.message)  # what cannot be encoded cannot be sent
+    return DiagnosticStatus(level=bytes([report.level]), name=name, message=message, values=values)

@@ -3,52 +3,98 @@
 from __future__ import annotations
 
 import hashlib
-from typing import Any, Final
+import secrets
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from twinmatch.nodes.experimenter import Desk, Newest, StampOf
+from twinmatch.errors import TwinmatchError
+from twinmatch.nodes.desk import Desk, Newest, StampOf
 from twinmatch.nodes.messages import message_of
 from twinmatch.nodes.samples import TwinNode
+from twinmatch.nodes.signature import WITHOUT, RunSignature
 from twinmatch.nodes.topics import RELIABLE
-from twinmatch.safety import LawReport, TrialPhase
+from twinmatch.safety import LawReport, Mover, TrialPhase, Turn
 from twinmatch.safety.trial import GAINS
 from twinmatch.sessions.documents import parse_json
 from twinmatch_msgs import msg as messages
 from twinmatch_msgs.srv import ApplyLaw, TryLaw
 
+if TYPE_CHECKING:
+    from twinmatch.controllers import TrialAnswer
+    from twinmatch.dynamics import PidGains
+
 PATIENCE: Final = 10
 """Samples outside the bands, less those inside since, after which the law before is back."""
+MAX_SHADOW: Final = 1e5
+"""Longest time in the shadow, s."""
+
+
+class RefusedLawError(TwinmatchError):
+    """A law is not run."""
 
 
 class LawDesk(Desk):
     """Serves `twin/try_law`, and publishes on `twin/law` what comes of it.
 
     A law is always tried again at the moment at which it is to be run. If the candidates are not those of the
-    answer that the operator has seen, that answer has expired.
+    answer that the operator has seen, that answer has expired. What the controller is asked for is signed.
     """
 
-    def __init__(self, node: TwinNode, newest: Newest, stamp_of: StampOf) -> None:
+    def __init__(self, node: TwinNode, newest: Newest, stamp_of: StampOf, turn: Turn) -> None:
         """Create service and topic; as for a `Desk`."""
-        super().__init__(node, newest, stamp_of)
+        super().__init__(node, newest, stamp_of, turn)
+        self._signature = RunSignature.of_run()
+        self._trying = False
+        """Whether a request has not been answered yet."""
+        self._request = TryLaw.Request()
+        """The newest that was not refused at once."""
+        self._word = ""
+        """By which the controller's reports on the law it was asked for are known."""
         self._reports = node.create_publisher(messages.LawReport, "twin/law", RELIABLE)
         self._apply = node.create_client(ApplyLaw, "plant/apply_law")
         node.create_service(TryLaw, "twin/try_law", self._on_request)
 
     def refuse(self, reason: str) -> None:
         """Report that a law is not run."""
+        self._end_request()
         self._publish(LawReport(0, TrialPhase.REFUSED, reason=reason))
 
+    def observe(self, report: LawReport) -> None:
+        """Take what the controller says of a law on trial: until its end nothing else moves the plant."""
+        if report.phase in {TrialPhase.SHADOW, TrialPhase.DRIVING}:
+            self._turn.observe(Mover.LAW)
+        elif not self._trying or report.request == self._word:  # one of before may be received late
+            self._turn.give_back(Mover.LAW)
+
+    def begin_again(self) -> None:
+        """Note that the rig has been restarted: the law of its configuration drives."""
+        if not self._trying:
+            self._turn.give_back(Mover.LAW)
+
     def _on_request(self, request: TryLaw.Request, _: TryLaw.Response) -> TryLaw.Response:
-        if self._jobs:
-            return TryLaw.Response(success=False, message="another law is being tried; wait for its answer")
-        if request.run and (why := self.busy()):
+        if why := self._against(request):
             return TryLaw.Response(success=False, message=why)
-        if request.run and not self._apply.service_is_ready():
-            why = f"no controller is here (no service {self._apply.srv_name}): run the law yourself"
-            return TryLaw.Response(success=False, message=why)
-        self._put(self._try, request)
+        self._trying, self._request = True, request
+        self.put(partial(self._try, request))
         return TryLaw.Response(success=True, message="trying; twin/law has the answer")
+
+    def _against(self, request: TryLaw.Request) -> str:
+        """Why a request is refused at once; empty if it is not. If it is to be run, it has its turn then."""
+        if self._trying:
+            return "another law is being tried; wait for its answer"
+        if not 0.0 <= request.shadow <= MAX_SHADOW:
+            return f"shadow is {request.shadow:g} s; give 0 to {MAX_SHADOW:g} s"
+        if not request.run:
+            return ""
+        if not self._apply.service_is_ready():
+            return f"no controller is here (no service {self._apply.srv_name}): run the law yourself"
+        if self._signature is None:
+            return f"the twin {WITHOUT}"
+        return self._turn.take(Mover.LAW)
 
     def _try(self, request: TryLaw.Request) -> None:
         """Answer; if asked to, and if it is safe or the operator insists, have the controller run it."""
@@ -57,42 +103,69 @@ class LawDesk(Desk):
         from twinmatch.twin.matcher import one_thread  # noqa: PLC0415
         from twinmatch.twin.tried import tried_twins  # noqa: PLC0415
 
-        settings, snapshot = self._node.settings, self._newest()
+        settings = self._node.settings
+        snapshot = self._newest()
         gains = gains_from(parse_json(request.law, "law"), settings.plant, settings.period)
-        outlook = snapshot.outlook()
-        law, sample = gains[0] if len(gains) == 1 else PidLoops.of(*gains), outlook.sample
+        leader = snapshot.outlook()
+        law = gains[0] if len(gains) == 1 else PidLoops.of(*gains)
+        sample = leader.sample
         holding = Holding(settings.law, settings.period, settings.schedule.span)
         with one_thread():
             found = try_now(tried_twins(snapshot), law, holding, np.array(sample.references))
-        vectors = [one.parameters.vector.tobytes() for one in snapshot.outlooks.values()]
+        vectors = [outlook.parameters.vector.tobytes() for outlook in snapshot.outlooks.values()]
         family = hashlib.blake2b(b"".join([*vectors, repr(gains).encode()]), digest_size=6).hexdigest()
-        decision, reason = found.answer.decision.value, found.answer.sentence
-        answer = LawReport(sample.index, TrialPhase.ANSWERED, 0, decision, family, reason=reason)
+        answer = LawReport(
+            sample.index,
+            TrialPhase.ANSWERED,
+            decision=found.answer.decision.value,
+            family=family,
+            reason=found.answer.sentence,
+        )
+        self._trying = request.run  # the reader of the answer may ask at once
         self._publish(answer.of(gains))
-        if not request.run:
-            return
-        if request.family and request.family != family:
-            self.refuse("the twins have changed since that answer; ask again")
-        elif decision != "safe" and not request.although:
-            self.refuse(f"not run, since it {reason}")
-        else:
-            asked = ApplyLaw.Request(
-                low=found.low.ravel().tolist(),
-                high=found.high.ravel().tolist(),
-                shadow=round(request.shadow / settings.period),
-                patience=PATIENCE,
-                sample=sample.index,
-                decision=decision,
-                although=request.although,
-                family=family,
-                **{name: [getattr(g, name) for g in gains] for name in GAINS},
-            )
-            self._apply.call_async(asked).add_done_callback(self._on_applied)
+        if request.run:
+            self._run(request, found, gains, answer)
+            self._trying = False
 
-    def _on_applied(self, said: Any) -> None:
-        if not said.result().success:
-            self._put(self.refuse, said.result().message)
+    def _run(
+        self, request: TryLaw.Request, found: TrialAnswer, gains: Sequence[PidGains], answer: LawReport
+    ) -> None:
+        """Have the controller put a law on trial that was answered about.
+
+        Raises:
+            TwinmatchError: the answer is not the one that the operator has seen, or not safe, or the
+                controller refuses.
+        """
+        if request.family and request.family != answer.family:
+            raise RefusedLawError("the twins have changed since that answer; ask again")
+        if answer.decision != "safe" and not request.although:
+            raise RefusedLawError(f"not run, since it {answer.reason}")
+        self._word = request.request or secrets.token_hex(4)
+        asked = ApplyLaw.Request(
+            low=found.low.ravel().tolist(),
+            high=found.high.ravel().tolist(),
+            shadow=round(request.shadow / self._node.settings.period),
+            patience=PATIENCE,
+            sample=answer.sample,
+            decision=answer.decision,
+            although=request.although,
+            family=answer.family,
+            request=self._word,
+            **{name: [getattr(each, name) for each in gains] for name in GAINS},
+        )
+        assert self._signature is not None  # noqa: S101 — or the request was refused
+        asked.signature = self._signature.of(asked)
+        said: Any = self.answer_of(self._apply, asked)
+        if not said.success:
+            raise RefusedLawError(said.message)
+
+    def _end_request(self) -> None:
+        """The next one may come; without a law on trial it is nobody's turn."""
+        self._trying = False
+        if self._request.run:
+            self._turn.give_back(Mover.LAW)
 
     def _publish(self, report: LawReport) -> None:
+        report = replace(report, request=self._request.request)
         self._node.health.set("law", f"{report.phase.value}: {report.reason}")
         self._node.publish(self._reports, message_of(report, self._stamp_of(report.sample)))

@@ -56,6 +56,8 @@ class LawReport:
     derivative: tuple[float, ...] = ()
     reason: str = ""
     """The answer in a sentence; why it is refused, or was taken back."""
+    request: str = ""
+    """The word of the request that it belongs to."""
 
     def of(self, gains: Sequence[PidGains]) -> LawReport:
         """The same about the law of these PIDs."""

@@ -45,7 +45,8 @@ class LiveExperiment:
         self._settings, self._wish = settings, wish
         newest = snapshot.outlook().sample
         self._first = newest.index + 1
-        self._before = newest.references
+        self.before = newest.references
+        """The set-points until then, to which it returns."""
         self._samples: list[Sample] = []
         self._planned_at = 0
         """Samples after which the newest course was found."""
@@ -149,7 +150,7 @@ class LiveExperiment:
         terms = ExperimentTerms.of(
             settings.plant,
             holding,
-            np.array(self._before),
+            np.array(self.before),
             size=size,
             within=self._wish.within,
             ranges=self._wish.ranges,
@@ -161,11 +162,11 @@ class LiveExperiment:
     def _reported(self, sample: int, phase: ExperimentPhase, brought: float) -> ExperimentReport:
         period = self._settings.period
         steps = [(level, len(list(run))) for level, run in groupby(map(tuple, self._rest.tolist()))]
-        steps.append((self._before, 1))  # should nobody be there at its end, the set-point returns by itself
+        steps.append((self.before, 1))  # should nobody be there at its end, the set-point returns by itself
         levels, held = tuple(chain.from_iterable(level for level, _ in steps)), [n for _, n in steps]
         return ExperimentReport(
             sample, phase, self.goal.name, self._first, self._expected, brought,
-            levels, tuple(n * period for n in held), _beside(self._found),
+            levels, tuple(n * period for n in held), reason=_beside(self._found),
         )  # fmt: skip
 
 

@@ -221,6 +221,7 @@ def test_an_answer_stays_until_the_next_and_goes_with_the_session() -> None:
 def test_the_form_asks_what_is_entered() -> None:
     heard: list[tuple[float, float | None]] = []
     asked: list[tuple[bool, bool]] = []
+    continued: list[bool] = []
 
     class Asked(Nothing):
         def what_if(self, level: float, hold: float | None) -> None:
@@ -228,6 +229,9 @@ def test_the_form_asks_what_is_entered() -> None:
 
         def next_experiment(self, *, run: bool = False, stop: bool = False) -> None:
             asked.append((run, stop))
+
+        def continue_profile(self) -> None:
+            continued.append(True)
 
         def law_back(self) -> None: ...
 
@@ -243,9 +247,10 @@ def test_the_form_asks_what_is_entered() -> None:
         button._trigger_event(ButtonClick(button))
     assert heard == [(55.0, None), (55.0, 90.0)]
     buttons = rig_form(Asked(), "").children
-    for button in buttons[:3]:
+    for button in buttons[:4]:
         button._trigger_event(ButtonClick(button))
     assert asked == [(False, False), (True, False), (False, True)]
+    assert continued == [True]
 
 
 def test_experiments_and_laws_on_trial_are_events() -> None:

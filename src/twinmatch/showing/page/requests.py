@@ -8,7 +8,7 @@ from functools import partial
 from typing import Any
 
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
-from rcl_interfaces.srv import GetParameters, SetParameters
+from rcl_interfaces.srv import GetParameters, SetParameters, SetParametersAtomically
 from rclpy.event_handler import PublisherEventCallbacks
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
@@ -53,6 +53,7 @@ class Requests:
             self._law = node.create_client(ApplyLaw, "plant/apply_law")
             self._clear = node.create_client(Trigger, "plant/clear_fault")
             self._stop = node.create_client(Trigger, "plant/stop")
+            self._course = node.create_client(SetParametersAtomically, "controller/set_parameters_atomically")
             self._limits = node.create_client(GetParameters, "controller/get_parameters")
             # Not latched: a restarted controller must not receive an old request.
             quiet = {"event_callbacks": PublisherEventCallbacks(use_default_callbacks=False)}
@@ -92,6 +93,14 @@ class Requests:
         if self.control:
             request = Experiment.Request(run=run, stop=stop)
             self._call(self._experiment, request, "the discriminator", self._show_result)
+
+    def continue_profile(self) -> None:
+        """Have the controller continue its profile, which waits since an experiment."""
+        if self.control:
+            off = ParameterValue(type=ParameterType.PARAMETER_BOOL, bool_value=False)
+            given = [Parameter(name="course.followed", value=off)]
+            request = SetParametersAtomically.Request(parameters=given)
+            self._call(self._course, request, "the controller", self._show_profile)
 
     def law_back(self) -> None:
         """Give the law before one on trial back."""
@@ -156,6 +165,10 @@ class Requests:
 
     def _show_result(self, answer: Any) -> None:
         self._state.notify(answer.success, answer.message)
+
+    def _show_profile(self, answer: Any) -> None:
+        done = "the controller's profile continues where it was"
+        self._state.notify(answer.result.successful, answer.result.reason or done)
 
     def _show_rate_result(self, answer: Any) -> None:
         for result in answer.results:

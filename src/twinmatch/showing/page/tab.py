@@ -101,6 +101,7 @@ def rig_form(requests: Requests, label: str) -> Row:
         _button("What next?", 110, "default", lambda: requests.next_experiment(run=False)),
         _button("Run what is next", 140, "warning", lambda: requests.next_experiment(run=True)),
         _button("Stop it", 80, "default", lambda: requests.next_experiment(stop=True)),
+        _button("Profile on", 110, "default", requests.continue_profile),
         _button("Law before", 110, "default", requests.law_back),
         _button("Clear fault", 110, "warning", requests.clear_fault),
         _button("Output off", 110, "danger", requests.stop),
