@@ -325,3 +325,27 @@ def test_the_default_file_is_named_after_plant_and_rig(monkeypatch):
     assert default_file("peltier", "left-2") == Path("/data/twinmatch/peltier@left-2.sqlite")
     with pytest.raises(MemoryFaultError, match=r"rig '\.\./x': is not a name for a rig"):
         default_file("peltier", "../x")
+
+
+def test_a_memory_with_wrong_bytes_is_one_sentence_or_still_read(tmp_path):
+    memory = Memory(tmp_path / "sound.sqlite")
+    memory.add([lesson(number, structure) for number in range(6) for structure in ("paper", "rich")])
+    sound = memory.path.read_bytes()
+    rng = random.Random(3)
+    broken = Memory(tmp_path / "broken.sqlite")
+    refusals = []
+    for _ in range(150):
+        content = bytearray(sound)
+        for _ in range(rng.choice([1, 3, 30, 300])):
+            content[rng.randrange(len(content))] ^= 1 << rng.randrange(8)
+        broken.path.write_bytes(content)
+        for use in (broken.lessons, lambda: broken.comparisons("peltier"), lambda: broken.add([lesson(99)])):
+            try:
+                use()
+            except MemoryFaultError as error:
+                refusals.append(str(error))
+    assert refusals
+    for sentence in refusals:
+        assert sentence.startswith(f"memory {broken.path}: ")
+        assert "\n" not in sentence
+        assert len(sentence) < len(str(broken.path)) + 250

@@ -176,14 +176,14 @@ def scan_of_zeros(path, compression, size, stated):
 @pytest.mark.parametrize("stated", [1000, 2**20, 2**40])
 def test_a_chunk_that_unpacks_to_much_is_refused(tmp_path, compression, stated):
     scan = scan_of_zeros(tmp_path / "run.mcap", compression, 2**26, stated)
-    assert scan.fault.startswith(("the file is damaged: the checksum", "a chunk of", "a chunk compressed"))
+    assert scan.fault.startswith(("the file is damaged: the checksum", "the file is damaged: a chunk of"))
 
 
 @pytest.mark.parametrize("compression", PACK)
 @pytest.mark.parametrize("more", [-1, 1])
 def test_a_chunk_that_is_longer_or_shorter_than_it_states_is_damaged(tmp_path, compression, more):
     scan = scan_of_zeros(tmp_path / "run.mcap", compression, 1000, 1000 + more)
-    assert scan.fault == "the file is damaged: the checksum of a chunk is wrong"
+    assert scan.fault.startswith("the file is damaged: the checksum of a chunk is wrong")
 
 
 def test_many_variables_end_soon(tmp_path):

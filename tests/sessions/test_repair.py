@@ -6,12 +6,14 @@ import shutil
 import signal
 import subprocess
 import sys
+from io import BytesIO
 from pathlib import Path
 
 import pytest
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mcap.opcode import Opcode
 from mcap.writer import CompressionType, Writer
 from rosbags.rosbag2 import Reader
 
@@ -20,9 +22,11 @@ from twinmatch.sessions import Qos, SessionError, SessionWriter, Topic, read_ses
 from twinmatch.sessions import recording as repairing
 from twinmatch.sessions.messages import SAMPLE, encode_sample
 from twinmatch.sessions.recording import repair_session
+from twinmatch.sessions.records import MAGIC, Walk
 from twinmatch.signals import Sample
 
 SECOND = 10**9
+INDEXES = (Opcode.MESSAGE_INDEX, Opcode.CHUNK_INDEX, Opcode.FOOTER)
 NOTE = Topic("/notes", "std_msgs/msg/String", "string data\n", "RIHS01_ab", Qos())
 
 
@@ -132,7 +136,8 @@ def test_of_a_damaged_session_the_original_is_kept(tmp_path, capsys):
     folder = record(tmp_path / "run", finish=True)
     file = folder / "run_0.mcap"
     data = bytearray(file.read_bytes())
-    data[len(data) // 2] ^= 0xFF
+    at = data.index(encode_sample(Sample(33, 33 * SECOND, 30.0, 25.0, 1.0)))
+    data[at : at + 60] = bytes(60)
     file.write_bytes(data)
     before = content(folder)
     shutil.copytree(folder, tmp_path / "same")
@@ -141,9 +146,9 @@ def test_of_a_damaged_session_the_original_is_kept(tmp_path, capsys):
     found = repair_session(folder)
     assert found.original == tmp_path / "run.broken"
     assert content(found.original) == before
-    assert "damaged" in found.faults[0]
-    assert 0 < found.messages < 60
-    assert indices(folder) == list(range(found.messages))
+    assert "only 59 of 60 messages are left" in found.faults[0]
+    assert indices(folder) == [k for k in range(60) if k != 33]
+    assert any("only 59 of 60 messages are left" in what for what in read_session(folder).missing)
     with Reader(folder) as reader:
         assert reader.message_count == found.messages
     assert repair_session(folder).faults == ()
@@ -329,3 +334,47 @@ def test_what_others_have_written_is_refused_and_left_as_it_is(tmp_path, capsys,
     assert said.count("\n") == 1
     assert content(folder) == before
     assert [p.name for p in tmp_path.iterdir()] == ["theirs"]
+
+
+def test_what_two_repairs_have_lost_is_said_of_their_result(tmp_path):
+    folder = record(tmp_path / "run", finish=True)
+    for index in (33, 12):
+        file = folder / "run_0.mcap"
+        data = bytearray(file.read_bytes())
+        at = data.index(encode_sample(Sample(index, index * SECOND, 30.0, 25.0, 1.0)))
+        data[at : at + 60] = bytes(60)
+        file.write_bytes(data)
+        shutil.rmtree(repair_session(folder).original)
+    (missing,) = read_session(folder).missing
+    assert missing.startswith("it was repaired: ")
+    assert "only 59 of 60 messages are left" in missing
+    assert "only 58 of 59 messages are left" in missing
+
+
+@pytest.mark.parametrize("place", [0, 1, 2, 3])
+def test_a_session_whose_index_is_wrong_is_not_called_complete(tmp_path, place):
+    """Its messages can all be read, but a reader that uses the index would not find them."""
+    folder = record(tmp_path / "run", finish=True)
+    file = folder / "run_0.mcap"
+    data = bytearray(file.read_bytes())
+    records = [r for r in Walk(BytesIO(data), len(MAGIC), len(data)) if r.opcode in INDEXES]
+    of_messages = next(r for r in records if r.opcode == Opcode.MESSAGE_INDEX)
+    of_chunks = next(r for r in records if r.opcode == Opcode.CHUNK_INDEX)
+    footer = next(r for r in records if r.opcode == Opcode.FOOTER)
+    wrong = (of_messages.begin + 6, of_messages.begin + 14, of_chunks.begin + 16, footer.begin)[place]
+    data[wrong] ^= 8
+    file.write_bytes(data)
+    assert len(indices(folder)) == 60
+    (fault,) = repair_session(folder).faults
+    assert "index" in fault or "strict reader" in fault
+    assert repair_session(folder).faults == ()
+    assert len(indices(folder)) == 60
+
+
+def test_a_file_whose_author_cannot_be_read_is_repaired_and_kept(tmp_path):
+    folder = record(tmp_path / "run", finish=True)
+    file = folder / "run_0.mcap"
+    file.write_bytes(file.read_bytes().replace(b"twinmatch", b"tw\xffnmatch", 1))
+    found = repair_session(folder)
+    assert found.original is not None
+    assert found.messages == 60

@@ -131,7 +131,8 @@ def _of_samples(
     listed = ", ".join(
         f"{noise:g}{f' ({name})' if len(outputs) > 1 else ''}" for name, noise in measured.items()
     )
-    notes = [f"{session.name}: {size} samples, one every {session.period:g} s; measured noise {listed}"]
+    notes = [*session.missing]
+    notes += [f"{session.name}: {size} samples, one every {session.period:g} s; measured noise {listed}"]
     left = dict(zip(outputs, least, strict=False))
     for name, noise in measured.items():
         declared, of = outputs[name].noise, f" {name}" if len(outputs) > 1 else ""

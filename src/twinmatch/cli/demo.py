@@ -83,11 +83,11 @@ def _look_back(session: Path) -> int:
 
 def _play_session(session: Path) -> int:
     """Play a session within `LONGEST`, then write the report; returns the exit code."""
-    from twinmatch.importing import open_any  # noqa: PLC0415
+    from twinmatch.cli.shared import open_shown  # noqa: PLC0415
     from twinmatch.launching.replay import Replay, play  # noqa: PLC0415 — needs ROS
     from twinmatch.showing.report.report import make_report  # noqa: PLC0415
 
-    played = open_any(session)
+    played = open_shown(session)
     code = play(Replay(played, min(1000.0, max(50.0, played.duration / LONGEST))))
     if code:
         return code

@@ -94,7 +94,7 @@ def run(options: argparse.Namespace) -> int:
             found = next_experiment(twins, goal, terms, progress.advance)
     for line in experiment_words(found):
         print(line)
-    write_json(options.json, lambda: experiment_document(found))
+    write_json(options.json, lambda: experiment_document(found) | {"notes": list(ground.session.missing)})
     if options.figure is not None:
         from twinmatch.showing.figures.controllers import draw_experiment  # noqa: PLC0415 — matplotlib is slow
         from twinmatch.showing.figures.drawing import save  # noqa: PLC0415

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -111,7 +112,8 @@ def _forecasts(options: argparse.Namespace) -> tuple[TwinSettings, list[_Request
     taken = [s for s in session.samples if last.since is None or s.index >= last.since]
     requested, came = {}, filled_stretches(taken, settings, last.taught)
     for k in samples:
-        made = fan(forecast_of(known[k], ahead[k], period), came)
+        forecast = forecast_of(known[k], ahead[k], period)
+        made = fan(replace(forecast, notes=(*session.missing, *forecast.notes)), came)
         requested[k] = _Requested(made, known[k], ahead[k].words)
     return settings, [requested[k] for k in options.at]
 

@@ -6,7 +6,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from twinmatch.cli.shared import Progress, add_options, exit_code
+from twinmatch.cli.shared import Progress, add_options, exit_code, say_missing
 from twinmatch.errors import TwinmatchError
 from twinmatch.importing import open_any
 from twinmatch.memory import Memory, MemoryFaultError, current_lessons, default_file, digest_of
@@ -18,6 +18,8 @@ from twinmatch.offline.remembering import learn
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_options(parser, "sessions", "--memory", "--rig", "--plant", "--allow-fmu", "--config")
+    although = "learn also from sessions that are cut off, damaged, or were repaired after damage"
+    parser.add_argument("--although", action="store_true", help=although)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -40,6 +42,11 @@ def _remember(path: Path, options: argparse.Namespace) -> str:
     """Learn from one session, unless it is remembered already; returns what was done, in a sentence."""
     with Progress(f"learning from {path.name}") as progress:
         session = open_any(path, plant=options.plant)
+        if session.missing and not options.although:
+            raise TwinmatchError(
+                f"it is not complete: {'; '.join(session.missing)}; look at it with `twinmatch replay`, and "
+                "give --although to learn from what is there"
+            )
         terms = terms_from_files(session, options.config)
         plant = terms.settings.plant
         memory = Memory(options.memory or default_file(plant.name, options.rig))
@@ -47,6 +54,7 @@ def _remember(path: Path, options: argparse.Namespace) -> str:
         if digest_of(session.samples) in {one.session for one in known}:
             return f"{session.name}: remembered already"
         lessons = learn(session, terms, options.rig, progress.advance)
+    say_missing(session.name, session.missing)
     if not lessons:
         return f"{session.name}: teaches nothing: its healthy part is too short, or determines no parameters"
     memory.add(lessons)

@@ -142,6 +142,9 @@ def _replay_many(options: argparse.Namespace) -> int:
 
 
 def _print(archive: Archive) -> None:
+    for judged in archive.sessions:
+        for note in judged["summary"]["notes"]:
+            print(f"Note: {judged['session']}: {note}")
     if archive.candidates:
         console_for(180).print(_table(archive))
     without = [s["session"] for s in archive.sessions if s["summary"]["nominal"] is None]

@@ -10,7 +10,7 @@ import os
 import re
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from operator import methodcaller
 from pathlib import Path
@@ -102,11 +102,19 @@ def add_options(parser: argparse._ActionsContainer, *names: str, **changed: Any)
 
 
 def open_shown(path: Path, plant: str | None = None) -> Session:
-    """Read a session of any kind, with a progress bar."""
+    """Read a session of any kind, with a progress bar, and say what is missing of it."""
     from twinmatch.importing import open_any  # noqa: PLC0415 — slow to import
 
     with Progress("reading") as progress:
-        return open_any(path, progress=progress.advance, plant=plant)
+        session = open_any(path, progress=progress.advance, plant=plant)
+    say_missing(session.name, session.missing)
+    return session
+
+
+def say_missing(name: str, missing: Sequence[str]) -> None:
+    """Say on standard error what a session lacks, or what of it may be wrong."""
+    for what in missing:
+        print(f"twinmatch: session {name} is not complete: {what}", file=sys.stderr)
 
 
 def judging(options: argparse.Namespace, progress: Progress) -> dict[str, Any]:
@@ -181,7 +189,11 @@ def write_json(path: Path | None, content: Callable[[], Any]) -> None:
         return
     import msgspec  # noqa: PLC0415 — Python's own encoder takes seconds to indent the verdicts of an hour
 
-    text = msgspec.json.format(msgspec.json.encode(content(), enc_hook=methodcaller("item")), indent=1)
+    value = content()
+    try:
+        text = msgspec.json.format(msgspec.json.encode(value, enc_hook=methodcaller("item")), indent=1)
+    except UnicodeEncodeError:  # a path that is not UTF-8: its bytes become escapes
+        text = json.dumps(value, indent=1, default=methodcaller("item"), allow_nan=False).encode("ascii")
     try:
         path.write_bytes(text + b"\n")
     except OSError as error:

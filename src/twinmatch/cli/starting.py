@@ -9,6 +9,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+from twinmatch.cli.shared import say_missing
 from twinmatch.errors import TwinmatchError
 
 
@@ -59,6 +60,14 @@ def remember_recorded(options: argparse.Namespace, sessions: Sequence[Path]) -> 
         try:
             memory = Memory(memory_file(options.memory, options.rig, options.plant or ""))
             session = read_session(path)
+            if session.missing:
+                say_missing(session.name, session.missing)
+                print(
+                    f"twinmatch: {path} is not remembered; to learn from what is there: twinmatch remember "
+                    f"{path} --although",
+                    file=sys.stderr,
+                )
+                continue
             lessons = learn(session, terms_from_files(session, options.twin_config), options.rig)
             memory.add(lessons)
         except TwinmatchError as error:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -19,7 +20,7 @@ from twinmatch.controllers import (
     widened,
 )
 from twinmatch.dynamics import Law
-from twinmatch.memory import Memory, digest_of
+from twinmatch.memory import Memory, MemoryFaultError, digest_of
 from twinmatch.offline.controllers import (
     Ground,
     ground_of,
@@ -85,13 +86,19 @@ def run(options: argparse.Namespace) -> int:
             question, apart = ran.question(ground.holding, options.draws), ran.ground.session
         earlier: tuple[TriedTwin, ...] = ()
         if options.memory is not None:
-            earlier = remembered(ground, options.memory, options.rig or None, apart=apart)
+            try:
+                earlier = remembered(ground, options.memory, options.rig or None, apart=apart)
+                Memory(options.memory).comparisons(ground.plant.name, options.rig or None)
+            except MemoryFaultError as error:
+                print(f"twinmatch: {error}; the law is tried without a memory", file=sys.stderr)
+                options.memory = None
         tried = [each.parameters for each in earlier]  # a judgement that started from them has them, too
         members = [*(each for each in _members(opened) if each.parameters not in tried), *earlier]
         begun = _begun(members, options) if ran is None else ran.begun(members)
         with Progress("trying") as progress:
             answer = try_controller(begun, question, progress.advance)
-    answer = replace(answer, notes=answer.notes + ground.unvisited(question.references))
+    missing = tuple(f"{each.session.name}: {what}" for each in opened for what in each.session.missing)
+    answer = replace(answer, notes=missing + answer.notes + ground.unvisited(question.references))
     found = None if ran is None else ran.comparison(answer, opened, options.rig)
     if found is None and options.memory is not None:
         answer = widened(answer, Memory(options.memory).comparisons(ground.plant.name, options.rig or None))

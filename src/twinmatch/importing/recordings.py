@@ -32,7 +32,7 @@ from twinmatch.plants.files import is_plant_file
 from twinmatch.sampling.sources import INPUT, OUTPUT, REFERENCE, TIME
 from twinmatch.sessions.files import ProgressCallback, RecordingError, SessionError, open_regular
 from twinmatch.sessions.messages import SAMPLE, plant_messages, topics_of
-from twinmatch.sessions.reader import Session, read_session
+from twinmatch.sessions.reader import Session, named, read_session
 from twinmatch.sessions.recording import samples_of
 from twinmatch.sessions.scan import MAGIC
 from twinmatch.signals import KELVIN, Sample, Window
@@ -165,7 +165,7 @@ def session_of(path: Path, samples: list[Sample], *, plant: str, has_reference: 
     topics = topics_of(samples)
     counts = Counter(message.topic.name for message in plant_messages(samples, topics))
     return Session(
-        name=path.stem,
+        name=named(path.stem),
         path=path,
         topic=SAMPLE.name,
         samples=samples,

@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from dataclasses import fields
 from itertools import chain
 from pathlib import Path
+from textwrap import shorten
 from typing import Any, Final
 
 import msgspec
@@ -183,7 +184,7 @@ class Memory:
             yield database
             if database is not None:
                 database.execute("COMMIT")
-        except (sqlite3.Error, OSError) as error:
+        except (sqlite3.Error, OSError, UnicodeError) as error:  # the last for text of damaged pages
             raise MemoryFaultError(f"memory {self.path}: {_why(error)}") from error
         finally:
             if database is not None:
@@ -239,6 +240,8 @@ def _keeps_record(database: sqlite3.Connection) -> bool:
     return bool(database.execute("PRAGMA user_version").fetchone()[0] >= VERSION)
 
 
+_LONGEST: Final = 100
+"""Most characters of SQLite's own words: it quotes whole tables."""
 _REASONS: Final = {
     "SQLITE_NOTADB": "is not a memory of twinmatch; give another file, or move it away",
     **dict.fromkeys(
@@ -258,11 +261,12 @@ _REASONS: Final = {
 """By the beginning of SQLite's name of the error."""
 
 
-def _why(error: sqlite3.Error | OSError) -> str:
+def _why(error: sqlite3.Error | OSError | UnicodeError) -> str:
     if isinstance(error, OSError):
         return f"cannot be used ({error.strerror}); give another file"
     code = getattr(error, "sqlite_errorname", "") or ""
-    return next(why for begin, why in _REASONS.items() if code.startswith(begin)).format(error)
+    why = next(why for begin, why in _REASONS.items() if code.startswith(begin))
+    return why.format(shorten(str(error), _LONGEST, placeholder=" …"))
 
 
 def default_file(plant: str, rig: str = "") -> Path:

@@ -23,7 +23,9 @@ import re
 import struct
 import sys
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import redirect_stderr
 from functools import lru_cache
+from io import StringIO
 from itertools import accumulate
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -158,6 +160,8 @@ class Message(NamedTuple):
     """Time of publication, ns; equal to `log_time` if not known."""
     data: bytes
     """The CDR bytes, including the encapsulation header."""
+    is_sound: bool = True
+    """False if it was read from a damaged part of its file, and its content may be wrong."""
 
 
 def topic_of(name: str, kind: str, type_hash: str, qos: Qos) -> Topic:
@@ -273,7 +277,8 @@ def _decoder(topic: Topic) -> Callable[[bytes], Any]:
     from mcap_ros2.decoder import DecoderFactory  # noqa: PLC0415
 
     schema = Schema(id=1, name=topic.type, encoding="ros2msg", data=topic.schema.encode())
-    decoder: Callable[[bytes], Any] = DecoderFactory().decoder_for("cdr", schema)
+    with redirect_stderr(StringIO()):  # the library prints a damaged definition before it raises
+        decoder: Callable[[bytes], Any] = DecoderFactory().decoder_for("cdr", schema)
     return decoder
 
 

@@ -31,6 +31,8 @@ CONTINUES = "twinmatch/continues"
 """Record with the name of the `session` that another recorder of the same run began."""
 DOUBT = "twinmatch/doubt/"
 """Records of samples during which a `topic` had several `publishers`: the `first`, the `last` once known."""
+REPAIRED = "twinmatch/repaired"
+"""Record of a repair that lost messages or could not confirm them: the `faults` that it found."""
 PARAMETERS = "twinmatch/parameters"
 CANDIDATES = "twinmatch/candidates"
 """Record with the `text` of the discriminator's file of initial candidates; empty: it was not readable."""
@@ -223,6 +225,12 @@ def doubts(records: Mapping[str, Mapping[str, str]]) -> list[str]:
         for name, one in records.items()
         if name.startswith(DOUBT)
     ]
+
+
+def repairs(records: Mapping[str, Mapping[str, str]]) -> list[str]:
+    """What a repaired session had lost, as sentences."""
+    faults = records.get(REPAIRED, {}).get("faults", "")
+    return [f"it was repaired: {faults}"] if faults else []
 
 
 def parameters_record(node: str) -> str:

@@ -30,12 +30,15 @@ from twinmatch.sessions.messages import (
 )
 from twinmatch.sessions.metadata import (
     CONTINUES,
+    counts_listed,
     doubts,
     files_of,
     has_reference,
     is_mcap,
     mcap_files,
+    miscounted,
     plant_of,
+    repairs,
 )
 from twinmatch.sessions.scan import Scan, messages_of
 from twinmatch.signals import Sample, Window, joined
@@ -67,7 +70,7 @@ class Session:
     end: int
     """Log time of the latest message, ns."""
     notes: list[str]
-    """Remarks on the data for readers of the results, as sentences."""
+    """Remarks on the data for readers of the results, as sentences; they begin with `missing`."""
     source: Callable[[], Iterable[Message]] = field(repr=False)
     """Yields the messages from the beginning at each call."""
     records: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
@@ -76,6 +79,8 @@ class Session:
     """Name of the plant; empty where it is not recorded, as in sessions of the Peltier rig."""
     has_reference: bool = True
     """Whether its set-points are meaningful; otherwise the loop is treated as unknown."""
+    missing: Sequence[str] = ()
+    """What was lost of it, or may be wrong, as sentences: files that are cut off, damaged or not there."""
 
     @property
     def duration(self) -> float:
@@ -120,7 +125,7 @@ def read_session(
 
     A run of several pieces, because its recorder was replaced, is one session; given the first piece, or one
     without samples, the others are read too. A piece without samples is left out, with a remark in `notes`. A
-    truncated or damaged file is read up to the damage, with a remark in `notes`. They also list where
+    truncated or damaged file is read as far as it can be, with a remark in `notes`. They also list where
     samples are missing because the loop had no temperature, was late, or was restarted.
 
     Args:
@@ -152,6 +157,11 @@ def read_session(
     if not sessions:
         raise errors[0]
     return _join(sessions, path, left_out)
+
+
+def named(name: str) -> str:
+    """The name of a file as text; bytes that are not UTF-8 become escapes."""
+    return os.fsencode(name).decode("utf-8", "backslashreplace")
 
 
 _NUMBERED: Final = re.compile(r"(?P<first>.+)_(?P<number>[2-9]|[1-9]\d+)")
@@ -194,24 +204,27 @@ def _continues(piece: Path, first: str) -> bool:
     return True
 
 
-def _join(sessions: Sequence[Session], path: Path, notes: Sequence[str]) -> Session:
+def _join(sessions: Sequence[Session], path: Path, left_out: Sequence[str]) -> Session:
     """Sessions of one run as one: the last that begins at its beginning, and later messages of others."""
     begin = min(session.samples[0].index for session in sessions)
     base = max(k for k, session in enumerate(sessions) if session.samples[0].index == begin)
     whole, later = sessions[base], sessions[base + 1 :]
-    notes = [*notes, f"{whole.path.name} holds the run from its beginning"] if len(sessions) > 1 else [*notes]
+    notes = [*left_out]
+    if len(sessions) > 1:
+        notes.append(f"{whole.path.name} holds the run from its beginning")
     source = _one_after_another([session.source for session in (whole, *later)]) if later else whole.source
     counts = Counter(message.topic.name for message in source()) if later else whole.counts
     topics = {topic.name: topic for session in (*later, whole) for topic in session.topics}
     return replace(
         whole,
-        name=Path(os.path.realpath(path)).name,
+        name=named(Path(os.path.realpath(path)).name),
         path=path,
         samples=joined(session.samples for session in (whole, *later)),
         topics=list(topics.values()),
         counts={name: counts[name] for name in topics},
         end=max(session.end for session in (whole, *later)),
         notes=[*notes, *whole.notes, *(note for session in later for note in doubts(session.records))],
+        missing=[*left_out, *whole.missing],
         source=source,
     )
 
@@ -247,13 +260,16 @@ def _read(path: Path, topic: str | None, progress: ProgressCallback | None) -> S
         if message.topic.type == SAMPLE.type:
             raw.setdefault(name, []).append(message)
     topics = list({known.name: known for scan in scans for known in scan.topics}.values())
-    name = path.resolve().name if path.is_dir() else re.sub(r"_\d+$", "", path.stem)
+    name = named(path.resolve().name if path.is_dir() else re.sub(r"_\d+$", "", path.stem))
     faults = [f"{scan.path.name}: {scan.fault}" for scan in scans if scan.fault]
     place = "; ".join([f"session {name}", *faults])
     chosen = _plant_topic(topics, topic, place)
     samples = [decode_sample(current(message).data) for message in raw.get(chosen.name, [])]
     check_samples(samples, place)
     records = {name: values for scan in scans for name, values in scan.records.items()}
+    missing = [*notes, *(_extent(fault, samples) for fault in faults), *repairs(records)]
+    if path.is_dir() and not missing:
+        missing = miscounted(counts_listed(path), counts)
     return Session(
         name=name,
         path=path,
@@ -264,12 +280,12 @@ def _read(path: Path, topic: str | None, progress: ProgressCallback | None) -> S
         start=start,
         end=end,
         notes=[
-            *notes,
-            *(_extent(fault, samples) for fault in faults),
+            *missing,
             *_gaps(samples),
             *_clock(samples),
             *doubts(records),
         ],
+        missing=missing,
         source=lambda: map(current, messages_of(files)),
         records=records,
         plant=plant_of(records),

@@ -26,6 +26,7 @@ from twinmatch.sessions.files import DiskError, ProgressCallback, SessionError
 from twinmatch.sessions.messages import SAMPLE, Topic, plant_messages, topics_of
 from twinmatch.sessions.metadata import (
     METADATA,
+    REPAIRED,
     counts_listed,
     distro_of,
     files_listed,
@@ -33,7 +34,8 @@ from twinmatch.sessions.metadata import (
     miscounted,
 )
 from twinmatch.sessions.reader import check_samples, gaps_of
-from twinmatch.sessions.scan import Scan, messages_of
+from twinmatch.sessions.scan import TRUNCATED, Scan, messages_of
+from twinmatch.sessions.strict import strict_refusal
 from twinmatch.sessions.writer import LIBRARY, SessionWriter, being_written, sync_folder
 from twinmatch.settings import setting
 from twinmatch.signals import NANOSECONDS, Sample, Window
@@ -267,8 +269,7 @@ def _is_session(folder: Path) -> bool:
 BROKEN = ".broken"
 """Suffix appended to the name of the original."""
 
-TORN = "truncated"
-_NOTHING_MORE = (TORN, "missing or unreadable", "does not list", "is empty")
+_NOTHING_MORE = (TRUNCATED, "missing or unreadable", "does not list", "is empty")
 """Faults of an original that contains no more than its repaired copy."""
 
 
@@ -347,7 +348,7 @@ def _examine(folder: Path, files: list[Path]) -> Repair:
         for message in scan:
             counts[message.topic.name] += 1
             start, end = min(start, message.log_time), max(end, message.log_time)
-        if scan.library != LIBRARY and scan.topics:
+        if scan.topics and not _is_own(scan):
             author = f"by {scan.library!r}" if scan.library else "by another program"
             raise SessionError(
                 f"session {folder}: {file.name} was written {author}; nothing was changed: use its tools "
@@ -355,6 +356,8 @@ def _examine(folder: Path, files: list[Path]) -> Repair:
             )
         if scan.fault:
             faults.append(f"{file.name}: {scan.fault}")
+        elif refusal := strict_refusal(file):
+            faults.append(f"{file.name}: the file is damaged: {refusal}")
     listed = files_listed(folder)
     if not listed:
         faults.append(f"{METADATA} is missing or unreadable")
@@ -362,6 +365,12 @@ def _examine(folder: Path, files: list[Path]) -> Repair:
         faults.append(f"{METADATA} does not list the files that exist")
     faults += miscounted(counts_listed(folder), counts)
     return Repair(folder, tuple(faults), counts.total(), start if counts else 0, end, None)
+
+
+def _is_own(scan: Scan) -> bool:
+    """Whether a file is one of ours, or its damage may hide that: the original is kept then."""
+    alike = sum(a == b for a, b in zip(scan.library, LIBRARY, strict=False))
+    return scan.library == LIBRARY or (scan.is_damaged and (not scan.library or alike > len(LIBRARY) // 2))
 
 
 def _rebuild(folder: Path, broken: Path, files: list[Path], repair: Repair) -> Repair:
@@ -373,17 +382,25 @@ def _rebuild(folder: Path, broken: Path, files: list[Path], repair: Repair) -> R
     readable = [file for file in files if file.stat().st_size]
     with _scratch(folder) as scratch:
         copy = scratch / folder.name
-        _rewrite(copy, readable, distro_of(folder))
+        _rewrite(copy, readable, repair, distro_of(folder))
         _compare(copy, readable)
         _move(copy, folder, broken)
-    if all(any(words in fault for words in _NOTHING_MORE) for fault in repair.faults):
+    if not _damages(repair.faults):
         shutil.rmtree(broken, ignore_errors=True)
         return repair
     return repair._replace(original=broken)
 
 
-def _rewrite(copy: Path, files: list[Path], ros_distro: str) -> None:
+def _damages(faults: Sequence[str]) -> list[str]:
+    """Those of the faults that may have cost messages, or changed them."""
+    return [fault for fault in faults if not any(words in fault for words in _NOTHING_MORE)]
+
+
+def _rewrite(copy: Path, files: list[Path], repair: Repair, ros_distro: str) -> None:
+    damages = _damages(repair.faults)
     with SessionWriter(copy, ros_distro=ros_distro) as writer:
+        if damages:
+            writer.add_record(REPAIRED, {"faults": "; ".join(damages)})
         for number, file in enumerate(files):
             if number:
                 writer.split()
@@ -394,7 +411,9 @@ def _rewrite(copy: Path, files: list[Path], ros_distro: str) -> None:
             for topic in scan.topics:  # those without messages
                 writer.add_topic(topic)
             for name, values in scan.records.items():
-                if name != "rosbag2":
+                if name == REPAIRED and damages:
+                    writer.add_record(name, {"faults": "; ".join([*values.values(), *damages])})
+                elif name != "rosbag2":
                     writer.add_record(name, values)
 
 
@@ -402,7 +421,7 @@ def _compare(copy: Path, files: list[Path]) -> None:
     """Check that the copy is complete and has the messages of the original."""
     written = _files(copy)
     for new, old in zip_longest(messages_of(written), messages_of(files)):
-        if new != old:
+        if new is None or old is None or not new.is_sound or new != old._replace(is_sound=True):
             msg = f"session {copy.name}: the repaired copy differs from the original; nothing was changed"
             raise SessionError(msg)
     faults = _examine(copy, written).faults

@@ -89,7 +89,8 @@ def backtest_outputs(
         if len(kind.outputs) == 1 and len(kind.drives) == 1:
             terms = terms_from_files(session, config, candidates)
             own = work if portable(terms.settings.plant) else None
-            return (backtest(session, terms, choices, watch=watch, work=own),)
+            test = backtest(session, terms, choices, watch=watch, work=own)
+            return (replace(test, notes=(*session.missing, *test.notes)),)
         if config or candidates:
             raise BacktestError(
                 f"backtest: {kind.title} has several loops, and its twin is fitted to the session itself; "
@@ -97,7 +98,10 @@ def backtest_outputs(
             )
         from twinmatch.offline.channels import channel_health  # noqa: PLC0415 — plants with one loop need none
 
-        tests = backtest_each(session, kind, choices, watch=part_of(watch, 0, 2))
+        tests = tuple(
+            replace(test, notes=(*session.missing, *test.notes))
+            for test in backtest_each(session, kind, choices, watch=part_of(watch, 0, 2))
+        )
         try:
             health = channel_health(session, kind, watch=part_of(watch, 1, 2))
         except PlantError as error:
