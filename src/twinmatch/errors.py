@@ -9,25 +9,11 @@ exception is a bug and keeps its traceback.
 
 from __future__ import annotations
 
-import traceback
-from pathlib import Path
 from typing import ClassVar
 
 EXIT_USER_ERROR = 2
 EXIT_INTERRUPTED = 130
 """As shells say of a program that Ctrl-C ended."""
-
-
-def defect_words(error: Exception) -> str:
-    """A defect of this package in a sentence: which error it was, where it was raised, and what to do.
-
-    The place is the innermost line in this package, since it called a library wrongly.
-    """
-    package = Path(__file__).parent
-    lines = traceback.extract_tb(error.__traceback__)
-    ours = [line for line in lines if package in Path(line.filename).parents] or lines
-    place = f" at {Path(ours[-1].filename).name}:{ours[-1].lineno}" if ours else ""
-    return f"a defect of twinmatch ({type(error).__name__}{place}: {error}); please report it"
 
 
 class TwinmatchError(ValueError):

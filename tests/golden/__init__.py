@@ -30,7 +30,7 @@ from llvmlite.binding import get_host_cpu_name
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from tests.golden.sources import SOURCES, MissingSourceError, documents_of
-from twinmatch.twin.defects import DefectWarning
+from twinmatch.defects import DefectWarning
 
 __all__ = ["SOURCES", "MissingSourceError"]
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 
 from tests.support.steps import quarter_of_an_hour
+from twinmatch.defects import DefectWarning
 from twinmatch.launching.judging import Judged, Judging
 from twinmatch.signals import Sample
 from twinmatch.twin import Mirror, MirrorState, TwinSettings
-from twinmatch.twin.defects import DefectWarning
 
 
 def test_a_defect_in_what_is_shown_costs_no_verdict(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -15,12 +15,12 @@ from tests.support.nonsense import Nonsense, is_sound
 from tests.support.processes import Start
 from tests.support.ros import Listener
 from twinmatch.comparing import Verdict
+from twinmatch.defects import DefectWarning
 from twinmatch.nodes.messages import message_of, parameters_message, record_of, state_message
 from twinmatch.nodes.topics import EVERYTHING, LATCHED
 from twinmatch.plants import Peltier
 from twinmatch.signals import Sample
 from twinmatch.twin import Mirror, Outcome, TwinSettings, engine
-from twinmatch.twin.defects import DefectWarning
 from twinmatch.twin.knowledge import Knowledge
 from twinmatch_msgs.msg import (
     Candidate,

@@ -19,6 +19,7 @@ from tests.support.recorded import Change, write_judged
 from tests.support.steps import quarter_of_an_hour
 from twinmatch.cli import main
 from twinmatch.comparing import Verdict
+from twinmatch.defects import DefectWarning
 from twinmatch.offline.judging import Judgement, TermsError
 from twinmatch.offline.summary import summarise
 from twinmatch.offline.verification import VerifyError, verify_session
@@ -29,7 +30,6 @@ from twinmatch.sessions import SessionError, write_session
 from twinmatch.sessions.metadata import parameters_of, parameters_record
 from twinmatch.signals import Sample, stretches
 from twinmatch.twin import Outcome, Twin, TwinSettings, engine
-from twinmatch.twin.defects import DefectWarning
 from twinmatch.twin.knowledge import Knowledge
 
 pytestmark = pytest.mark.ros

@@ -10,12 +10,12 @@ import pytest
 
 from tests.support.steps import drive_lost, quarter_of_an_hour
 from twinmatch.comparing import TrustLevel, Verdict
+from twinmatch.defects import DefectWarning
 from twinmatch.errors import TwinmatchError
 from twinmatch.record import comparable, tree_of
 from twinmatch.showing.lines import line_text
 from twinmatch.signals import Sample
 from twinmatch.twin import Twin
-from twinmatch.twin.defects import DefectWarning
 
 BREAKS = 295
 """Sample from which on a part raises: the first match is due at sample 300."""

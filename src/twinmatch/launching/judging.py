@@ -9,11 +9,11 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from twinmatch.comparing import Candidate
+from twinmatch.defects import without_what_fails
 from twinmatch.forecasting import Forecast
 from twinmatch.links import Background
 from twinmatch.signals import Sample
 from twinmatch.twin import Mirror, MirrorState, Outcome, Snapshot, Twin, TwinSettings
-from twinmatch.twin.defects import without_what_fails
 
 _WAIT: Final = 0.2
 """Longest wait for a sample, s."""

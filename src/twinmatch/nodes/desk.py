@@ -9,7 +9,8 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any, Final
 
-from twinmatch.errors import TwinmatchError, defect_words
+from twinmatch.defects import defect_of
+from twinmatch.errors import TwinmatchError
 from twinmatch.nodes.node import Worker
 from twinmatch.nodes.samples import TwinNode
 from twinmatch.printing import one_line
@@ -85,7 +86,7 @@ class Desk:
         try:
             self._report_failure_of(job)
         except Exception as error:  # of the report itself
-            self._node.get_logger().error(defect_words(error))
+            self._node.get_logger().error(defect_of(error).sentence)
         finally:
             self._jobs.pop()
 
@@ -95,6 +96,6 @@ class Desk:
         except TwinmatchError as error:
             self.refuse(one_line(str(error)))
         except Exception as error:  # nothing that is asked ends a node
-            words = defect_words(error)
+            words = defect_of(error).sentence
             self._node.get_logger().error(words)
             self.refuse(one_line(words))

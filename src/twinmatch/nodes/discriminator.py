@@ -15,6 +15,7 @@ import numpy as np
 
 from twinmatch import twin
 from twinmatch.comparing import TrustLevel, Verdict
+from twinmatch.defects import without_what_fails
 from twinmatch.dynamics import PlantError
 from twinmatch.errors import TwinmatchError
 from twinmatch.forecasting import what_if
@@ -36,7 +37,6 @@ from twinmatch.parameters.candidates import candidates_in
 from twinmatch.safety import LawReport, TrialPhase, Turn
 from twinmatch.signals import Sample
 from twinmatch.twin import Discriminator, MatchReport, Snapshot, Step
-from twinmatch.twin.defects import without_what_fails
 from twinmatch_msgs import msg as messages
 from twinmatch_msgs.msg import (
     Candidate,

@@ -22,7 +22,8 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message
 
-from twinmatch.errors import TwinmatchError, defect_words
+from twinmatch.defects import defect_of
+from twinmatch.errors import TwinmatchError
 from twinmatch.nodes.cdr import serialized
 from twinmatch.nodes.expected import MESSAGES, MessageRules, check, check_readable
 from twinmatch.nodes.fields import Expected, MessageError
@@ -133,7 +134,7 @@ class Entrance:
                 self.refuse(name, str(error))
                 return _refuse(request, response, str(error))
             except Exception as error:  # nothing that is asked ends a node
-                words = defect_words(error)
+                words = defect_of(error).sentence
                 self._node.get_logger().error(f"{name}: {words}")
                 self.refuse(name, words)
                 return _refuse(request, response, words)

@@ -11,13 +11,13 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 from twinmatch.comparing import ADMITTED, REFUSED, Candidate, Verdict
+from twinmatch.defects import Defect, defect_of, log_once
 from twinmatch.errors import TwinmatchError
 from twinmatch.fitting import Status
 from twinmatch.fitting.match import not_determined
 from twinmatch.health import SLOW, Alarm, EstimatedReading, Health, HealthState, Monitor
 from twinmatch.signals import Sample, Signals, Window, point_values
 from twinmatch.twin.candidates import UNSCORED, CandidatePool
-from twinmatch.twin.defects import Defect, defect_of, log_once
 from twinmatch.twin.door import Door
 from twinmatch.twin.forecaster import Forecaster, Snapshot
 from twinmatch.twin.knowledge import Knowledge, MatchResult, no_verdict, verdict_of

@@ -18,10 +18,10 @@ from twinmatch.comparing import (
     Verdict,
     doubt_words,
 )
+from twinmatch.defects import Defect
 from twinmatch.dynamics import Parameters
 from twinmatch.health import SLOW, Fault, Health, HealthState
 from twinmatch.twin.candidates import FamilyScores
-from twinmatch.twin.defects import Defect
 from twinmatch.twin.mirror import Residuals
 from twinmatch.twin.trust import BandCheck
 

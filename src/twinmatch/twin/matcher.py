@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 from threadpoolctl import ThreadpoolController
 
+from twinmatch.defects import Defect, defect_of, log_once
 from twinmatch.dynamics import Parameters
 from twinmatch.errors import TwinmatchError
 from twinmatch.fitting import GateLimits, Match, Status, match
@@ -18,7 +19,6 @@ from twinmatch.fitting.lacks import LEFT, Lack, lack_of
 from twinmatch.fitting.match import explaining, usable_fit, without_fit
 from twinmatch.fitting.problem import LASTING
 from twinmatch.signals import OperatingPoint, Window
-from twinmatch.twin.defects import Defect, defect_of, log_once
 from twinmatch.twin.settings import TwinSettings
 
 _blas = cache(ThreadpoolController)

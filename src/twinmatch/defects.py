@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 
 from twinmatch.errors import TwinmatchError
 
-_PACKAGE: Final = Path(__file__).parents[1]
+_PACKAGE: Final = Path(__file__).parent
 _LONGEST: Final = 300
 """Characters of an error's message that are shown."""
 
@@ -39,6 +39,11 @@ class Defect(NamedTuple):
         path = Path(self.file)
         name = path.relative_to(_PACKAGE).as_posix() if path.is_relative_to(_PACKAGE) else path.name
         return f"{name}:{self.line}"
+
+    @property
+    def sentence(self) -> str:
+        """For who asked for what it has prevented."""
+        return f"a defect of twinmatch ({self}); please report it"
 
     def __str__(self) -> str:
         return f"{self.place}, {self.function}: {self.error}"
