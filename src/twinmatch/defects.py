@@ -35,7 +35,7 @@ class Defect(NamedTuple):
 
     @property
     def place(self) -> str:
-        """File and line; of a file of this package its path therein, which is the same on every machine."""
+        """File and line; of a file of this package its path within it, which is the same on every machine."""
         path = Path(self.file)
         name = path.relative_to(_PACKAGE).as_posix() if path.is_relative_to(_PACKAGE) else path.name
         return f"{name}:{self.line}"

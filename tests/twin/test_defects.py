@@ -1,4 +1,4 @@
-"""Whatever part of a verdict has a defect: the verdict says so, and the run goes on."""
+"""Whatever part of a verdict has a defect: the verdict says so, and the run continues."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def defective(verdicts: Sequence[Verdict]) -> list[Verdict]:
 
 
 @pytest.mark.parametrize("part", PARTS)
-def test_the_verdict_says_where_a_part_failed_and_the_run_goes_on(
+def test_the_verdict_says_where_a_part_failed_and_the_run_continues(
     part: str, samples: list[Sample], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     broken, twin = Broken(monkeypatch, part, ZeroDivisionError("a slip")), Twin()
@@ -135,7 +135,7 @@ def test_a_match_that_a_defect_prevents_is_refused_in_words(
     assert "ZeroDivisionError: a slip" in refused.reason
 
 
-def test_candidates_begin_anew_behind_a_sample_that_was_half_taken(
+def test_candidates_start_over_behind_a_sample_that_was_half_taken(
     samples: list[Sample], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """From then on they are those of a twin to which nothing was said before, bit for bit."""

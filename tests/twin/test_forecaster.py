@@ -226,7 +226,7 @@ def test_a_structure_leads_the_family_on_a_rig_that_has_it(judged: Judged) -> No
 
 
 def test_no_bands_are_compared_once_nobody_leads(samples: list[Sample]) -> None:
-    """What the last of the candidates has forecast is still kept; it is no leader's any longer."""
+    """What the last of the candidates has forecast is still kept; it belongs to a leader no longer."""
     forecaster = Forecaster(GAINS)
     forecaster.enter(given(truth=TRUTH))
     for sample in samples[:300]:

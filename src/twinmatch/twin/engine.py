@@ -70,7 +70,7 @@ class Discriminator:
     verdicts. A fault of the plant is reported immediately, by a verdict between the triggers.
 
     An error of this program's own ends no run: the verdict of that sample says what was raised and where, and
-    the part that raised it, whose state may be half changed, begins anew. The other parts continue as behind
+    the part that raised it, whose state may be half changed, starts over. The other parts continue as behind
     a lost sample.
     """
 
@@ -103,7 +103,7 @@ class Discriminator:
         self._recent: deque[Sample] = deque(maxlen=self.settings.schedule.stride)
         self._health: Health | None = None
         self._fault_before: Health | None = None
-        """The fault that was on when the monitor had to begin anew: nobody has seen its end."""
+        """The fault that was on when the monitor had to start over: nobody has seen its end."""
         self.defects: dict[str, Defect] = {}
         """Defects of this program that prevented verdicts, by their places."""
         self._fits: Future[None] | None = None
@@ -236,15 +236,15 @@ class Discriminator:
 
     @contextmanager
     def _replacing_defect(
-        self, verdicts: list[Verdict], sample: int, begin_anew: Callable[[], None]
+        self, verdicts: list[Verdict], sample: int, start_over: Callable[[], None]
     ) -> Iterator[None]:
-        """Run one part at a sample. If it raises what nobody outside can fix, the part begins anew, and a
+        """Run one part at a sample. If it raises what nobody outside can fix, the part starts over, and a
         verdict that says so takes the place of the one that could not be made."""
         try:
             yield
         except Exception as error:
             window = self._window_at(sample)
-            begin_anew()
+            start_over()
             defect = self._logged(error)
             if self._to_be_said(sample, defect):
                 verdicts.append(self._no_verdict(sample, window, defect))
@@ -267,8 +267,8 @@ class Discriminator:
         """Whether a verdict says so: of a defect at every sample, one in as many samples as lie between
         checks."""
         before = self._recurring
-        goes_on = before is not None and (before.place, before.newest) == (defect.place, sample - 1)
-        said = before.said if before is not None and goes_on else None
+        lasting = before is not None and (before.place, before.newest) == (defect.place, sample - 1)
+        said = before.said if before is not None and lasting else None
         due = said is None or sample - said >= self.settings.schedule.stride
         self._recurring = _Recurring(defect.place, sample if said is None or due else said, sample)
         return due
@@ -403,7 +403,7 @@ class Discriminator:
             return verdict
 
     def _told(self, known: Knowledge) -> Verdict:
-        """The verdict of what is known; nothing has to begin anew if a defect prevents only this."""
+        """The verdict of what is known; nothing has to start over if a defect prevents only this."""
         try:
             verdict = verdict_of(known)
         except Exception as error:
