@@ -368,7 +368,7 @@ def _examine(folder: Path, files: list[Path]) -> Repair:
 
 
 def _is_own(scan: Scan) -> bool:
-    """Whether a file is one of ours, or its damage may hide that: the original is kept then."""
+    """Whether twinmatch wrote a file, or its damage may hide that: the original is kept then."""
     alike = sum(a == b for a, b in zip(scan.library, LIBRARY, strict=False))
     return scan.library == LIBRARY or (scan.is_damaged and (not scan.library or alike > len(LIBRARY) // 2))
 

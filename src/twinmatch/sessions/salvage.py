@@ -174,7 +174,7 @@ def _rising(places: Sequence[int], samples: Mapping[int, Sample], above: int, be
 
 
 def _usual_period(samples: Sequence[Sample]) -> float:
-    """The median time from one index to the next, ns; 1 s if it cannot be told."""
+    """The median time from one index to the next, ns; 1 s if it cannot be determined."""
     steps = [
         (after.stamp - before.stamp) / (after.index - before.index)
         for before, after in pairwise(samples)

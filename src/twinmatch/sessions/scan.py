@@ -6,9 +6,9 @@ iterates over the records; the `mcap` library parses each. A record is read comp
 each chunk is checked against its CRC and unpacked only up to a limit, since some kilobytes may unpack to
 gigabytes.
 
-Reading goes on after a fault: with the next record that can be recognised, and in a chunk with a wrong
-checksum as far as its messages can be told apart. These are marked, since their content may be wrong. Topics
-whose definition is lost in the data are taken from the summary.
+Reading continues after a fault: with the next record that can be recognised, and in a chunk with a wrong
+checksum as far as its messages can be distinguished. These are marked, since their content may be wrong.
+Topics whose definition is lost in the data are taken from the summary.
 """
 
 from __future__ import annotations
@@ -172,7 +172,7 @@ class Scan:
 
     def _chunk(self, record: Record, walk: Walk, file: BinaryIO) -> Iterator[Message]:
         """The messages of a chunk; those of one that is not compressed and cannot be checked are left to the
-        walk, which goes on within it."""
+        walk, which continues within it."""
         self._is_sound = True
         try:
             chunk = self._open(record)
