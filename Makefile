@@ -62,7 +62,7 @@ setup: $(STAMPS)/messages $(STAMPS)/compiled
 setup-test: $(STAMPS)/test
 	@$(MAKE) --no-print-directory -j2 setup debian-tools
 
-debian-tools: $(addprefix $(STAMPS)/,board browser workspace)
+debian-tools: $(addprefix $(STAMPS)/,board broker browser workspace)
 	@:
 
 test: setup-test
@@ -152,12 +152,13 @@ $(STAMPS)/peers: $(STAMPS)/test
 	@$(INSTALL) --editable '.[$(ROS_EXTRA),test,bench]'
 	@touch $@
 
-$(STAMPS)/board $(STAMPS)/browser $(STAMPS)/workspace: .ci/debian_tools.sh | $(STAMPS)/venv
+$(STAMPS)/board $(STAMPS)/broker $(STAMPS)/browser $(STAMPS)/workspace: .ci/debian_tools.sh | $(STAMPS)/venv
 	@sh .ci/debian_tools.sh $(@F)
 	@touch $@
 
 # apt-get installs for one at a time.
-$(STAMPS)/browser: | $(STAMPS)/board
+$(STAMPS)/broker: | $(STAMPS)/board
+$(STAMPS)/browser: | $(STAMPS)/broker
 $(STAMPS)/workspace: | $(STAMPS)/browser
 
 # The plants' equations and numba's machine code are cached: no first run has to wait.

@@ -1,5 +1,5 @@
 #!/bin/sh
-# debian_tools.sh board|browser|workspace: some tests need Debian packages. Install them where that is possible
+# debian_tools.sh board|broker|browser|workspace: some tests need Debian packages. Install them where that is possible
 # without asking; otherwise say in one line what will be missing. Never fails: everything else works without them.
 have() { for name in "$@"; do command -v "$name" >/dev/null 2>&1 || [ -e "$name" ] || return 1; done; }
 case $1 in
@@ -7,6 +7,11 @@ board)
     packages="gcc-avr avr-libc arduino-core-avr libsimavr-dev libelf-dev"
     use="the tools of the simulated Arduino" missing="the Arduino is a Python stand-in, and some tests are skipped"
     have avr-gcc /usr/include/simavr/sim_avr.h && exit 0
+    ;;
+broker)
+    packages="mosquitto"
+    use="a second MQTT broker" missing="MQTT is tried with one broker only"
+    PATH=$PATH:/usr/sbin have mosquitto && exit 0
     ;;
 browser)
     packages="chromium chromium-driver"
@@ -20,7 +25,7 @@ workspace)
     have colcon $python/colcon_ros $python/colcon_package_information /usr/share/ament_cmake/cmake && exit 0
     ;;
 *)
-    echo "debian_tools.sh: $1: board, browser or workspace" >&2
+    echo "debian_tools.sh: $1: board, broker, browser or workspace" >&2
     exit 2
     ;;
 esac
@@ -28,7 +33,8 @@ log=$(mktemp)
 trap 'rm -f "$log"' EXIT
 if [ "$(id -u)" = 0 ] && command -v apt-get >/dev/null 2>&1; then
     echo "setup: installing $use ($packages)"
-    { apt-get update && DEBIAN_FRONTEND=noninteractive apt-get install -y --no-install-recommends $packages; } \
+    # In the runlevel of a single user no service is started: a broker on the usual port might be in the way.
+    { apt-get update && RUNLEVEL=1 DEBIAN_FRONTEND=noninteractive apt-get install -y --no-install-recommends $packages; } \
         >"$log" 2>&1 && exit 0
 fi
 echo "setup: without $packages (Debian packages) $missing"

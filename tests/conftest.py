@@ -8,7 +8,7 @@ import math
 import os
 import signal
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +17,8 @@ import scipy.io
 from hypothesis import settings
 from xdist.scheduler import LoadFileScheduling
 
-from tests.support.places import OTHERS, RECORDINGS, TESTS, remove_temporary_folders
+from tests.support.durations import Cost, Costs, files_that_grew, processor_seconds
+from tests.support.places import OTHERS, PROJECT, RECORDINGS, TESTS, remove_temporary_folders
 from twinmatch.cli.shared import Progress
 from twinmatch.fmu import is_fmu
 from twinmatch.plants import PLANTS
@@ -44,8 +45,58 @@ TOGETHER = (
 )
 """Files that share what takes long to make, by how their paths begin: one worker runs them all."""
 
+TOOK = PROJECT / "build" / "durations.json"
+"""What each test of the last run took."""
+STORED = TESTS / "durations.json"
+"""What each test of the stored run took; `--store-durations` stores a run."""
+SLOWEST = 10
+"""Files that are listed at the end of a run."""
+
 settings.register_profile("repeatable", derandomize=True, deadline=None, max_examples=40)
 settings.load_profile("repeatable")
+
+
+class Durations:
+    """Collects what each test takes; a worker measures, the process that reports adds up."""
+
+    def __init__(self) -> None:
+        self.costs = Costs()
+        self._computed_before = processor_seconds()
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_makereport(self) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+        report = yield
+        computed = processor_seconds()
+        report.computed = computed - self._computed_before  # type: ignore[attr-defined]  # travels with it
+        self._computed_before = computed
+        return report
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        self.costs.add(report.nodeid, Cost(report.duration, report.computed))  # type: ignore[attr-defined]
+
+    def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
+        """The slowest files, and what has changed since the stored run."""
+        if not self.costs.by_test:
+            return
+        self.costs.write(TOOK)
+        if terminalreporter.config.getoption("store_durations"):
+            self.costs.write(STORED)
+        files = self.costs.by_file()
+        terminalreporter.section("what took longest (clock, processors)")
+        for name, cost in list(files.items())[:SLOWEST]:
+            terminalreporter.line(f"{cost.waited:7.1f} s {cost.computed:7.1f} s  {name}")
+        for line in files_that_grew(Costs.read(STORED).by_file(), files):
+            terminalreporter.line(f"grown: {line}")
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--store-durations", action="store_true", help="keep what each test takes as tests/durations.json"
+    )
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.pluginmanager.register(Durations())
 
 
 def pytest_xdist_auto_num_workers() -> int:
