@@ -37,7 +37,7 @@ unexport PYTHONDONTWRITEBYTECODE
 INSTALL := $(if $(NEWEST),,CONSTRAINTS=$(TESTED)) sh .ci/install.sh $(RUN)
 VERSIONS := $(STAMPS)/versions-$(if $(NEWEST),newest,tested)
 
-.PHONY: help setup setup-test debian-tools test check demo bench docs dist pythons constraints clean
+.PHONY: help setup setup-test debian-tools test test-long check demo bench docs dist pythons constraints clean
 .DELETE_ON_ERROR:
 
 help:
@@ -46,6 +46,7 @@ help:
 	@echo "                          today instead of the tested versions in constraints/)"
 	@echo "make setup-test           setup, then the tools of the tests: a browser, the simulated Arduino, colcon"
 	@echo "make test                 setup-test, then every check and test (PYTEST_ARGS='tests/plants -x' picks some)"
+	@echo "make test-long            setup-test, then the few tests that take long: endurance, other installations"
 	@echo "make check                setup-test, then only ruff, mypy and import-linter"
 	@echo "make demo                 setup, then run the live graph on a virtual rig (SESSION=path plays a session instead)"
 	@echo "make bench                setup and the peers, then compare speeds (BENCH_ARGS='--quick nu_gap' picks)"
@@ -66,7 +67,10 @@ debian-tools: $(addprefix $(STAMPS)/,board broker browser workspace)
 	@:
 
 test: setup-test
-	$(RUN) -m pytest $(PYTEST_ARGS)
+	$(RUN) -m pytest -m "not long" $(PYTEST_ARGS)
+
+test-long: setup-test
+	$(RUN) -m pytest -m long $(PYTEST_ARGS)
 
 check: setup-test
 	$(RUN) -m pytest -q tests/packaging/test_house.py

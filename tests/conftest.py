@@ -52,6 +52,9 @@ STORED = TESTS / "durations.json"
 SLOWEST = 10
 """Files that are listed at the end of a run."""
 
+LONG_TESTS = 40
+"""How many tests `make test` may leave to `make test-long`."""
+
 settings.register_profile("repeatable", derandomize=True, deadline=None, max_examples=40)
 settings.load_profile("repeatable")
 
@@ -106,8 +109,20 @@ def pytest_xdist_auto_num_workers() -> int:
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """What waits begins first; the order within a folder stays."""
+    long_tests = [item for item in items if item.get_closest_marker("long") is not None]
+    if len(long_tests) > LONG_TESTS:
+        raise pytest.UsageError(f"{len(long_tests)} tests are marked long; at most {LONG_TESTS} may be")
+    for item in long_tests:
+        if not reason_of(item):
+            raise pytest.UsageError(f"{item.nodeid}: say why it is long: @pytest.mark.long('…')")
     folders = {name: place for place, name in enumerate(FIRST)}
     items.sort(key=lambda item: folders.get(item.path.relative_to(TESTS).parts[0], len(FIRST)))
+
+
+def reason_of(item: pytest.Item) -> str:
+    """Why a test is marked long."""
+    marker = item.get_closest_marker("long")
+    return str(marker.args[0]) if marker is not None and marker.args else ""
 
 
 def pytest_collection_finish() -> None:

@@ -14,9 +14,10 @@ from types import ModuleType
 import pytest
 
 MISSING = [name for name in ("sphinx", "myst_nb", "furo") if importlib.util.find_spec(name) is None]
-pytestmark = pytest.mark.skipif(
-    bool(MISSING), reason=f"{MISSING} not installed; they are in the extra 'docs'"
-)
+pytestmark = [
+    pytest.mark.skipif(bool(MISSING), reason=f"{MISSING} not installed; they are in the extra 'docs'"),
+    pytest.mark.long("builds the whole site, and runs its notebook"),
+]
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 BUILD = """
@@ -59,9 +60,9 @@ def test_every_page_is_there(site: Path) -> None:
     assert "orphan" not in "".join(page.read_text("utf-8")[:200] for page in pages)
 
 
-@pytest.mark.parametrize("room", ROOMS)
-def test_the_api_has_every_class_and_function_that_a_room_offers(site: Path, room: str) -> None:
-    """A page names the modules that it describes: a room, or those files of it that others import from."""
+def described_and_offered(site: Path, room: str) -> tuple[set[str], set[str]]:
+    """Classes and functions on a room's page, and those of the modules that the page names: a room, or those
+    files of it that others import from."""
     modules = re.findall(r"automodule:: (\S+)", (DOCS / "api" / f"{room}.md").read_text("utf-8"))
     page = html.unescape((site / "api" / f"{room}.html").read_text("utf-8"))
     described = set(re.findall(r'id="(twinmatch\.[\w.]+)"', page))
@@ -71,8 +72,14 @@ def test_the_api_has_every_class_and_function_that_a_room_offers(site: Path, roo
         for name, it in vars(importlib.import_module(module)).items()
         if is_public(importlib.import_module(module), name, it)
     }
-    assert offered
-    assert offered <= described
+    return described, offered
+
+
+def test_the_api_has_every_class_and_function_that_a_room_offers(site: Path) -> None:
+    for room in ROOMS:
+        described, offered = described_and_offered(site, room)
+        assert offered, room
+        assert offered <= described, room
 
 
 def test_the_notebook_shows_what_it_found(site: Path) -> None:

@@ -26,6 +26,8 @@ HOT_END, ROOM, CELL, PLATE = (
     PROJECT / "docs" / f"{name}.md" for name in ("hot_end", "room", "cell", "uniformity")
 )
 
+WHOLE_PAGE = "every command of a page, with hours or days of its plant"
+
 
 def commands(page: Path) -> list[list[str]]:
     blocks = re.findall(r"^```console\n(.*?)^```", page.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
@@ -58,7 +60,7 @@ def followed(page: Path, folder: Path) -> list[tuple[list[str], int, str]]:
     return said
 
 
-@pytest.mark.slow
+@pytest.mark.long(WHOLE_PAGE)
 def test_a_lead_that_breaks_has_its_name_in_the_last_line(tmp_path: Path) -> None:
     """And what the twin was before is what the page's table was made with."""
     said = followed(HOT_END, tmp_path)
@@ -73,7 +75,7 @@ def test_a_lead_that_breaks_has_its_name_in_the_last_line(tmp_path: Path) -> Non
     assert {name: float(value) for name, value in found.items()} == pytest.approx(wanted, rel=0.05)
 
 
-@pytest.mark.slow
+@pytest.mark.long(WHOLE_PAGE)
 def test_a_room_lacks_a_store_and_then_names_an_open_window(tmp_path: Path) -> None:
     (_, lacking, asked), *others = followed(ROOM, tmp_path)
     assert lacking == 1
@@ -86,7 +88,7 @@ def test_a_room_lacks_a_store_and_then_names_an_open_window(tmp_path: Path) -> N
     assert {name: float(value) for name, value in found.items()} == pytest.approx(wanted, rel=0.1)
 
 
-@pytest.mark.slow
+@pytest.mark.long(WHOLE_PAGE)
 def test_a_contactor_that_opens_under_a_cell_is_a_lost_drive(tmp_path: Path) -> None:
     """Named within a minute; and what the cell was before comes out as it went in."""
     said = followed(CELL, tmp_path)
@@ -101,7 +103,7 @@ def test_a_contactor_that_opens_under_a_cell_is_a_lost_drive(tmp_path: Path) -> 
     assert {name: float(value) for name, value in found.items()} == pytest.approx(wanted, rel=0.05)
 
 
-@pytest.mark.slow
+@pytest.mark.long(WHOLE_PAGE)
 def test_a_heater_that_comes_loose_under_an_even_plate_is_named(tmp_path: Path) -> None:
     """What is said before is what the page quotes; afterwards 0.6 of the right heater's power is left."""
     said = followed(PLATE, tmp_path)
@@ -119,7 +121,6 @@ def test_a_heater_that_comes_loose_under_an_even_plate_is_named(tmp_path: Path) 
     assert int(since[1]) == begins
 
 
-@pytest.mark.slow
 def test_the_page_leads_from_a_table_to_a_verdict(tmp_path: Path) -> None:
     said = followed(PAGE, tmp_path)
     looked = [(code, text) for arguments, code, text in said if "--data" in arguments]

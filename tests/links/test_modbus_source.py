@@ -591,7 +591,6 @@ def test_requests_have_what_is_wanted_and_nothing_else(wanted: list[tuple[str, i
     assert runs <= len(requests) <= runs + len(addresses) // 100
 
 
-@pytest.mark.slow
 def test_the_page_leads_from_a_plc_to_a_verdict(tmp_path: Path) -> None:
     page = (PROJECT / "docs" / "modbus.md").read_text("utf-8").replace("5020", str(free_port()))
     [program] = re.findall(r"^```python plc\.py\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)

@@ -22,7 +22,7 @@ from twinmatch.signals import Sample
 from twinmatch.twin import Outcome
 from twinmatch_msgs.msg import Forecast, Match, ModelScore, TwinState
 
-pytestmark = [pytest.mark.ros, pytest.mark.slow]
+pytestmark = [pytest.mark.ros, pytest.mark.long("processes are killed or stand still, again and again")]
 
 
 LENGTH = 700

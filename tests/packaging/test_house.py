@@ -20,7 +20,7 @@ TOOLS = Path(sys.executable).parent
     [
         pytest.param(["ruff", "check", "."], id="ruff"),
         pytest.param(["ruff", "format", "--check", "."], id="format"),
-        pytest.param(["mypy"], id="types"),
+        pytest.param(["mypy"], id="types", marks=pytest.mark.long("the types of everything")),
         pytest.param(["lint-imports"], id="layers"),
     ],
 )

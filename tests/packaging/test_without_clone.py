@@ -25,7 +25,7 @@ from tests.support.places import PROJECT
 from tests.support.processes import Processes
 from tests.support.waiting import PATIENCE
 
-pytestmark = [pytest.mark.ros, pytest.mark.slow]
+pytestmark = [pytest.mark.ros, pytest.mark.long("builds wheels and installs them in another environment")]
 
 
 PATIENT = 4 * PATIENCE  # kernels may be compiled first

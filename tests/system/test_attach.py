@@ -49,7 +49,6 @@ def missed(samples: list[LoopSample]) -> list[int]:
     return [b.index for a, b in pairwise(samples) if b.index != a.index + 1]
 
 
-@pytest.mark.slow
 def test_from_the_topics_of_a_foreign_rig_to_verdicts_that_verify(
     processes: Processes, attach: Callable[..., Process], tmp_path: Path
 ) -> None:
@@ -89,7 +88,6 @@ def test_from_the_topics_of_a_foreign_rig_to_verdicts_that_verify(
     assert found_again.identical, found_again.difference
 
 
-@pytest.mark.slow
 def test_without_a_set_point_the_twin_is_driven_and_the_session_says_so(
     processes: Processes, attach: Callable[..., Process], tmp_path: Path
 ) -> None:

@@ -36,7 +36,6 @@ def shell(processes: Processes, folder: Path, line: str) -> Process:
     return processes.start("bash", "-c", f"exec {text}", environment=environment, folder=folder)
 
 
-@pytest.mark.slow
 def test_the_page_leads_from_a_rig_to_a_verdict_and_through_a_bag(
     processes: Processes, tmp_path: Path
 ) -> None:

@@ -71,7 +71,6 @@ def samples_in(folder: Path) -> int:
     return len(read_session(folder).samples)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_page_leads_from_a_room_to_a_verdict_without_ros(
     kind: str, tmp_path: Path, processes: Processes
@@ -103,7 +102,6 @@ def test_the_page_leads_from_a_room_to_a_verdict_without_ros(
     home.broker.close()
 
 
-@pytest.mark.slow
 @pytest.mark.ros
 def test_where_ros_is_installed_the_graph_listens_to_the_broker(home: Home) -> None:
     pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup")

@@ -133,7 +133,7 @@ def busy(loops: int) -> Iterator[None]:
             process.wait()
 
 
-@pytest.mark.slow
+@pytest.mark.long("a run beside programs that take all the time there is")
 def test_a_busy_machine_and_suspended_processes_cost_nothing_but_time(
     live_run: Callable[..., LiveRun],
 ) -> None:
@@ -172,7 +172,7 @@ def test_a_busy_machine_and_suspended_processes_cost_nothing_but_time(
     )
 
 
-@pytest.mark.slow
+@pytest.mark.long("every process of a run is killed, one after the other")
 def test_processes_are_restarted_and_without_the_rig_the_output_is_off(
     live_run: Callable[..., LiveRun], processes: Processes
 ) -> None:
@@ -250,7 +250,6 @@ def forge_samples(listener: Listener) -> int:
     return int(heard[-1].index)
 
 
-@pytest.mark.slow
 def test_a_forged_clock_costs_the_drive_until_its_fault_is_cleared_and_forged_samples_are_doubted(
     live_run: Callable[..., LiveRun],
 ) -> None:
@@ -291,7 +290,6 @@ def test_a_forged_clock_costs_the_drive_until_its_fault_is_cleared_and_forged_sa
     assert "controller and listener" in " ".join(doubted)
 
 
-@pytest.mark.slow
 def test_an_operator_may_drive_without_a_session_and_without_the_virtual_rig_the_run_ends(
     live_run: Callable[..., LiveRun], tmp_path: Path
 ) -> None:
@@ -305,7 +303,6 @@ def test_an_operator_may_drive_without_a_session_and_without_the_virtual_rig_the
     assert "recorded: " not in run.text
 
 
-@pytest.mark.slow
 def test_a_folder_that_cannot_be_written_is_said_before_anything_is_driven(
     live_run: Callable[..., LiveRun], tmp_path: Path
 ) -> None:
@@ -331,7 +328,6 @@ def whole(session: Path) -> int:
     return len(kept)
 
 
-@pytest.mark.slow
 def test_a_disk_that_fills_up_ends_the_run(live_run: Callable[..., LiveRun], tmp_path: Path) -> None:
     with small_disk(tmp_path / "disk", 64_000) as disk:
         run = live_run(disk=disk, ends=False)
@@ -343,7 +339,6 @@ def test_a_disk_that_fills_up_ends_the_run(live_run: Callable[..., LiveRun], tmp
     assert "ended: recorder can no longer write the session" in run.text
 
 
-@pytest.mark.slow
 def test_without_a_disk_the_operator_may_drive_on_and_a_camera_whose_readings_fall_ends_the_heat(
     live_run: Callable[..., LiveRun], tmp_path: Path
 ) -> None:

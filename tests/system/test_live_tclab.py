@@ -27,7 +27,6 @@ from twinmatch.sessions import read_session
 LIVE = LAUNCH_SCRIPTS / "live.py"
 
 
-@pytest.mark.slow
 def test_a_heater_that_is_lost_is_reported_and_the_session_verifies(
     processes: Processes, tmp_path: Path
 ) -> None:

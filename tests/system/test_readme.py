@@ -104,7 +104,8 @@ RUNS = {
 }
 MAKES = {
     "make demo": "launch_scripts/demo.py",
-    "make test": "-m pytest",
+    "make test": '-m "not long"',
+    "make test-long": "-m long",
     "make demo SESSION=path": "launch_scripts/demo.py path",
     "make docs": "-m sphinx",
 }
@@ -245,7 +246,6 @@ def tank_session(folder: Path, tank: None, processes: Processes) -> None:  # noq
     run(command, Runs("samples"), folder, processes)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("command", RUNS)
 def test_it_runs_as_it_stands_there(
     command: str, folder: Path, processes: Processes, request: pytest.FixtureRequest
@@ -257,7 +257,7 @@ def test_it_runs_as_it_stands_there(
     run(command, RUNS[command], folder, processes)
 
 
-@pytest.mark.slow
+@pytest.mark.long("two whole demonstrations, one after the other")
 def test_the_demo_ends_with_a_report_and_a_second_one_starts_from_it(
     folder: Path, processes: Processes
 ) -> None:

@@ -223,7 +223,6 @@ def test_the_gap_goes_with_how_differently_two_candidates_behave(hours: list[Hou
     assert gaps.max() < 0.9
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("number", [2, 20])
 def test_the_leader_beats_everybody(number: int, hour: Callable[[int], Hour]) -> None:
     """Over five minutes: a smaller error than any peer, near the best twin, an honest band."""

@@ -13,7 +13,7 @@ import pytest
 from tests.support.places import SHIPPED
 from twinmatch.twin import Outcome
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.long("judges the same hours in one, two and four threads")
 
 SAMPLES = 1000
 

@@ -18,7 +18,7 @@ from tests.system.subscribers.keeping import key_of, locked
 from tests.system.subscribers.wheels_shim import write_parser, write_shim
 from twinmatch.sessions import read_session
 
-pytestmark = [pytest.mark.ros, pytest.mark.slow]
+pytestmark = [pytest.mark.ros, pytest.mark.long("builds a colcon workspace with all messages")]
 
 HERE = Path(__file__).resolve().parent
 IGNORED = shutil.ignore_patterns("__pycache__", "build", "*.egg-info", "twinmatch_msgs")

@@ -14,7 +14,7 @@ import pytest
 from tests.system.subscribers.keeping import depends_on, key_of, locked
 from twinmatch.sessions import read_session, write_session
 
-pytestmark = [pytest.mark.ros, pytest.mark.slow]
+pytestmark = [pytest.mark.ros, pytest.mark.long("installs another environment and builds the messages in it")]
 
 NO_NETWORK = ("NewConnectionError", "Temporary failure in name resolution", "Network is unreachable")
 OPTIONS = ("--quiet", "--disable-pip-version-check", "--prefer-binary", "--progress-bar", "off")

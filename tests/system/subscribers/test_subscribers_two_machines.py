@@ -11,7 +11,7 @@ import pytest
 
 from tests.support.waiting import PATIENCE
 
-pytestmark = [pytest.mark.ros, pytest.mark.slow]
+pytestmark = pytest.mark.ros
 
 HERE = Path(__file__).resolve().parent
 UNSHARE = ("unshare", "--map-root-user", "--net", "--mount")
