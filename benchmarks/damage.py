@@ -4,9 +4,9 @@
 
 Every file of 600 samples is damaged in one of eight ways. Of the samples that are in it unchanged, the table
 counts those that plain readers find (plain), those that a session has (ours), and how many these lack
-(fewer); then files that are called complete although a strict reader refuses them (complete), sessions in which a
-repair loses a sample that was read (repaired), tracebacks, and calls of more than ten seconds of processor
-time (slow).
+(fewer); then files that are called complete although a strict reader refuses them (complete), sessions in
+which a repair loses a sample that was read (repaired), tracebacks, and calls of more than ten seconds of
+processor time (slow).
 """
 
 from __future__ import annotations
