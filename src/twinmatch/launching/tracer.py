@@ -1,9 +1,9 @@
-"""The tracer that ROS loads, LTTng, hears of forks.
+"""The tracer that ROS loads, LTTng, is notified of forks.
 
-It has threads of its own, and a fork takes none of them along. Unaware of the fork, the tracer cancels them all the
-same when the new process ends. Once the C library has given the memory of their stacks back, which depends
+It has threads of its own, and a fork takes none of them along. Unaware of the fork, the tracer cancels them all
+the same when the new process ends. Once the C library has given the memory of their stacks back, which depends
 on how many other threads have ended before, that is signal 11 after all work was done; before, it may be
-another thread that has one of these stacks now. One that hears of the fork starts its threads again.
+another thread that has one of these stacks now. A tracer that is notified starts its threads again.
 """
 
 from __future__ import annotations
