@@ -1,7 +1,7 @@
 """The tracer that ROS loads, LTTng, is notified of forks.
 
-It has threads of its own, and a fork takes none of them along. Unaware of the fork, the tracer cancels them all
-the same when the new process ends. Once the C library has given the memory of their stacks back, which depends
+It has threads of its own, and a fork takes none of them along. Unaware of the fork, the tracer cancels all
+of them when the new process ends. Once the C library has freed their stacks, which depends
 on how many other threads have ended before, that is signal 11 after all work was done; before, it may be
 another thread that has one of these stacks now. A tracer that is notified starts its threads again.
 """
