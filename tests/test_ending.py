@@ -13,7 +13,7 @@ def test_parts_end_in_order() -> None:
     assert ended == [1, 2, 3]
 
 
-def test_a_part_that_has_not_ended_is_told_and_the_others_end() -> None:
+def test_a_part_that_has_not_ended_is_reported_and_the_others_end() -> None:
     ended: list[int] = []
     assert not end_in_order(lambda: True, lambda: False, lambda: ended.append(3))
     assert ended == [3]

@@ -90,7 +90,7 @@ def test_without_a_home_nothing_is_left_in_the_temporary_folder(
     assert not list(temporary.iterdir())
 
 
-def test_a_part_that_fails_at_the_end_is_told_and_the_rest_ends(start_script: Start) -> None:
+def test_a_part_that_fails_at_the_end_is_reported_and_the_rest_ends(start_script: Start) -> None:
     others = set(Path("/dev/shm").glob("fastrtps_*"))
     process = start_script(program(closing="1 / 0"))
     process.said("^up$")

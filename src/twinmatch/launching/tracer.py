@@ -1,9 +1,9 @@
-"""The tracer that ROS loads, LTTng, is told of forks.
+"""The tracer that ROS loads, LTTng, is notified of forks.
 
-It has threads of its own, and a fork takes none of them along. A tracer that is not told cancels them all the
-same when the new process ends. Once the C library has given the memory of their stacks back, which depends
+It has threads of its own, and a fork takes none of them along. Unaware of the fork, the tracer cancels all
+of them when the new process ends. Once the C library has freed their stacks, which depends
 on how many other threads have ended before, that is signal 11 after all work was done; before, it may be
-another thread that has one of these stacks now. One that is told starts its threads anew.
+another thread that has one of these stacks now. A tracer that is notified starts its threads again.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _SIGNAL_SET: Final = 128
 
 
 def tell_tracer_of_forks() -> bool:
-    """Let each `os.fork` of this process, and of those forked from it, be told to the tracer.
+    """Let each `os.fork` of this process, and of those forked from it, be reported to the tracer.
 
     To be called once, after ROS was imported.
 
