@@ -282,8 +282,12 @@ def test_a_gap_splits_a_bag_and_the_twin_judges_both_parts(tmp_path: Path, plant
 
 @pytest.mark.parametrize(
     ("storage", "damage"),
-    [(storage, damage) for storage in BOTH for damage in ("empty", "no beginning")]
-    + [(StoragePlugin.SQLITE3, "half")],
+    [
+        (StoragePlugin.MCAP, "empty"),
+        (StoragePlugin.SQLITE3, "empty"),
+        (StoragePlugin.SQLITE3, "no beginning"),
+        (StoragePlugin.SQLITE3, "half"),
+    ],
 )
 def test_a_damaged_bag_is_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], storage: StoragePlugin, damage: str
@@ -296,6 +300,19 @@ def test_a_damaged_bag_is_one_line(
     assert main(["import", str(source), "--list"]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert file.name in line
+
+
+def test_a_bag_without_its_beginning_is_read_and_says_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of MCAP, whose records can be found anywhere in a file."""
+    source = bag(tmp_path / "bag", StoragePlugin.MCAP, messages())
+    file = stored(source)
+    file.write_bytes(b"\0" * 1000 + file.read_bytes()[1000:])
+    assert main(["import", str(source), "--list"]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert f"{file.name}: the file is damaged: its first bytes are wrong" in said
+    assert "/rack" in said
 
 
 def test_our_own_session_is_a_bag_like_any_other(tmp_path: Path, plant: Path) -> None:

@@ -376,12 +376,15 @@ RIGHT = bytes((3, 4, 0, 1, 0, 2))
         (lambda r: framed(r, bytes((3, 4, 0, 1, 0, 2, 0))), "states 4 and has 5 bytes of values, not 4"),
         (lambda r: framed(r, bytes((3, 2, 0, 1))), "states 2 and has 2 bytes of values, not 4"),
         (lambda r: framed(r, bytes((3,))), "has 0 bytes of values, not 4"),
-        (lambda r: framed(r, RIGHT, unit=2), "what came is damaged, or answers another request: "),
-        (lambda r: framed(r, RIGHT, transaction=1), "what came is damaged, or answers another request: "),
-        (lambda r: framed(r, RIGHT, transaction=-1), "what came is damaged, or answers another request: "),
-        (lambda r: framed(r, RIGHT, longer=1), "what came is damaged, or answers another request: "),
+        (lambda r: framed(r, RIGHT, unit=2), "the answer is damaged, or belongs to another"),
+        (lambda r: framed(r, RIGHT, transaction=1), "the answer is damaged, or belongs to another"),
+        (
+            lambda r: framed(r, RIGHT, transaction=-1),
+            "the answer is damaged, or belongs to another",
+        ),
+        (lambda r: framed(r, RIGHT, longer=1), "the answer is damaged, or belongs to another"),
         (lambda r: framed(r, RIGHT, longer=-1), "states 4 and has 3 bytes of values, not 4"),
-        (lambda r: framed(r, bytes((0x55, 4, 0, 1, 0, 2))), "what came is damaged, or answers another"),
+        (lambda r: framed(r, bytes((0x55, 4, 0, 1, 0, 2))), "the answer is damaged, or belongs to another"),
     ],
 )
 def test_what_answers_another_request_is_not_taken_as_values(

@@ -39,7 +39,9 @@ def test_live_verdicts_and_estimates_of_several_signals_are_the_offline_ones(
     states = listener.hear(TwinState, "twin/state", EVERYTHING)
     assert not listener.health
     start_process("twin", "-p", "plant:=tclab-both", "-p", "loop:=unknown")
-    listener.wait_for_nodes("twin/match", "twin/match_request", "twin/model_score", "twin/state")
+    listener.wait_for_nodes(
+        "twin/match", "twin/match_request", "twin/model_score", "twin/state", readers=2
+    )  # twin simulator and discriminator
     listener.send(steps)
     verdicts = [verdict for outcome in offline for verdict in outcome.verdicts]
     listener.spin_until(lambda: len(heard) == len(verdicts) and len(states) == len(steps), "the last verdict")

@@ -71,12 +71,14 @@ class Listener:
         for sample in samples:
             self.samples.publish(sample_message(sample))
 
-    def wait_for_nodes(self, *topics: str) -> None:
-        """Until somebody reads the samples and each of these topics has a publisher."""
-        self.spin_until(
-            lambda: self.samples.get_subscription_count() and all(map(self.node.count_publishers, topics)),
-            "the nodes",
-        )
+    def wait_for_nodes(self, *topics: str, readers: int = 1) -> None:
+        """Until so many nodes read the samples and each of these topics has a publisher."""
+
+        def are_there() -> bool:
+            reading = self.samples.get_subscription_count() >= readers
+            return reading and all(map(self.node.count_publishers, topics))
+
+        self.spin_until(are_there, "the nodes")
 
     def spin_until(
         self, condition: Callable[[], T], what: str | Callable[[], str], patience: float = PATIENCE

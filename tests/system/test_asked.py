@@ -139,7 +139,7 @@ def follows_its_own_law(graph: Graph, run: LiveRun, processes: Processes, folder
         "-m", "twinmatch.cli", "apply", law, "--yes", "--although", "--shadow", "5000"
     )  # longer than this test, however fast its plant is
     command.said("shadow")
-    assert graph.ask_law(law="{", request="bad").success
+    graph.listener.spin_until(lambda: graph.ask_law(law="{", request="bad").success, "its turn")
     bad = lambda: [r for r in graph.twin if r.request == "bad"]  # noqa: E731
     graph.listener.spin_until(bad, "its refusal")
     assert "a law is being tried, or is on trial" in graph.experiment(run=True).message

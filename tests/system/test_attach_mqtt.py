@@ -175,4 +175,4 @@ def test_no_protocol_but_mqtt_needs_its_library(tmp_path: Path) -> None:
     process = Process(sys.executable, "-c", without("paho"), *words, output=said, folder=tmp_path)
     assert process.wait() == 2
     assert "mqtt:// needs paho, which is not installed" in process.text
-    assert "install twinmatch[mqtt]" in process.text
+    assert "pip install 'twinmatch[mqtt]'" in process.text

@@ -17,7 +17,7 @@ from twinmatch.dynamics import advance, begin, readings
 from twinmatch.plants import Peltier
 from twinmatch.signals import Sample
 from twinmatch.twin import Snapshot, Twin, TwinSettings
-from twinmatch.twin.experiment import ExperimentPhase, ExperimentReport, Wish
+from twinmatch.twin.experiment import ExperimentError, ExperimentPhase, ExperimentReport, Wish
 from twinmatch.twin.live_experiment import LiveExperiment
 
 TAUGHT, HIGHEST = 600, 70.0
@@ -134,9 +134,11 @@ def test_what_cannot_be_run_is_said(run: Run) -> None:
     for settings, wish, words in (
         (open_loop, Wish("parameters"), "the law of the loop is not known"),
         (SETTINGS, Wish("parameters", 0.1), "6 samples of 1 s; give 30 to 20000 of them"),
-        (SETTINGS, Wish("parameters", within=(50.0, 40.0)), "give LOW below HIGH"),
+        (SETTINGS, Wish("parameters", within=(150.0, 160.0)), "give LOW below HIGH"),
         (SETTINGS, Wish("fault"), "is not confused with it"),
     ):
         with pytest.raises(ControllerError, match=words):
             LiveExperiment(settings, wish, before)
+    with pytest.raises(ExperimentError, match="the lower one first"):
+        Wish("parameters", within=(50.0, 40.0))
     assert math.isnan(ExperimentReport(0, ExperimentPhase.REFUSED, "", 0).expected)

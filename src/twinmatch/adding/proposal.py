@@ -24,7 +24,7 @@ from twinmatch.importing.tables import Table, split_title
 from twinmatch.sampling.sources import SignalMap, SignalSource
 from twinmatch.sessions.files import RecordingError
 from twinmatch.signals import FloatArray
-from twinmatch.units import measure
+from twinmatch.units import is_readable, measure
 
 _SPIKE: Final = 10.0
 """Distance from the median of its neighbours, in noises, from which a reading is a spike."""
@@ -186,7 +186,8 @@ def _signal(
 def _unit(table: Table, sources: Mapping[str, SignalSource], signal: str) -> str:
     source = sources[signal]
     unit = source.unit or table.unit(source.places[0])
-    return _OFFSET_UNITS.get(unit.lower(), unit)
+    unit = _OFFSET_UNITS.get(unit.lower(), unit)
+    return unit if is_readable(unit) else ""
 
 
 def _word(title: str, taken: list[str]) -> str:

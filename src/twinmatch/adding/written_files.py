@@ -17,6 +17,7 @@ from twinmatch.errors import TwinmatchError
 from twinmatch.plants import PLANTS
 from twinmatch.plants.files import installed_names
 from twinmatch.sampling.sources import SignalSource
+from twinmatch.units import is_readable
 
 _WIDE: Final = 20.0
 """Bounds of gain and lag are this factor below and above; a first guess is rarely further off."""
@@ -119,10 +120,12 @@ def _source(source: SignalSource) -> str:
 
 
 def _per(above: str, below: str) -> str:
+    """The unit of a ratio; none if plant files may not have it."""
     above = "K" if above in {"°C", "°F"} else above or "1"
     if not below:
         return above
-    return f"{above}/({below})" if re.search(r"[ /·]", below) else f"{above}/{below}"
+    ratio = f"{above}/({below})" if re.search(r"[ /·]", below) else f"{above}/{below}"
+    return ratio if is_readable(ratio) else ""
 
 
 class AddingError(TwinmatchError):

@@ -121,7 +121,7 @@ class ModbusDevice:
             self._leave()
             what = "the unit" if self._tcp else "unit, baud, parity and stop"
             came = (
-                f" (what came is damaged, or answers another request: {self._quoted})"
+                f" (the answer is damaged, or belongs to another request: {self._quoted})"
                 if self._received
                 else ""
             )
@@ -146,7 +146,7 @@ class ModbusDevice:
 
     @property
     def _quoted(self) -> str:
-        """What came since the last request, in hexadecimal."""
+        """The bytes since the last request, in hexadecimal."""
         return self._received[:_QUOTED].hex(" ") + (" …" if len(self._received) > _QUOTED else "")
 
     def _trace(self, sending: bool, data: bytes) -> bytes:

@@ -50,7 +50,7 @@ _FIELDS: Final[Mapping[int, tuple[int | str, ...]]] = {
 _LENGTHS: Final = {_TEXT: struct.Struct("<I"), _BYTES: struct.Struct("<Q")}
 
 
-class Record(NamedTuple):
+class FileRecord(NamedTuple):
     """A record in a file or chunk."""
 
     opcode: int
@@ -108,7 +108,7 @@ class Walk:
         self._chunks: Mapping[int, int] | None = None
         self._starts: list[int] = []
 
-    def __iter__(self) -> Iterator[Record]:
+    def __iter__(self) -> Iterator[FileRecord]:
         """The records; a chunk may be torn, if it is the last record."""
         while self.at < self._end and not self._is_magic(self.at):
             record = self._read(self.at)
@@ -135,22 +135,22 @@ class Walk:
         if self.first_gap < 0:
             self.first_gap = self.at
 
-    def _read(self, at: int) -> Record | None:
+    def _read(self, at: int) -> FileRecord | None:
         """The record at a place; None if none begins there, or it does not end where it says."""
         head = self._head(at)
         if head is not None and self._is_clear(at, *head):
             opcode, length = head
-            return Record(opcode, at, self._bytes(at + HEAD.size, length), length)
+            return FileRecord(opcode, at, self._bytes(at + HEAD.size, length), length)
         if self._chunks is None:
             self._chunks = self._index()
             self._starts = sorted(self._chunks)
         if at in self._chunks:
             self._count_gap()
             length = self._chunks[at]
-            return Record(Opcode.CHUNK, at, self._bytes(at + HEAD.size, length), length)
+            return FileRecord(Opcode.CHUNK, at, self._bytes(at + HEAD.size, length), length)
         if head is not None and self._is_possible(at, *head):
             opcode, length = head
-            return Record(opcode, at, self._bytes(at + HEAD.size, length), length)
+            return FileRecord(opcode, at, self._bytes(at + HEAD.size, length), length)
         return None
 
     def _is_clear(self, at: int, opcode: int, length: int) -> bool:

@@ -30,7 +30,7 @@ from mcap.records import Channel, ChunkIndex, Footer, Header, Metadata, Schema, 
 from twinmatch.sessions.files import SessionError, open_regular
 from twinmatch.sessions.messages import SAMPLE, SCALAR_SAMPLE, Message, Topic, fields_of
 from twinmatch.sessions.metadata import parse_qos
-from twinmatch.sessions.records import HEAD, MAGIC, MESSAGE, Record, Walk
+from twinmatch.sessions.records import HEAD, MAGIC, MESSAGE, FileRecord, Walk
 from twinmatch.sessions.salvage import mended
 
 MAX_UNPACKED: Final = 1 << 28
@@ -170,7 +170,7 @@ class Scan:
                 if record.opcode == Opcode.DATA_END:
                     self._ended = True
 
-    def _chunk(self, record: Record, walk: Walk, file: BinaryIO) -> Iterator[Message]:
+    def _chunk(self, record: FileRecord, walk: Walk, file: BinaryIO) -> Iterator[Message]:
         """The messages of a chunk; those of one that is not compressed and cannot be checked are left to the
         walk, which continues within it."""
         self._is_sound = True
@@ -198,7 +198,7 @@ class Scan:
         else:
             walk.at = record.begin + chunk.begin
 
-    def _open(self, record: Record) -> _Chunk:
+    def _open(self, record: FileRecord) -> _Chunk:
         """A chunk by its own fields, or by those that the index has of it."""
         body = record.body
         if len(body) < _CHUNK.size + 4:
@@ -325,7 +325,7 @@ class Scan:
                 self._take(record.opcode, record.body)
         file.seek(place)
 
-    def _check_summary(self, footer: Record, file: BinaryIO) -> None:
+    def _check_summary(self, footer: FileRecord, file: BinaryIO) -> None:
         """Compare the summary with its checksum."""
         self._ended = True
         start, _, crc = struct.unpack("<QQI", footer.body[:20])

@@ -19,7 +19,7 @@ from twinmatch.sessions.files import open_regular
 from twinmatch.sessions.records import HEAD
 
 
-class _RefusedError(Exception):
+class _NotStrictError(Exception):
     """The index does not fit the data."""
 
 
@@ -36,7 +36,7 @@ def strict_refusal(path: Path) -> str:
             _check_by_index(file)
         except OSError:
             raise
-        except _RefusedError as error:
+        except _NotStrictError as error:
             return str(error)
         except Exception as error:  # the library raises many kinds for damaged bytes
             return (
@@ -63,28 +63,28 @@ def _check_index(file: BinaryIO) -> None:
             listed += 1
             _check_entry(record, starts, indexes)
     if listed != len(starts):
-        raise _RefusedError(f"its index lists {listed} of {len(starts)} chunks")
+        raise _NotStrictError(f"its index lists {listed} of {len(starts)} chunks")
 
 
 def _check_messages(chunk: Chunk | None, index: MessageIndex) -> None:
     """Every entry of a message index is a message of its channel, at its place in the chunk before."""
     if chunk is None:
-        raise _RefusedError("an index of messages belongs to no chunk")
+        raise _NotStrictError("an index of messages belongs to no chunk")
     if chunk.compression:  # the places are those of the unpacked data, which the checksum of it confirms
         return
     for time, place in index.records:
         head = chunk.data[place : place + HEAD.size + 14]
         if head[:1] != b"\x05" or int.from_bytes(head[9:11], "little") != index.channel_id:
-            raise _RefusedError("an index of messages is wrong")
+            raise _NotStrictError("an index of messages is wrong")
         if int.from_bytes(head[15:23], "little") != time:
-            raise _RefusedError("an index of messages is wrong")
+            raise _NotStrictError("an index of messages is wrong")
 
 
 def _check_entry(entry: ChunkIndex, starts: array[int], indexes: array[int]) -> None:
     if not _has(starts, entry.chunk_start_offset):
-        raise _RefusedError("its index points to chunks where there are none")
+        raise _NotStrictError("its index points to chunks where there are none")
     if not all(_has(indexes, place) for place in entry.message_index_offsets.values()):
-        raise _RefusedError("its index points to indexes of messages where there are none")
+        raise _NotStrictError("its index points to indexes of messages where there are none")
 
 
 def _has(places: array[int], place: int) -> bool:
@@ -102,7 +102,7 @@ def _check_by_index(file: BinaryIO) -> None:
     reader = SeekingReader(file, validate_crcs=True)
     summary = reader.get_summary()
     if summary is None:
-        raise _RefusedError("it has no index")
+        raise _NotStrictError("it has no index")
     read = sum(1 for _ in reader.iter_messages(log_time_order=False))
     if summary.statistics is not None and summary.statistics.message_count != read:
-        raise _RefusedError(f"by its index it has {read} of {summary.statistics.message_count} messages")
+        raise _NotStrictError(f"by its index it has {read} of {summary.statistics.message_count} messages")
