@@ -46,7 +46,7 @@ TOGETHER = (
 """Files that share what takes long to make, by how their paths begin: one worker runs them all."""
 
 TOOK = PROJECT / "build" / "durations.json"
-"""What each test of the last run took."""
+"""What each test took when it ran last."""
 STORED = TESTS / "durations.json"
 """What each test of the stored run took; `--store-durations` stores a run."""
 SLOWEST = 10

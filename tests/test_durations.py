@@ -40,6 +40,11 @@ def test_what_a_test_took_is_kept(tmp_path: Path) -> None:
     assert kept.by_test == costs.by_test
     assert list(kept.by_file().items()) == [("b.py", Cost(4.0, 0.1)), ("a.py", Cost(1.5, 0.75))]
     assert Costs.read(tmp_path / "none.json").by_test == {}
+    part = Costs()
+    part.add("b.py::other", Cost(3.0, 0.2))
+    part.write(tmp_path / "folder" / "took.json")
+    both = Costs.read(tmp_path / "folder" / "took.json")
+    assert both.by_test == costs.by_test | part.by_test
 
 
 @pytest.mark.parametrize("machine", [1.0, 3.0])

@@ -91,9 +91,12 @@ class Costs:
         return dict(sorted(files.items(), key=lambda item: item[1].waited, reverse=True))
 
     def write(self, path: Path) -> None:
-        """Keep what each test took."""
+        """Keep what each test took; those that this run has left out stay as they were."""
         path.parent.mkdir(parents=True, exist_ok=True)
-        rows = {test: [round(cost.waited, 2), round(cost.computed, 2)] for test, cost in self.by_test.items()}
+        rows = json.loads(path.read_text()) if path.exists() else {}
+        rows |= {
+            test: [round(cost.waited, 2), round(cost.computed, 2)] for test, cost in self.by_test.items()
+        }
         path.write_text(json.dumps(rows, indent=0, sort_keys=True) + "\n")
 
     @classmethod
