@@ -45,8 +45,8 @@ def whole_file(
         writer.add_message(channels[TEMPERATURE_READING], at, encode_temperature(at, temperature), at)
         writer.add_message(channels[SAMPLE], at, encode_sample(Sample(k, at, 30.0, temperature, 1.0)), at)
         if k % every == every - 1:
-            writer.flush()
-    writer.finish()
+            writer.flush()  # type: ignore[no-untyped-call]
+    writer.finish()  # type: ignore[no-untyped-call]
     return out.getvalue()
 
 

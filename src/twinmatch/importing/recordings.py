@@ -34,7 +34,7 @@ from twinmatch.sessions.files import ProgressCallback, RecordingError, SessionEr
 from twinmatch.sessions.messages import SAMPLE, plant_messages, topics_of
 from twinmatch.sessions.reader import Session, named, read_session
 from twinmatch.sessions.recording import samples_of
-from twinmatch.sessions.scan import MAGIC
+from twinmatch.sessions.records import MAGIC
 from twinmatch.signals import KELVIN, Sample, Window
 
 _SUFFIXES: Final = (".mat", ".csv")
