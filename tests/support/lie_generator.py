@@ -82,7 +82,7 @@ class LieRun:
 
     @property
     def apart(self) -> bool:
-        """Whether the lie can be told from a room: neither warms the room besides, nor begins the guard anew
+        """Whether the lie can be told from a room: neither warms the room besides, nor restarts the guard
         after the lie has begun."""
         return self.surroundings.name != "warms" and not self.restarts > self.begins
 
