@@ -82,8 +82,8 @@ class LieRun:
 
     @property
     def apart(self) -> bool:
-        """Whether the lie can be told from a room: neither warms the room besides, nor restarts the guard
-        after the lie has begun."""
+        """Whether the lie can be told from a room: the room does not warm besides, and the bridge does not
+        restart after the lie has begun."""
         return self.surroundings.name != "warms" and not self.restarts > self.begins
 
 
