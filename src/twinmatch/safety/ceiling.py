@@ -38,7 +38,14 @@ ALIKE: Final = 8.0
 ALIKE_WITHIN: Final = 2.0
 """… so many standard deviations of the estimate, if that is more."""
 TOO_LOW: Final = 1.7
-"""Standard deviations that the margin shrinks by: the estimate may be too low by that."""
+"""Standard deviations that the margin shrinks by at the start: the estimate may be too low by that."""
+TRUSTED_AFTER: Final = 2400.0
+"""Time constant with which these become fewer, s: a lie that has begun early has shown itself by then, while
+a room that cools later must not find a margin that is smaller than what it cools by."""
+STARTS: Final = 1200.0
+"""Time after a start in which the set-point counts only as far as the reading follows it, s."""
+AHEAD: Final = 2.0
+"""How far above the reading it counts until then, °C: where nothing has been reached yet, nothing is known."""
 TOO_HIGH: Final = 1.2
 """Standard deviations that the margin has at least: a healthy plant may look too hot by that."""
 LEAST: Final = 5.0
@@ -124,14 +131,21 @@ class Ceiling:
     def _share(self, reading: float, reference: float, deviation: float) -> float:
         """What may pass: all as long as the estimate is far enough below its highest value, then less."""
         if self.seen:
-            level = max(reading, reference, HARMLESS)
-            margin = max(self._margin - TOO_LOW * deviation, TOO_HIGH * deviation, LEAST)
+            level = self._level(reading, reference)
+            too_low = TOO_LOW * math.exp(-self._age / TRUSTED_AFTER)
+            margin = max(self._margin - too_low * deviation, TOO_HIGH * deviation, LEAST)
             closes = CLOSES
         else:
             level = reading
             margin = max(BLIND, BLIND_WITHIN * deviation)
             closes = margin / 2.0
         return min(1.0, max(0.0, (level + margin - self.estimate) / closes))
+
+    def _level(self, reading: float, reference: float) -> float:
+        """The temperature beyond which the margin lies, °C."""
+        if self._age < STARTS:
+            reference = min(reference, reading + AHEAD)
+        return max(reading, reference, HARMLESS)
 
     def _wander(self) -> None:
         """Let a sample's time pass for the sensor."""
