@@ -45,7 +45,7 @@ a room that cools later must not find a margin that is smaller than what it cool
 STARTS: Final = 1200.0
 """Time after a start in which the set-point counts only as far as the reading follows it, s."""
 AHEAD: Final = 2.0
-"""How far above the reading it counts until then, °C: where nothing has been reached yet, nothing is known."""
+"""How far above the reading it counts until then, °C."""
 TOO_HIGH: Final = 1.2
 """Standard deviations that the margin has at least: a healthy plant may look too hot by that."""
 LEAST: Final = 5.0
