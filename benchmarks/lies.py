@@ -4,20 +4,25 @@
     python -m benchmarks.lies kit 8
     python -m benchmarks.lies both 4
     python -m benchmarks.lies slow 20
-    python -m benchmarks.lies healthy 1000
+    python -m benchmarks.lies all 500 --seed 0 --spread 0.25 --json lies.json
+    python -m benchmarks.lies healthy 99
 
-The numbers are those of plants for each lie and set-point, with parameters that differ by up to 25 %, or of
-healthy hours. Slow lies are those that no reading contradicts for minutes.
+The numbers are those of plants for each lie and set-point, with parameters that differ by up to 25 %, of lies
+drawn from seeds, or of healthy hours. Slow lies are those that no reading contradicts for minutes. Drawn lies
+come with every course of the set-point and in rooms that change; healthy hours likewise.
 """
 
 from __future__ import annotations
 
-import sys
+import argparse
+import json
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from tests.support.faulty_rig import profile
 from tests.support.liar import (
     BEGINS,
     KIT,
@@ -29,6 +34,15 @@ from tests.support.liar import (
     lie_to,
     lie_to_both,
     whole_kit,
+)
+from tests.support.lie_generator import (
+    HEALTHY_LASTS,
+    HOUR,
+    LieOutcome,
+    LieRun,
+    draw_healthy,
+    draw_lie,
+    follow,
 )
 from twinmatch.dynamics import begin, simulate_driven
 from twinmatch.safety import BudgetLimits, OutputGuard
@@ -114,35 +128,88 @@ def slow(plants: int) -> None:
             print(f"{level:3.0f} {name:28s} | {counts} | {shown(endings)}", flush=True)
 
 
-def healthy(hours: int) -> None:
-    """Rig and kit in turn; set-points that each of them reaches."""
-    latched, limited = 0, {"rig": 0, "kit": 0}
-    for seed in range(hours):
-        name = ("rig", "kit")[seed % 2]
-        bench, _ = LEVELS[name]
-        references = np.clip(profile(seed, 3600), *((20.0, 100.0) if bench is RIG else (25.0, 60.0)))
-        plant = bench.plant(10_000 + seed)
-        plant = plant.replace(ambient=np.random.default_rng(seed).uniform(288.15, 303.15))
-        ending = lie_to(bench, bench.guard(), plant, references.tolist(), seed=seed)
-        limited[name] += int(ending.limited)
-        if ending.fault is not None:
-            latched += 1
-            print(f"hour {seed}: {ending.fault}", flush=True)
-        elif ending.limited:
-            print(f"hour {seed}, {name}: limited for {ending.limited} s", flush=True)
-    print(f"{latched} of {hours} healthy hours latched a fault; seconds limited: {limited}")
+def row(run: LieRun, outcome: LieOutcome) -> dict[str, Any]:
+    """One run as it is written."""
+    return {
+        "seed": run.seed,
+        "kind": run.kind,
+        "set_points": run.set_points,
+        "room": run.surroundings.name,
+        "lie": run.lie_name,
+        "begins": run.begins,
+        "channels": run.channels,
+        "restarts": run.restarts,
+        "apart": run.apart,
+        **vars(outcome),
+    }
+
+
+def drawn(draw: Callable[[int, float], LieRun], seeds: Iterable[int], spread: float) -> list[dict[str, Any]]:
+    """The rows of the runs of these seeds."""
+    rows = []
+    for seed in seeds:
+        run = draw(seed, spread)
+        outcome = follow(run)
+        rows.append(row(run, outcome))
+        if outcome.beyond > 0.0 or (run.lie is None and (outcome.limited or outcome.fault)):
+            print(json.dumps(rows[-1], ensure_ascii=False), flush=True)
+    return rows
+
+
+def beyond(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """How many of these runs got hotter than is allowed, and by how much at the most, °C."""
+    above = [row["beyond"] for row in rows if row["beyond"] > 0.0]
+    return {"runs": len(rows), "beyond": len(above), "worst": max(above, default=0.0)}
+
+
+def all_lies(number: int, seed: int, spread: float) -> Mapping[str, Any]:
+    """Lies of every kind, with every course of the set-point."""
+    rows = drawn(draw_lie, range(seed, seed + number), spread)
+    summary = {
+        "all": beyond(rows),
+        "can be told from a room": beyond([row for row in rows if row["apart"]]),
+        **{
+            f"{key} {value}": beyond([row for row in rows if row[key] == value])
+            for key in ("kind", "set_points", "room")
+            for value in sorted({row[key] for row in rows})
+        },
+    }
+    return {"spread": spread, "summary": summary, "runs": rows}
+
+
+def healthy(hours: int, seed: int, spread: float) -> Mapping[str, Any]:
+    """Healthy runs of three hours: seconds limited in an hour, and faults, for each kind of room."""
+    rows = drawn(draw_healthy, range(seed, seed + max(1, hours * HOUR // HEALTHY_LASTS)), spread)
+    summary = {}
+    for room in ("", *sorted({row["room"] for row in rows})):
+        chosen = [row for row in rows if room in {"", row["room"]}]
+        lasted = sum(row["seconds"] for row in chosen) / HOUR
+        limited = sum(row["limited"] for row in chosen)
+        faults = sum(bool(row["fault"]) for row in chosen)
+        summary[room or "all"] = {"hours": lasted, "limited per hour": limited / lasted, "faults": faults}
+    return {"spread": spread, "summary": summary, "runs": rows}
 
 
 def main() -> None:
-    what, number = sys.argv[1], int(sys.argv[2])
-    if what == "healthy":
-        healthy(number)
-    elif what == "slow":
-        slow(number)
-    elif what == "both":
-        both(number)
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("what", choices=(*LEVELS, "both", "slow", "all", "healthy"))
+    parser.add_argument("number", type=int)
+    parser.add_argument("--seed", type=int, default=0, help="the first seed")
+    parser.add_argument("--spread", type=float, default=0.25, help="by how much parameters differ")
+    parser.add_argument("--json", type=Path, help="where every run is written")
+    asked = parser.parse_args()
+    if asked.what == "slow":
+        slow(asked.number)
+    elif asked.what == "both":
+        both(asked.number)
+    elif asked.what in LEVELS:
+        measure(asked.what, asked.number)
     else:
-        measure(what, number)
+        draw = all_lies if asked.what == "all" else healthy
+        result = draw(asked.number, asked.seed, asked.spread)
+        print(json.dumps(result["summary"], indent=2, ensure_ascii=False))
+        if asked.json is not None:
+            asked.json.write_text(json.dumps(result, indent=1, ensure_ascii=False), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -20,16 +20,18 @@ from tests.support.liar import (
     SLOW_LIES,
     Bench,
     Ending,
+    drifting,
     lie_to,
     lie_to_both,
     whole_kit,
 )
+from tests.support.lie_generator import SET_POINTS, draw_lie, follow
 from tests.support.peltier_oracle import integrated
 from twinmatch.safety import Accusations, BudgetLimits, FaultKind, HeatBudget, OutputGuard
-from twinmatch.safety.ceiling import Ceiling
+from twinmatch.safety.ceiling import AHEAD, CLOSES, HARMLESS, STARTS, Ceiling
 from twinmatch.safety.limits import SafetyError
 from twinmatch.safety.observer import ObserverLimits
-from twinmatch.signals import Window
+from twinmatch.signals import FloatArray, Window
 
 UNLIMITED = BudgetLimits(hold=255.0, least=1e6)
 
@@ -130,6 +132,41 @@ def test_a_lie_that_nothing_contradicts_for_minutes_is_limited(name: str, set_po
     assert ending.highest <= highest_allowed(set_point)
 
 
+DEFAULT_PROFILE = np.resize(np.repeat([30.0, 50.0, 70.0, 50.0], 300), 900)
+
+
+@pytest.mark.parametrize(
+    ("references", "rate", "begins"),
+    [
+        (np.clip(30.0 + np.arange(1200) / 60.0, 30.0, 75.0), -0.03, 120),
+        (DEFAULT_PROFILE, -0.04, 150),
+        (np.repeat(np.arange(30.0, 91.0, 10.0), 120)[:720], -0.05, 60),
+    ],
+    ids=["a ramp", "the default profile", "stairs"],
+)
+def test_a_moving_set_point_does_not_teach_the_ceiling_a_lie(
+    references: FloatArray, rate: float, begins: int
+) -> None:
+    """It was 15 to 35 °C too far."""
+    ending = lie_to(RIG, RIG.guard(), RIG.plant(0), references, drifting(rate), begins=begins)
+    highest = max(references[: begins + (ending.after or len(references))])
+    assert ending.highest <= highest_allowed(highest)
+
+
+@pytest.mark.parametrize("seed", [0, 15, 21])
+def test_no_lie_of_the_generator_gets_a_plate_too_hot(seed: int) -> None:
+    outcome = follow(draw_lie(seed))
+    assert outcome.fault
+    assert outcome.beyond <= 0.0
+
+
+def test_the_generator_draws_the_same_runs_from_the_same_seed() -> None:
+    first, second = (draw_lie(8) for _ in range(2))
+    assert (first.kind, first.lie_name, first.begins) == (second.kind, second.lie_name, second.begins)
+    np.testing.assert_array_equal(first.references, second.references)
+    assert {draw_lie(seed).set_points for seed in range(30)} == set(SET_POINTS)
+
+
 def test_without_the_limit_a_frozen_sensor_passes_the_goal() -> None:
     limits = replace(RIG.bridge.LIMITS, observer=ObserverLimits(margin=150.0))
     guard = OutputGuard(limits, RIG.bridge.observer(limits))
@@ -169,15 +206,74 @@ def test_a_limited_drive_that_no_reading_shows_is_a_fault_after_a_while() -> Non
 @given(
     st.lists(st.tuples(st.floats(-60.0, 150.0), st.floats(-10.0, 110.0), st.floats(0.0, 100.0)), max_size=80)
 )
-def test_heating_is_free_up_to_half_the_margin_and_ends_at_the_whole(
+def test_heating_is_free_up_to_the_last_of_the_margin_and_ends_at_the_whole(
     story: list[tuple[float, float, float]],
 ) -> None:
     """With a plant that is known: nothing learned moves the estimate."""
-    ceiling = Ceiling(10.0, np.zeros(1), seen=True)
+    ceiling = Ceiling(10.0, np.ones(1), seen=True)
     for typical, reading, reference in story:
         ceiling.take(np.zeros(1), typical, reading, reference)
-        beyond = typical - max(reading, reference)
-        assert ceiling.share == pytest.approx(min(max((10.0 - beyond) / 5.0, 0.0), 1.0))
+        beyond = typical - max(reading, min(reference, reading + AHEAD), HARMLESS)
+        assert ceiling.share == pytest.approx(min(max((10.0 - beyond) / CLOSES, 0.0), 1.0))
+
+
+def test_a_set_point_counts_in_full_only_after_the_start() -> None:
+    """Half a degree short of the end of the margin above a set-point that no reading has followed."""
+    ceiling = Ceiling(10.0, np.ones(1), seen=True)
+
+    def share() -> float:
+        ceiling.take(np.zeros(1), 79.5, 45.0, 70.0)
+        return ceiling.share
+
+    first = share()
+    later = [share() for _ in range(int(STARTS))][-1]
+    assert first == 0.0
+    assert later == pytest.approx(0.5 / CLOSES)
+
+
+def test_a_lie_is_given_less_of_the_margin_early_than_late() -> None:
+    """Of the same plant that nobody knows to better than 3 °C, at the same temperature."""
+    shares = []
+    ceiling = Ceiling(13.0, np.full(1, 1.0), seen=True)
+    for _ in range(10_000):
+        ceiling.take(np.full(1, 3.0), 58.0, 50.0, 50.0, learns=False)
+        shares.append(ceiling.share)
+    assert shares[0] < 0.2
+    assert shares[-1] == 1.0
+
+
+def test_a_set_point_that_moves_does_not_make_another_plant_of_it() -> None:
+    """The plant has half of the typical gain, which the first steps show. Then its sensor drifts while the
+    output rises in the same time: what the ceiling believes of the plant stays what the steps have shown."""
+    ceiling, random = Ceiling(12.5, np.ones(1)), np.random.default_rng(1)
+
+    def at(warmth: float, lie: float) -> float:
+        """How far the estimate is off; `warmth` is the typical plant's, above a room of 20 °C."""
+        reading = 20.0 + 0.5 * warmth - lie + 0.1 * random.standard_normal()
+        ceiling.take(np.array([warmth]), 20.0 + warmth, reading, 60.0)
+        return ceiling.estimate - (20.0 + 0.5 * warmth)
+
+    for k in range(400):
+        at(40.0 if k % 100 > 20 else 10.0, 0.0)
+    errors = [at(40.0 + 0.05 * k, 0.05 * k) for k in range(600)]
+    assert max(map(abs, errors)) < 3.0
+    assert ceiling.off < -5.0 or ceiling.share < 1.0
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda ceiling: ceiling.take(np.array([40.0]), 60.0, 30.0, 60.0, learns=False),
+        lambda ceiling: ceiling.take(np.array([40.0]), 60.0, -40.0, 60.0),
+        lambda ceiling: ceiling.take(np.array([40.0]), 140.0, 60.0, 60.0),
+    ],
+    ids=["a reading that is not believed", "one far from the estimate", "under a limit"],
+)
+def test_nothing_is_learned_from(change: Callable[[Ceiling], None]) -> None:
+    ceiling = Ceiling(12.5, np.full(1, 0.1), seen=True)
+    change(ceiling)
+    ceiling.take(np.array([40.0]), 60.0, 60.0, 60.0, learns=False)
+    assert ceiling.estimate == 60.0
 
 
 @pytest.mark.parametrize(("bench", "seed"), [(RIG, 11), (KIT, 12)], ids=["rig", "kit"])

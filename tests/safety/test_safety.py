@@ -15,6 +15,7 @@ from twinmatch.dynamics import Controller, advance, begin, read
 from twinmatch.safety import (
     ClockLimits,
     FaultKind,
+    GuardFault,
     GuardLimits,
     OutputGuard,
     Runaway,
@@ -98,6 +99,18 @@ def test_runaway_latches() -> None:
     assert guard.fault is not None
     assert guard.fault.kind is FaultKind.RUNAWAY
     assert guard.output(100.0) == 0.0
+
+
+def test_what_the_ceiling_holds_back_is_not_a_runaway_until_it_lets_go() -> None:
+    guard = armed()
+    guard.limited = GuardFault(FaultKind.LIMITED, "the drive is held back", 0.0)
+    for k in range(400):
+        if k == 200:
+            assert guard.fault is None
+            guard.limited = None
+        guard.loop(60.0, 25.0, 255.0, k * 0.5)
+    assert guard.fault is not None
+    assert guard.fault.kind is FaultKind.RUNAWAY
 
 
 def test_while_it_waits_silence_is_not_a_fault() -> None:

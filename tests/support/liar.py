@@ -157,10 +157,11 @@ def lie_to(  # noqa: PLR0917 (a case of the table)
     return ending
 
 
-def whole_kit(seed: int) -> Parameters:
+def whole_kit(seed: int, spread: float = 0.25) -> Parameters:
     """A whole kit, its heater 2 with half to three quarters of the power of heater 1."""
     random, typical = np.random.default_rng(seed), TCLabBoth.model("sensor lags").typical()
-    moved = {name: typical[name] * random.uniform(0.75, 1.25) for name in ("losses", "heating", "exchange")}
+    low, high = 1.0 - spread, 1.0 + spread
+    moved = {name: typical[name] * random.uniform(low, high) for name in ("losses", "heating", "exchange")}
     moved["second_heating"] = moved["heating"] * random.uniform(0.5, 0.75)
     return typical.replace(**moved, ambient=random.uniform(288.0, 301.0))
 

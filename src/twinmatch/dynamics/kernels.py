@@ -206,6 +206,23 @@ def advance(
 
 
 @compiled
+def advance_side_by_side(
+    code: Code, vectors: FloatArray, states: FloatArray, u: FloatArray, d: FloatArray, period: float,
+    steps: int,
+) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+    """The states of several plants of one model one period later, shape (k, n), and their outputs then,
+    shape (k, o); `vectors` has a row of parameters for each."""
+    after, outputs = states.copy(), np.empty((states.shape[0], code[N_OUTPUTS]))
+    for plant in range(states.shape[0]):
+        work, x = work_for(code, vectors[plant]), after[plant]
+        tick(code, x, u, d, work, period, steps)
+        call(code[OUTPUTS], x, u, d, work.p, work.b, work.seen)
+        for k in range(work.seen.size):
+            outputs[plant, k] = work.seen[k]
+    return after, outputs
+
+
+@compiled
 def begin(
     code: Code, vector: FloatArray, y: FloatArray, u: FloatArray, d: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -6,7 +6,7 @@ to the last bit.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Final
@@ -199,6 +199,28 @@ def advance(
     u, row = model.row_of("inputs", input), model.disturbance_row(disturbances)
     after = model.kernels.advance(parameters.vector, states, u, row, float(period), parameters.steps(period))
     return np.asarray(after, dtype=np.float64)
+
+
+def advance_side_by_side(
+    plants: Sequence[Parameters],
+    states: FloatArray,
+    input: ArrayLike,
+    period: float,
+    disturbances: FloatArray | None = None,
+) -> tuple[FloatArray, FloatArray]:
+    """States, shape (k, n), of several plants of one model one period (s) later, and their outputs, (k, o).
+
+    In one call, since a call costs more than a step does; otherwise as `advance`.
+
+    Raises:
+        PlantError: as `advance`.
+    """
+    model = plants[0].model
+    u, row = model.row_of("inputs", input), model.disturbance_row(disturbances)
+    vectors = np.array([plant.vector for plant in plants])
+    steps = max(plant.steps(period) for plant in plants)
+    after, outputs = model.kernels.advance_side_by_side(vectors, states, u, row, float(period), steps)
+    return after, outputs
 
 
 def read(

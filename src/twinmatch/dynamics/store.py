@@ -44,7 +44,8 @@ _PROGRAMS = ("llvmlite", "sympy")
 
 
 KERNELS: Final = (
-    kernels.advance, kernels.begin, kernels.outputs_at, kernels.parts, kernels.slopes_at, kernels.step_count,
+    kernels.advance, kernels.advance_side_by_side, kernels.begin, kernels.outputs_at, kernels.parts,
+    kernels.slopes_at, kernels.step_count,
     runs.normal_at, runs.run, runs.run_with_tangents, runs.search, runs.start_at,
     filters.correct, filters.predict, filters.track,
 )  # fmt: skip

@@ -180,6 +180,9 @@ class OutputGuard:
         if self.fault is not None or not all(map(math.isfinite, (reference, temperature, drive))):
             return
         self._reference = reference
+        if self.limited is not None:  # a drive that is held back cannot reach its set-point
+            self._runaway.reset()
+            return
         runaway = self._runaway.check(now, reference, temperature, drive)
         if runaway is not None:
             self.trip(FaultKind.RUNAWAY, runaway, now)

@@ -16,9 +16,10 @@ PERIOD: Final = 1.0
 class Likeness:
     """The weights of the plants beside the typical one, N(mean, covariance)."""
 
-    def __init__(self, mean: FloatArray) -> None:
-        """Start as uncertain as plants of one kind differ."""
-        self.mean, self.covariance = mean, np.eye(mean.size)
+    def __init__(self, deviations: FloatArray) -> None:
+        """Start at the typical plant; `deviations` say how much plants of one kind differ, shape (n,)."""
+        self.mean: FloatArray = np.zeros(deviations.size)
+        self.covariance: FloatArray = np.diag(deviations**2)
 
     def moves(self, slopes: FloatArray) -> tuple[float, float]:
         """By how much the output differs from the typical plant's, and the standard deviation of that."""
@@ -31,16 +32,10 @@ class Likeness:
         Far from what was expected, a reading counts less.
         """
         covariance = self.covariance
-        shown, off = covariance @ slopes, off - float(slopes @ self.mean)
-        doubt *= max(1.0, abs(off) / doubt)
+        shown = covariance @ slopes
+        innovation = off - float(slopes @ self.mean)
+        doubt *= max(1.0, abs(innovation) / doubt)
         gain = shown / (float(slopes @ shown) + doubt**2 / PERIOD)
-        self.mean = self.mean + gain * off
+        self.mean = self.mean + gain * innovation
         covariance = covariance - np.outer(gain, shown)
         self.covariance = (covariance + covariance.T) / 2
-
-    def follow(self, slopes: FloatArray, off: float, share: float) -> None:
-        """Take over a share of what the output is off, and become no more certain."""
-        shown, off = self.covariance @ slopes, off - float(slopes @ self.mean)
-        variance = float(slopes @ shown)
-        if variance > 0.0:
-            self.mean = self.mean + share * off / variance * shown

@@ -8,7 +8,7 @@ side of its typical value run side by side; the readings only decide, late, whic
 
 with y₀ of the typical model and yᵢ± of those with parameter i moved. A Kalman filter estimates z, a random
 walk, from readings that are `LEARNED_AFTER` old: what a lie has taught must not explain it. A lie that
-is slow enough is learned all the same; the `Ceiling` learns from steps alone, and limits the drive.
+is slow enough is learned all the same; the `Ceiling` does not believe its sensor, and limits the drive.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from typing import Final
 
 import numpy as np
 
-from twinmatch.dynamics import Parameters, advance, begin, readings
-from twinmatch.safety.ceiling import SIGMAS, Ceiling
+from twinmatch.dynamics import Parameters, advance_side_by_side, begin
+from twinmatch.safety.ceiling import Ceiling
 from twinmatch.safety.likeness import PERIOD, Likeness
 from twinmatch.safety.limits import positive
 from twinmatch.settings import setting
@@ -35,8 +35,14 @@ MEMORY: Final = 3600.0
 DOUBT: Final = 0.3
 """Standard deviation of reading minus model, in bands: the errors of consecutive samples are alike, so it is
 far above the sensor's noise."""
+SIGMAS: Final = 3.0
+"""Standard deviations of the estimate that the band has at least."""
 HOTTER: Final = 2.0
 """Bands by which a reading may be above the estimate: what else heats is not the work of the drive."""
+DIFFER: Final = 0.6
+"""Standard deviation of a parameter that is equally likely anywhere within the spread, in spreads …"""
+ROOMS_DIFFER: Final = 2.0
+"""… and of one that is not relative, such as the room: 15 to 28 °C."""
 LOST: Final = 600.0
 """Time without a look after which the observer begins again, s."""
 
@@ -51,7 +57,7 @@ class ObserverLimits:
         0.25, "Usual relative difference of the plant's parameters from the typical ones.", "", 0.01, 1.0
     )
     margin: float = setting(
-        10.0, "How far the drive may take the plant beyond set-point and reading.", "{y}", 1.0, 150.0
+        13.0, "How far the drive may take the plant beyond set-point and reading.", "{y}", 1.0, 150.0
     )
 
     def __post_init__(self) -> None:
@@ -63,8 +69,8 @@ class DriveObserver:
 
     ceiling: Ceiling
     """What limits the drive."""
-    _waiting: deque[tuple[FloatArray, float, float]]
-    """What is not learned yet: slopes, reading less typical plant, and the ceiling's time to learn it."""
+    _waiting: deque[tuple[FloatArray, float]]
+    """What is not learned yet: slopes, and reading less typical plant."""
 
     def __init__(
         self,
@@ -94,7 +100,9 @@ class DriveObserver:
         self._begin(float(np.mean(typical.model.plant.output.span)), None)
         self._step(0.0, None)
         self._compare(0.0)
-        self._begun, self.estimate, self.ceiling = False, math.nan, Ceiling(self.limits.margin, self._z.mean)
+        self._begun = False
+        self.estimate = math.nan
+        self.ceiling = Ceiling(self.limits.margin, self._deviations)
 
     def take(
         self, elapsed: float, drive: float, reading: float, disturbances: FloatArray | None = None,
@@ -119,8 +127,7 @@ class DriveObserver:
 
     def believe(self) -> None:
         """Learn the ceiling again from the readings, for which somebody vouches."""
-        self.ceiling = Ceiling(self.limits.margin, self._z.mean, seen=True)
-        self._waiting = deque((slopes, off, 0.0) for slopes, off, _ in self._waiting)
+        self.ceiling = Ceiling(self.limits.margin, self._deviations, mean=self._z.mean, seen=True)
 
     def hotter(self, reading: float) -> str:
         """Why no more drive passes than the ceiling allows."""
@@ -134,48 +141,53 @@ class DriveObserver:
     def _begin(self, reading: float, disturbances: FloatArray | None) -> None:
         model = self._typical.model
         self._twins = [self._typical, *(side for pair in self._sides for side in pair)]
-        self._states = [begin(twin, reading, disturbances=disturbances) for twin in self._twins]
+        states = [begin(twin, reading, disturbances=disturbances) for twin in self._twins]
         # Sensors are off by some degrees, and the first reading may be a frozen one.
         for first in (reading - self.limits.band / 2, reading + self.limits.band / 2):
             self._twins.append(self._typical)
-            self._states.append(begin(self._typical, first, disturbances=disturbances))
+            states.append(begin(self._typical, first, disturbances=disturbances))
         for name in model.structure.free_starts:  # what no sensor shows may have any temperature
             place = model.states.index(name)
             for side in (-1.0, 1.0):
-                moved = self._states[0].copy()
+                moved = states[0].copy()
                 moved[place] += side * model.declared_states[place].scale
                 self._twins.append(self._typical)
-                self._states.append(moved)
-        size = len(self._twins) // 2
-        self._z = Likeness(np.zeros(size))
-        self.ceiling = Ceiling(self.limits.margin, self._z.mean)
+                states.append(moved)
+        self._states, self._outputs = np.array(states), np.full(len(states), reading)
+        self._z = Likeness(np.ones(len(states) // 2))
+        self._deviations = self._how_plants_differ(len(states) // 2)
+        self.ceiling = Ceiling(self.limits.margin, self._deviations)
         self._waiting = deque()
         self._passed = self._drive = self._doubted = 0.0
         self._compared = 0
 
+    def _how_plants_differ(self, size: int) -> FloatArray:
+        """Standard deviations of the weights before the first reading, shape (size,)."""
+        deviations = np.full(size, DIFFER)
+        for place, name in enumerate(self._typical.model.structure.free):
+            if not self._typical.model.declared[name].relative:
+                deviations[place] = ROOMS_DIFFER
+        return deviations
+
     def _step(self, drive: float, disturbances: FloatArray | None) -> None:
-        self._states = [
-            advance(twin, states, drive, PERIOD, disturbances)
-            for twin, states in zip(self._twins, self._states, strict=True)
-        ]
+        self._states, outputs = advance_side_by_side(self._twins, self._states, drive, PERIOD, disturbances)
+        self._outputs = outputs[:, 0]
         self._passed = self._drive = 0.0
 
     def _compare(self, reading: float, reference: float = math.inf, *, believed: bool = True) -> str | None:
-        each = np.array([
-            float(readings(twin, states)[0]) for twin, states in zip(self._twins, self._states, strict=True)
-        ])  # fmt: skip
-        slopes, typical = (each[2::2] - each[1::2]) / 2, float(each[0])
+        slopes = (self._outputs[2::2] - self._outputs[1::2]) / 2
+        typical = float(self._outputs[0])
         moved, deviation = self._z.moves(slopes)
         self.estimate = estimate = typical + moved
         band = max(self.limits.band, SIGMAS * deviation)
-        time = self.ceiling.take(slopes, typical, reading, reference)
+        off = reading - estimate
+        beyond = off < -band or off > HOTTER * band or estimate - band > self._highest
+        self.ceiling.take(slopes, typical, reading, reference, learns=believed and not beyond)
         if not believed:
             self._waiting.clear()
             self._doubted = 0.0
             return None
-        off = reading - estimate
-        beyond = off < -band or off > HOTTER * band or estimate - band > self._highest
-        self._waiting.append((slopes, math.nan if beyond else reading - typical, time))
+        self._waiting.append((slopes, math.nan if beyond else reading - typical))
         self._compared += 1
         while len(self._waiting) > min(LEARNED_AFTER / PERIOD, self._compared / 2):
             self._learn(*self._waiting.popleft())
@@ -184,13 +196,11 @@ class DriveObserver:
             return None
         return self.contradicts(reading, estimate, band)
 
-    def _learn(self, slopes: FloatArray, off: float, time: float) -> None:
+    def _learn(self, slopes: FloatArray, off: float) -> None:
         """Learn from a reading; one that contradicted the drive teaches nothing."""
-        doubt = DOUBT * self.limits.band
         self._z.covariance = self._z.covariance + np.eye(slopes.size) * PERIOD / MEMORY
         if not math.isnan(off):
-            self._z.learn(slopes, off, doubt)
-            self.ceiling.learn(slopes, off, doubt, time)
+            self._z.learn(slopes, off, DOUBT * self.limits.band)
 
     def contradicts(self, reading: float, estimate: float, band: float) -> str:
         """What a reading outside the band about an estimate says."""
