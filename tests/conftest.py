@@ -48,7 +48,7 @@ TOGETHER = (
 TOOK = PROJECT / "build" / "durations.json"
 """What each test took when it ran last."""
 STORED = TESTS / "durations.json"
-"""What each test of the stored run took; `--store-durations` stores a run."""
+"""What each file of the stored run took; `--store-durations` stores a run."""
 SLOWEST = 10
 """Files that are listed at the end of a run."""
 
@@ -82,9 +82,11 @@ class Durations:
         if not self.costs.by_test:
             return
         self.costs.write(TOOK)
-        if terminalreporter.config.getoption("store_durations"):
-            self.costs.write(STORED)
         files = self.costs.by_file()
+        if terminalreporter.config.getoption("store_durations"):
+            stored = Costs()
+            stored.by_test = files
+            stored.write(STORED)
         terminalreporter.section("what took longest (clock, processors)")
         for name, cost in list(files.items())[:SLOWEST]:
             terminalreporter.line(f"{cost.waited:7.1f} s {cost.computed:7.1f} s  {name}")
@@ -94,7 +96,7 @@ class Durations:
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption(
-        "--store-durations", action="store_true", help="keep what each test takes as tests/durations.json"
+        "--store-durations", action="store_true", help="keep what each file takes as tests/durations.json"
     )
 
 
