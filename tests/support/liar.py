@@ -175,6 +175,21 @@ class RunTime:
         return ClockTimes(*[round(self.now * NANOSECONDS) + NANOSECONDS] * 3)
 
 
+def drive_for_a_second(  # noqa: PLR0917 (what a second of a loop needs)
+    gate: OutputGate, clocks: RunTime, k: int, plant: Parameters, states: FloatArray, seen: FloatArray,
+    command: FloatArray,
+) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+    """The states after second k behind a gate, which decides twice, and what it let pass last."""
+    passed = np.zeros(command.size)
+    for half in (0.0, 0.5):
+        clocks.now = k + half
+        gate.command(command, k, clocks().stamps)
+        gate.temperature(seen, clocks().stamps)
+        passed = np.array(gate.decide().inputs)
+        states = advance(plant, states, passed, 0.5)
+    return states, passed
+
+
 def lie_to_both(
     plant: Parameters, references: FloatArray, lie: Lie | None = None, channel: int = 0, seed: int = 0
 ) -> list[Ending]:
@@ -189,13 +204,8 @@ def lie_to_both(
         seen = true[-1] + 0.12 * random.standard_normal(2)
         if lie is not None and k >= BEGINS:
             seen[channel] += lie(k - BEGINS, [row[channel] for row in true[-80:]]) - true[-1][channel]
-        command, passed = controller.step(references[k], seen), np.zeros(2)
-        for half in (0.0, 0.5):
-            clocks.now = k + half
-            gate.command(command, k, clocks().stamps)
-            gate.temperature(seen, clocks().stamps)
-            passed = np.array(gate.decide().inputs)
-            states = advance(plant, states, passed, 0.5)
+        command = controller.step(references[k], seen)
+        states, passed = drive_for_a_second(gate, clocks, k, plant, states, seen, command)
         gate.sample(tuple(references[k]), tuple(seen), tuple(passed))
         for number, ending in enumerate(endings):
             if lie is None or k >= BEGINS:

@@ -19,11 +19,12 @@ from tests.support.liar import (
     Lie,
     RunTime,
     drifting,
+    drive_for_a_second,
     scaled,
     sliding_off,
     whole_kit,
 )
-from twinmatch.dynamics import Controller, Parameters, advance, begin, law_of, readings
+from twinmatch.dynamics import Controller, Parameters, begin, law_of, readings
 from twinmatch.nodes.gated import OutputGate
 from twinmatch.nodes.tclab_bridge import TCLabBridge
 from twinmatch.plants import TCLabBoth
@@ -281,7 +282,9 @@ def follow(run: LieRun) -> LieOutcome:
             if run.lie is not None and k >= run.begins and channel in run.channels:
                 seen[channel] += run.lie(k - run.begins, history) - history[-1]
         command = np.atleast_1d(controller.step(reference, seen))
-        states = _second(gate, clocks, k, plant, states, reference, seen, command, outcome)
+        states, passed = drive_for_a_second(gate, clocks, k, plant, states, seen, command)
+        gate.sample(tuple(reference), tuple(seen), tuple(passed if gate.fault is not None else command))
+        outcome.limited += int(gate.armed and bool((passed < command).any()))
         _judge(run, k, true, outcome)
         if gate.fault is not None and not gate.armed and k > 1 and not outcome.fault:
             outcome.fault, outcome.fault_at = gate.fault.kind.value, k
@@ -289,23 +292,6 @@ def follow(run: LieRun) -> LieOutcome:
         if outcome.fault and k > outcome.fault_at + AFTER_A_FAULT:
             break
     return outcome
-
-
-def _second(  # noqa: PLR0917 (what a second of a loop needs)
-    gate: OutputGate, clocks: RunTime, k: int, plant: Parameters, states: FloatArray, reference: FloatArray,
-    seen: FloatArray, command: FloatArray, outcome: LieOutcome,
-) -> FloatArray:  # fmt: skip
-    """The states a second later."""
-    passed = np.zeros(command.size)
-    for half in (0.0, 0.5):
-        clocks.now = k + half
-        gate.command(command, k, clocks().stamps)
-        gate.temperature(seen, clocks().stamps)
-        passed = np.array(gate.decide().inputs)
-        states = advance(plant, states, passed, 0.5)
-    gate.sample(tuple(reference), tuple(seen), tuple(passed if gate.fault is not None else command))
-    outcome.limited += int(gate.armed and bool((passed < command).any()))
-    return states
 
 
 def _judge(run: LieRun, k: int, true: FloatArray, outcome: LieOutcome) -> None:

@@ -77,8 +77,6 @@ class Ceiling:
 
     estimate = math.nan
     """Output to which the drive has taken the plant."""
-    off = 0.0
-    """By how much the sensor is off, if it is the sensor."""
     share = 1.0
     """Of the full drive, what may pass."""
 
@@ -116,7 +114,11 @@ class Ceiling:
         alike = abs(reading - self.estimate) <= max(ALIKE, ALIKE_WITHIN * deviation)
         if learns and alike and self.seen and self.share >= 1.0:
             self._beliefs.learn(np.append(slopes, 1.0), reading - typical, DOUBT)
-        self.off = float(self._beliefs.mean[-1])
+
+    @property
+    def off(self) -> float:
+        """By how much the sensor is off, if it is the sensor, °C."""
+        return float(self._beliefs.mean[-1])
 
     def _plausible(self) -> float:
         """The share of what was learned that a plant of this kind can be."""

@@ -214,15 +214,19 @@ class Discriminator:
             estimates += self.monitor.estimates
             with self._replacing_defect(verdicts, sample.index, self._begin_candidates):
                 verdicts += self._take(sample, taken)
-                if sample.usable:
-                    if self._snapshots and (sample.seen or sample.refused):
-                        snapshots.append(self.forecaster.snapshot())
-                    self._due = self._schedule.push(sample)
-                    if self._due is not None:
-                        verdicts += self._on_trigger(self._due)
+                if self._snapshots and sample.usable and (sample.seen or sample.refused):
+                    snapshots.append(self.forecaster.snapshot())
+                verdicts += self._scheduled(sample)
             if self._request is not None:
                 break
         return Step(tuple(verdicts), self._request, tuple(snapshots), tuple(settled), tuple(estimates))
+
+    def _scheduled(self, sample: Sample) -> list[Verdict]:
+        """The verdicts of the window that a sample completes, unless its match has to be requested first."""
+        if not sample.usable:
+            return []
+        self._due = self._schedule.push(sample)
+        return [] if self._due is None else self._on_trigger(self._due)
 
     def _next(self, verdicts: list[Verdict]) -> Sample | None:
         """The next sample of the queue, as the door settles it once all before it have been taken."""
