@@ -86,7 +86,7 @@ BATCH = DEPTH // 4
 """At rate 0, messages after which the player waits until its readers have received all of them."""
 TICK = 0.1
 """Longest wait before the clock is published again, s."""
-_RATE = "Recorded seconds per second; 0: as fast as readers keep up."
+_RATE = "Recorded seconds per second; 0: as fast as readers receive."
 _TIMEOUT = "Longest wait for them, and for delivery at the end."
 SAMPLE = "plant/sample"
 FROM_TWIN = ("plant/description",)
@@ -246,8 +246,8 @@ class Player(TwinmatchNode):
     def _wait_for_delivery(self, deadline: float | None = None) -> bool:
         """Wait until the readers have received what was published; returns whether they have.
 
-        Our readers keep every message and apply back-pressure when their queue is full, so this limits the
-        player to the pace of the slowest.
+        A reader has received a message once it is in its queue. That of our readers has no limit: a slow one
+        takes its messages after the player has ended.
         """
         publishers = list(self._publishers_of.values())
         if deadline is not None and self._clock_publisher is not None:
