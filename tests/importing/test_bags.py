@@ -31,7 +31,8 @@ from twinmatch.cli import main
 from twinmatch.errors import TwinmatchError
 from twinmatch.importing import bag_files, bags
 from twinmatch.importing.bags import open_bag
-from twinmatch.importing.mapped_bags import _means, _Signal, map_bag
+from twinmatch.importing.mapped_bags import map_bag
+from twinmatch.importing.timed_signals import TimedSignal
 from twinmatch.plants import find_plant
 from twinmatch.sampling.channels import Channel
 from twinmatch.sampling.sources import parse_map
@@ -343,9 +344,9 @@ def test_our_own_session_is_a_bag_like_any_other(tmp_path: Path, plant: Path) ->
 def test_means_keep_what_the_drive_delivered(steps: list[tuple[float, float]], widths: list[float]) -> None:
     """The sum over the rows is that over the commands, summed step by step."""
     held = dict([(-1.0, 5.0), *steps])
-    signal = _Signal(np.array(sorted(held)), np.array([held[at] for at in sorted(held)]))
+    signal = TimedSignal(np.array(sorted(held)), np.array([held[at] for at in sorted(held)]))
     time = np.concatenate([[0.0], np.cumsum(widths)])
-    means = _means(signal, time, np.inf)
+    means = signal.means(time, np.inf)
     total = 0.0
     edges = [*[at for at in sorted(held) if 0.0 < at < time[-1]], time[-1]]
     at, value = 0.0, held[max(t for t in held if t <= 0.0)]

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twinmatch.errors import TwinmatchError
 from twinmatch.importing.bag_files import SCANS, definition_of, first_line, scans_of, suffix_of
@@ -71,6 +72,11 @@ class Series(NamedTuple):
     """Header stamps, s since 1970, shape (N,); nan without a header."""
     values: FloatArray
     """Shape (N,)."""
+
+    @property
+    def has_stamp(self) -> NDArray[np.bool_]:
+        """Which messages have a header stamp, shape (N,)."""
+        return np.isfinite(self.stamped)
 
 
 def is_bag(path: Path) -> bool:

@@ -1,0 +1,117 @@
+"""The times of a bag's messages by one clock.
+
+Times are those of the headers, and those of the bag where messages have none. Headers that share another
+clock, as that of a simulator, count for all: the time constants of the plant are in it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from itertools import chain
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from twinmatch.importing.bags import Series
+from twinmatch.signals import FloatArray
+
+__all__ = ["Times", "times_by_one_clock"]
+
+Times = dict[str, list[FloatArray]]
+"""By signal, for each of its channels the times of its messages, s, in the order of recording."""
+
+_SAME_CLOCK: Final = 1.0
+"""Clocks that differ by more, s, are different ones."""
+_SAME_RATE: Final = 0.01
+"""Clocks whose rates differ by more, relatively, do not go alike."""
+_SHORTEST: Final = 1e-9
+"""Shortest time of recording by which a rate is divided, s."""
+
+
+def times_by_one_clock(recorded: Mapping[str, Sequence[Series]]) -> tuple[Times, list[str]]:
+    """The times of all messages by one clock, and a note if the headers have another than the bag."""
+    all_series = list(chain.from_iterable(recorded.values()))
+    with_stamps = [series for series in all_series if series.has_stamp.any()]
+    offset = max((_usual_size(series.logged - series.stamped) for series in with_stamps), default=0.0)
+    if offset <= _SAME_CLOCK:
+        return _times(recorded, lambda series: _stamps_or(series.logged, series)), []
+    clock = _HeaderClock.of(with_stamps, _RecordingTime.of(all_series))
+    if not (clock.moves and clock.is_shared_by(with_stamps)):
+        own_clocks = (
+            f"The headers have clocks of their own, up to {offset:.3g} s from that of the bag; the times of "
+            "the bag are used instead."
+        )
+        return _times(recorded, lambda series: series.logged), [own_clocks]
+    times = _times(recorded, lambda series: _stamps_or(clock.at(series), series))
+    pace = "" if abs(clock.rate - 1) <= _SAME_RATE else f", {clock.rate:.3g} times as fast"
+    shared = f"The headers share a clock of their own, which counts: {offset:.3g} s from the bag's{pace}."
+    return times, [shared]
+
+
+def _times(recorded: Mapping[str, Sequence[Series]], times_of: Callable[[Series], FloatArray]) -> Times:
+    return {name: [times_of(series) for series in channels] for name, channels in recorded.items()}
+
+
+def _stamps_or(times: FloatArray, series: Series) -> FloatArray:
+    """The header stamps, and these times where a message has none."""
+    return np.where(series.has_stamp, series.stamped, times)
+
+
+def _usual_size(differences: FloatArray) -> float:
+    """The median of the sizes of those that are known."""
+    return float(np.median(np.abs(differences[np.isfinite(differences)])))
+
+
+class _RecordingTime(NamedTuple):
+    """How long the recording has run at each message, without the steps of a clock that was set back."""
+
+    places: FloatArray
+    """Places of the messages, increasing, shape (N,)."""
+    passed: FloatArray
+    """s, shape (N,)."""
+
+    @classmethod
+    def of(cls, all_series: Sequence[Series]) -> _RecordingTime:
+        all_places = np.concatenate([series.place for series in all_series])
+        all_logged = np.concatenate([series.logged for series in all_series])
+        places, first = np.unique(all_places, return_index=True)
+        steps = np.maximum(np.diff(all_logged[first]), 0.0)
+        return cls(places, np.append(0.0, np.cumsum(steps)))
+
+    def at(self, places: FloatArray) -> FloatArray:
+        return np.interp(places, self.places, self.passed)
+
+
+class _HeaderClock(NamedTuple):
+    """The clock of the channel that has most header stamps."""
+
+    recording: _RecordingTime
+    passed: FloatArray
+    """Time of recording of the messages with a stamp, s, shape (M,)."""
+    stamps: FloatArray
+    """s, shape (M,)."""
+
+    @classmethod
+    def of(cls, with_stamps: Sequence[Series], recording: _RecordingTime) -> _HeaderClock:
+        guide = max(with_stamps, key=lambda series: series.has_stamp.sum())
+        stamped = guide.has_stamp
+        return cls(recording, recording.at(guide.place)[stamped], guide.stamped[stamped])
+
+    @property
+    def moves(self) -> bool:
+        """Whether most messages have a time of their own."""
+        return bool(np.unique(self.stamps).size > self.stamps.size / 2)
+
+    @property
+    def rate(self) -> float:
+        """Seconds of this clock in a second of recording."""
+        return float(np.ptp(self.stamps) / max(np.ptp(self.passed), _SHORTEST))
+
+    def at(self, series: Series) -> FloatArray:
+        """Its times of a channel's messages, s."""
+        return np.interp(self.recording.at(series.place), self.passed, self.stamps)
+
+    def is_shared_by(self, with_stamps: Sequence[Series]) -> bool:
+        """Whether the header stamps of all these channels are of this clock."""
+        offsets = [_usual_size(series.stamped - self.at(series)) for series in with_stamps]
+        return max(offsets) <= _SAME_CLOCK
