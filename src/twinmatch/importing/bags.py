@@ -104,48 +104,54 @@ class Bag:
         self._scans = scans
         self._topics: dict[str, list[Topic]] = {}
         self._counts: Counter[str] = Counter()
-        notes, start, end = [*notes], math.inf, -math.inf
+        faults = []
+        first = math.inf
+        last = -math.inf
         for scan in scans():
-            before = self._counts.total()
+            counted_before = self._counts.total()
             for message in scan:
                 self._counts[message.topic.name] += 1
-                start, end = min(start, message.log_time), max(end, message.log_time)
-            for topic in scan.topics:
-                self._topics.setdefault(topic.name, []).append(topic)
-            if len(self._topics) > MAX_TOPICS:
-                raise RecordingError(
-                    f"{path}: has {len(self._topics)} topics, more than {MAX_TOPICS}; copy those of the "
-                    "plant into a bag of their own: ros2 bag convert"
-                )
-            read = self._counts.total() - before
-            if scan.fault and not read:
-                raise RecordingError(f"{scan.path}: {scan.fault}; no message can be read")
+                first = min(first, message.log_time)
+                last = max(last, message.log_time)
+            self._add_topics(scan.topics)
             if scan.fault:
-                notes.append(f"{scan.path.name}: {scan.fault}; {read} messages were read")
-        self.seconds = (end - start) / 1e9 if self._counts else 0.0
+                faults.append(_partly_read(scan, self._counts.total() - counted_before))
+        self.seconds = (last - first) / 1e9 if self._counts else 0.0
         """Duration from the first to the last message, s."""
-        if path.is_dir():
-            notes += miscounted(counts_listed(path), self._counts)
-        self.notes = [f"{note}." for note in notes]
+        missing = miscounted(counts_listed(path), self._counts) if path.is_dir() else []
+        self.notes = [f"{note}." for note in (*notes, *faults, *missing)]
         """What is missing, as sentences."""
+
+    def _add_topics(self, topics: Sequence[Topic]) -> None:
+        for topic in topics:
+            self._topics.setdefault(topic.name, []).append(topic)
+        if len(self._topics) > MAX_TOPICS:
+            raise RecordingError(
+                f"{self.path}: has {len(self._topics)} topics, more than {MAX_TOPICS}; copy those of the "
+                "plant into a bag of their own: ros2 bag convert"
+            )
 
     @property
     def topics(self) -> list[BagTopic]:
         """Its topics, sorted by name; elements of lists go by their names, if messages give them any."""
         topics = {name: self._topic(name) for name in sorted(self._topics)}
-        named: dict[str, dict[str, None]] = {n: {} for n, t in topics.items() if len(t.numbers) <= _FIELDS}
-        for raw in self._messages(named, _NAMED):
+        paths_by_name: dict[str, dict[str, None]] = {  # sets that keep their order
+            name: {} for name, topic in topics.items() if len(topic.numbers) <= _FIELDS
+        }
+        for raw in self._messages(paths_by_name, _NAMED):
             with suppress(TwinmatchError):  # damage is reported where a channel is read
-                message, numbers = self._decoded(raw), topics[raw.topic.name].numbers
-                named[raw.topic.name] |= dict.fromkeys(p for path in numbers for p in by_name(message, path))
-        return [t._replace(numbers=tuple(named.get(name, ())) or t.numbers) for name, t in topics.items()]
+                message = self._decoded(raw)
+                for path in topics[raw.topic.name].numbers:
+                    paths_by_name[raw.topic.name] |= dict.fromkeys(by_name(message, path))
+        return [
+            topic._replace(numbers=tuple(paths_by_name.get(name, ())) or topic.numbers)
+            for name, topic in topics.items()
+        ]
 
     @property
     def columns(self) -> list[Column]:
         """An overview of the numbers of each topic, under the names that a map uses."""
-        listed = [
-            t for t in self.topics if t.messages and len({p.split("[")[0] for p in t.numbers}) <= _FIELDS
-        ]
+        listed = [topic for topic in self.topics if topic.messages and _can_be_listed(topic)]
         channels = [Channel(topic.name, path) for topic in listed for path in topic.numbers]
         columns = [
             described(channel.text, usual_unit(series.kind, series.path), series.values, ordered=False)
@@ -170,39 +176,35 @@ class Bag:
         Raises:
             RecordingError: a topic or field is missing, or a topic has no messages or damaged ones.
         """
-        checked = [self._check(channel) for channel in channels]
-        rows: list[list[tuple[float, float, float, float]]] = [[] for _ in checked]
-        followed = [Followed(channel) for channel, _ in checked]
-        wanted: dict[str, list[int]] = {}
-        for k, (channel, _) in enumerate(checked):
-            wanted.setdefault(channel.topic, []).append(k)
-        total = sum(self._counts[name] for name in wanted)
-        for done, raw in enumerate(self._messages(wanted, most), 1):
-            if progress is not None and done % _EVERY == 0:
-                progress(done, total)
+        readings = [_ChannelReadings(*self._check(channel)) for channel in channels]
+        by_topic: dict[str, list[_ChannelReadings]] = {}
+        for channel_readings in readings:
+            by_topic.setdefault(channel_readings.channel.topic, []).append(channel_readings)
+        total = sum(self._counts[name] for name in by_topic)
+        for place, raw in enumerate(self._messages(by_topic, most), 1):
+            if progress is not None and place % _EVERY == 0:
+                progress(place, total)
             try:
                 message = self._decoded(raw)
-                stamped = _stamp(message)
-                for k in wanted.get(raw.topic.name, ()):
-                    number = followed[k].number(message)
-                    if number is not None:  # else it is about other elements, perhaps of another publisher
-                        rows[k].append((done, raw.log_time / 1e9, stamped, number))
+                for channel_readings in by_topic[raw.topic.name]:
+                    channel_readings.take(place, raw, message)
             except TwinmatchError as error:
                 if most is None:
-                    own = isinstance(error, RecordingError)
-                    raise error if own else RecordingError(f"{self.path}: {error}") from None
-                for k in wanted.pop(raw.topic.name):
-                    rows[k].clear()
-        series = []
-        for (channel, kind), held in zip(checked, rows, strict=True):
-            columns = np.array(held, dtype=np.float64).reshape(-1, 4).T
-            series.append(Series(kind, channel.path, *columns))
-        return series
+                    raise self._named_error(error) from None
+                for channel_readings in by_topic.pop(raw.topic.name):
+                    channel_readings.clear()
+        return [channel_readings.series() for channel_readings in readings]
+
+    def _named_error(self, error: TwinmatchError) -> RecordingError:
+        """The error, which says of which bag it is."""
+        return error if isinstance(error, RecordingError) else RecordingError(f"{self.path}: {error}")
 
     def _messages(self, topics: Collection[str], most: int | None) -> Iterator[Message]:
         """The messages of topics in the order of recording, or the first few of each; `topics` may shrink."""
         left = dict.fromkeys(topics, most or -1)  # counts down to 0, or for ever
-        for message in chain.from_iterable(self._scans()) if left else ():
+        if not left:
+            return
+        for message in chain.from_iterable(self._scans()):
             name = message.topic.name
             if name in left and name in topics:
                 left[name] -= 1
@@ -252,6 +254,48 @@ class Bag:
         except RecordingError as error:
             return BagTopic(name, kinds[0], self._counts[name], (), str(error))
         return BagTopic(name, kinds[0], self._counts[name], numbers)
+
+
+class _ChannelReadings:
+    """The numbers of a channel, taken message by message."""
+
+    def __init__(self, channel: Channel, kind: str) -> None:
+        """Begin without numbers."""
+        self.channel = channel
+        self._kind = kind
+        self._followed = Followed(channel)
+        self._rows: list[tuple[float, float, float, float]] = []
+
+    def take(self, place: int, raw: Message, message: Any) -> None:
+        """Take the number of a message, read as the `place`-th one."""
+        number = self._followed.number(message)
+        if number is not None:  # else it is about other elements, perhaps of another publisher
+            self._rows.append((place, raw.log_time / 1e9, _stamp(message), number))
+
+    def clear(self) -> None:
+        """Forget all numbers."""
+        self._rows.clear()
+
+    def series(self) -> Series:
+        """What was taken."""
+        columns = np.array(self._rows, dtype=np.float64).reshape(-1, 4).T
+        return Series(self._kind, self.channel.path, *columns)
+
+
+def _partly_read(scan: Scan, messages: int) -> str:
+    """The fault of a file of which so many messages were read.
+
+    Raises:
+        RecordingError: none were.
+    """
+    if not messages:
+        raise RecordingError(f"{scan.path}: {scan.fault}; no message can be read")
+    return f"{scan.path.name}: {scan.fault}; {messages} messages were read"
+
+
+def _can_be_listed(topic: BagTopic) -> bool:
+    """Whether a message has few numbers, a list counted as one."""
+    return len({path.split("[")[0] for path in topic.numbers}) <= _FIELDS
 
 
 @contextmanager

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -116,25 +116,45 @@ def described(title: str, unit: str, values: FloatArray, *, ordered: bool) -> Co
     finite = values[np.isfinite(values)]
     if not finite.size:
         return Column(title, unit, np.nan, np.nan, 0, values.size, "text")
-    different = int(np.unique(finite).size)
+    different = np.unique(finite)
+    return Column(
+        title,
+        unit,
+        low=float(finite.min()),
+        high=float(finite.max()),
+        different=int(different.size),
+        empty=values.size - finite.size,
+        kind=_kind(title, finite, different, ordered=ordered),
+        stepped=ordered and _stepped(finite),
+    )
+
+
+def _kind(title: str, finite: FloatArray, different: FloatArray, *, ordered: bool) -> str:
+    """The kind of a column with these values, some of them `different`."""
+    if different.size == 1:
+        return "constant"
+    if ordered and _is_time(title, finite):
+        return "time"
+    return "on or off" if set(different) <= {0.0, 1.0} else "numbers"
+
+
+def _is_time(title: str, finite: FloatArray) -> bool:
+    """Whether a column grows in each row or, if its title is that of a time, in nearly all of them.
+
+    A logger may write a row twice; more repeats are those of another quantity, such as a counter. A restarted
+    logger sets its time back, and a time may have too few digits: the import says so.
+    """
+    if finite.size <= 2:
+        return False
     steps = np.diff(finite)
-    grows = finite.size > 2 and bool((steps > 0).all())
-    # A logger may write a row twice; more repeats are those of another quantity, such as a counter.
-    twice = int(np.sum(steps == 0))
-    by_title = finite.size > 2 and _TIME.search(split_title(title)[0]) is not None
-    # Also a time that a restarted logger set back, or whose digits are too few: the import says so.
-    restarted = by_title and bool((steps < 0).sum() <= _RESTARTS * (steps > 0).sum())
-    few = bool((steps >= 0).all()) and twice <= max(1, _TWICE * steps.size)
-    repeats = by_title and (few or (restarted and split_title(title)[0].lower() in _TIMES))
-    if different == 1:
-        kind = "constant"
-    elif ordered and (grows or repeats):
-        kind = "time"
-    else:
-        kind = "on or off" if set(np.unique(finite)) <= {0.0, 1.0} else "numbers"
-    low, high = float(finite.min()), float(finite.max())
-    empty = values.size - finite.size
-    return Column(title, unit, low, high, different, empty, kind, ordered and _stepped(finite))
+    if (steps > 0).all():
+        return True
+    name, _ = split_title(title)
+    if _TIME.search(name) is None:
+        return False
+    repeats_rarely = bool((steps >= 0).all()) and np.sum(steps == 0) <= max(1, _TWICE * steps.size)
+    set_back_rarely = bool((steps < 0).sum() <= _RESTARTS * (steps > 0).sum())
+    return bool(repeats_rarely or (set_back_rarely and name.lower() in _TIMES))
 
 
 def _stepped(values: FloatArray) -> bool:
@@ -149,30 +169,41 @@ def proposed(columns: Sequence[Column]) -> dict[str, SignalSource]:
     """A guess at the columns of time, output, input, reference and room, for a person to check."""
     sources: dict[str, SignalSource] = {}
     taken: set[str] = set()
-    named = list(_named(columns, _INPUT, ("on or off", "numbers")))
-    for signal, candidates in (
+    for signal, candidates in _candidates(columns):
+        if signal in sources:
+            continue
+        free = [column.title for column in candidates if column.title not in taken]
+        if free:
+            sources[signal] = SignalSource((free[0],))
+            taken.add(free[0])
+    if seen_by_controller(columns, sources):
+        measured, drive = _in_and_out(columns)
+        sources["output"] = SignalSource((measured.title,))
+        sources["input"] = SignalSource((drive.title,))
+    order = ("time", "output", "input", "reference", "room")
+    return {signal: sources[signal] for signal in order if signal in sources}
+
+
+def _candidates(columns: Sequence[Column]) -> list[tuple[str, list[Column]]]:
+    """Columns that may be a signal, what tells most first: a title, then how the values behave."""
+    titled_inputs = _named(columns, _INPUT, ("on or off", "numbers"))
+    titled_outputs = _liveliest(_named(columns, _OUTPUT, ("numbers", "time")))
+    numbers = _of(columns, "numbers")
+    return [
         ("time", _named(columns, _TIME, ("time",))),
         ("reference", _named(columns, _REFERENCE, ("numbers", "constant"))),
         ("room", _named(columns, _AROUND, ("numbers", "constant"))),
-        ("input", (c for c in named if c.stepped or c.kind == "on or off")),
-        ("input", named),
-        ("input", (c for c in _of(columns, "numbers") if c.stepped)),
-        ("output", _liveliest(c for c in _named(columns, _OUTPUT, ("numbers", "time")) if not c.stepped)),
-        ("output", _liveliest(_named(columns, _OUTPUT, ("numbers", "time")))),
+        ("input", [column for column in titled_inputs if column.stepped or column.kind == "on or off"]),
+        ("input", titled_inputs),
+        ("input", [column for column in numbers if column.stepped]),
+        ("output", [column for column in titled_outputs if not column.stepped]),
+        ("output", titled_outputs),
         ("time", _of(columns, "time")),
         ("input", _of(columns, "on or off")),
-        ("input", (c for c in _of(columns, "numbers") if c.different <= _FEW)),
-        ("output", _liveliest(_of(columns, "numbers"))),
-        ("input", _of(columns, "numbers")),
-    ):
-        choice = next((column.title for column in candidates if column.title not in taken), None)
-        if signal not in sources and choice is not None:
-            sources[signal] = SignalSource((choice,))
-            taken.add(choice)
-    if seen_by_controller(columns, sources):
-        sources["output"], sources["input"] = (SignalSource((c.title,)) for c in _in_and_out(columns))
-    order = ("time", "output", "input", "reference", "room")
-    return {signal: sources[signal] for signal in order if signal in sources}
+        ("input", [column for column in numbers if column.different <= _FEW]),
+        ("output", _liveliest(numbers)),
+        ("input", numbers),
+    ]
 
 
 SEEN: Final = (
@@ -186,14 +217,18 @@ def seen_by_controller(columns: Sequence[Column], sources: Mapping[str, SignalSo
 
     The set-point tells: what is measured follows it.
     """
-    found = _in_and_out(columns)
-    target = next(
-        (c for c in columns if "reference" in sources and c.title in sources["reference"].places), None
-    )
-    if len(found) != 2 or target is None:
+    pair = _in_and_out(columns)
+    references = sources["reference"].places if "reference" in sources else ()
+    reference = next((column for column in columns if column.title in references), None)
+    if len(pair) != 2 or reference is None:
         return False
-    given, made = (abs(c.low - target.low) + abs(c.high - target.high) for c in found)
-    return given < made
+    input_apart, output_apart = (_apart(column, reference) for column in pair)
+    return input_apart < output_apart
+
+
+def _apart(column: Column, other: Column) -> float:
+    """How far the ranges of two columns are apart."""
+    return abs(column.low - other.low) + abs(column.high - other.high)
 
 
 def _in_and_out(columns: Sequence[Column]) -> list[Column]:
@@ -202,14 +237,14 @@ def _in_and_out(columns: Sequence[Column]) -> list[Column]:
     return [named[name] for name in ("input", "output") if name in named]
 
 
-def _named(columns: Sequence[Column], words: re.Pattern[str], kinds: Sequence[str]) -> Iterator[Column]:
-    return (c for c in columns if c.kind in kinds and words.search(split_title(c.title)[0]))
+def _named(columns: Sequence[Column], words: re.Pattern[str], kinds: Sequence[str]) -> list[Column]:
+    return [c for c in columns if c.kind in kinds and words.search(split_title(c.title)[0])]
 
 
-def _of(columns: Sequence[Column], kind: str) -> Iterator[Column]:
-    return (c for c in columns if c.kind == kind)
+def _of(columns: Sequence[Column], kind: str) -> list[Column]:
+    return [column for column in columns if column.kind == kind]
 
 
-def _liveliest(columns: Iterator[Column]) -> Iterator[Column]:
+def _liveliest(columns: Sequence[Column]) -> list[Column]:
     """Columns with most different values first: of several temperatures, the room's varies least."""
-    return iter(sorted(columns, key=lambda column: -column.different))
+    return sorted(columns, key=lambda column: -column.different)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twinmatch.dynamics import Plant
 from twinmatch.dynamics.pace import time_constant
@@ -57,18 +58,40 @@ def with_plant_names(table: Table, plant: type[Plant], given: SignalMap) -> Sign
     """The map, completed with columns that have the names of signals."""
     sources = dict(by_signal(plant, given.sources))
     taken = {table.find(place) for source in sources.values() for place in with_titles(table, source).places}
-    titled: dict[str, list[str]] = {}
-    for title in table.columns:
-        titled.setdefault(split_title(title)[0].lower(), []).append(title)
-    # The plant's own names first: a drive may be called output.
-    for signal, names in sorted(accepted_names(plant).items(), key=lambda entry: len(entry[1]) == 1):
-        for name in reversed(names) if signal not in sources else ():
-            titles = titled.get(name.lower(), [])
-            if len(titles) == 1 and titles[0] not in taken:
-                sources[signal] = SignalSource((titles[0],))
-                taken.add(titles[0])
-                break
+    titles_by_name = _titles_by_name(table)
+    for signal, names in _own_names_first(accepted_names(plant)):
+        if signal in sources:
+            continue
+        title = _only_free_title(titles_by_name, reversed(names), taken)
+        if title is not None:
+            sources[signal] = SignalSource((title,))
+            taken.add(title)
     return SignalMap(sources, given.plant, given.period)
+
+
+def _titles_by_name(table: Table) -> dict[str, list[str]]:
+    """Titles of columns by their names in lower case, without units."""
+    titles: dict[str, list[str]] = {}
+    for title in table.columns:
+        name, _ = split_title(title)
+        titles.setdefault(name.lower(), []).append(title)
+    return titles
+
+
+def _own_names_first(names_by_signal: Mapping[str, Sequence[str]]) -> list[tuple[str, Sequence[str]]]:
+    """Signals that the plant gives a name of its own before the others: a drive may be called output."""
+    return sorted(names_by_signal.items(), key=lambda entry: len(entry[1]) == 1)
+
+
+def _only_free_title(
+    titles_by_name: Mapping[str, Sequence[str]], names: Iterable[str], taken: Container[str]
+) -> str | None:
+    """The title of the first of these names that one free column has alone."""
+    for name in names:
+        titles = titles_by_name.get(name.lower(), ())
+        if len(titles) == 1 and titles[0] not in taken:
+            return titles[0]
+    return None
 
 
 def map_samples(
@@ -98,41 +121,63 @@ def map_samples(
     }
     signals, notes = _wanted(table, plant, replace(given, sources=sources))
     times = times_of(table, sources.get(TIME), given.period)
-    values = {signal: _values(table, sources[signal], signal, known) for signal, known in signals.items()}
-    whole = np.isfinite(times.seconds) & np.all([np.isfinite(v) for v in values.values()], axis=0)
-    if whole.sum() < 2:
-        signal = next(s for s in (TIME, *values) if not np.isfinite({TIME: times.seconds, **values}[s]).any())
-        raise RecordingError(f"{table.path}: no row has a value of {signal}; map another column to it")
-    if not whole.all():
-        lost = np.flatnonzero(~whole)
-        where = f"{table.row} {table.lines[int(lost[0])]}"
-        notes.append(f"{lost.size} rows lack a value and are left out, the first in {where}.")
-    kept = np.flatnonzero(whole)
-    twice = repeated(kept, times.seconds, *values.values())
-    if twice.size:
-        where = f"{table.row} {table.lines[int(twice[0])]}"
-        notes.append(f"{twice.size} rows repeat the row before and are left out, the first in {where}.")
-        kept = np.setdiff1d(kept, twice)
-    notes += [f"The dates are read as {times.order}."] if times.order else []
-    for signal, known in signals.items():
-        notes += check_range(table, signal, known, values[signal], kept)
-    done = resample(
-        times.seconds[kept],
-        {signal: column[kept] for signal, column in values.items()},
-        {signal: known.kind for signal, known in signals.items()},
+    values = {
+        signal: _values(table, sources[signal], signal, properties) for signal, properties in signals.items()
+    }
+    rows, row_notes = _rows_with_values(table, times, values)
+    notes += row_notes
+    if times.order:
+        notes.append(f"The dates are read as {times.order}.")
+    for signal, properties in signals.items():
+        notes += check_range(table, signal, properties, values[signal], rows)
+    resampled = resample(
+        times.seconds[rows],
+        {signal: column[rows] for signal, column in values.items()},
+        {signal: properties.kind for signal, properties in signals.items()},
         given.period,
         longest=longest,
         gaps=gaps,
         place=str(table.path),
-        row=lambda i: f"{table.row} {table.lines[int(kept[i])]}",
+        row=lambda i: _row_name(table, int(rows[i])),
     )
     if given.period is None:
-        _require_pace(table, plant, done.period)
-    notes.insert(0, done.sentence[0].upper() + done.sentence[1:] + ".")
-    start = EPOCH if times.origin is None else round((times.origin + float(done.time[0])) * 1e9)
-    samples = _samples(plant, done, start)
-    has_reference = LoopNames.of(plant).references[0] in done.columns
-    return Mapped(samples, done.period, sources, has_reference, notes)
+        _require_pace(table, plant, resampled.period)
+    notes.insert(0, resampled.sentence[0].upper() + resampled.sentence[1:] + ".")
+    start = EPOCH if times.origin is None else round((times.origin + float(resampled.time[0])) * 1e9)
+    has_reference = LoopNames.of(plant).references[0] in resampled.columns
+    return Mapped(_samples(plant, resampled, start), resampled.period, sources, has_reference, notes)
+
+
+def _row_name(table: Table, row: int) -> str:
+    """What a row (from 0) is called, such as `line 12`."""
+    return f"{table.row} {table.lines[row]}"
+
+
+def _rows_with_values(
+    table: Table, times: Times, values: Mapping[str, FloatArray]
+) -> tuple[NDArray[np.intp], list[str]]:
+    """The rows that have a time and all values and do not repeat the row before, and notes on the others.
+
+    Raises:
+        RecordingError: fewer than two rows have a time and all values.
+    """
+    columns = {TIME: times.seconds, **values}
+    has_all = np.all([np.isfinite(column) for column in columns.values()], axis=0)
+    if has_all.sum() < 2:
+        signal = next(name for name, column in columns.items() if not np.isfinite(column).any())
+        raise RecordingError(f"{table.path}: no row has a value of {signal}; map another column to it")
+    notes = []
+    rows = np.flatnonzero(has_all)
+    incomplete = np.flatnonzero(~has_all)
+    if incomplete.size:
+        first = _row_name(table, int(incomplete[0]))
+        notes.append(f"{incomplete.size} rows lack a value and are left out, the first in {first}.")
+    repeats = repeated(rows, *columns.values())
+    if repeats.size:
+        first = _row_name(table, int(repeats[0]))
+        notes.append(f"{repeats.size} rows repeat the row before and are left out, the first in {first}.")
+        rows = np.setdiff1d(rows, repeats)
+    return rows, notes
 
 
 def _require_pace(table: Table, plant: type[Plant], period: float) -> None:
@@ -175,31 +220,50 @@ def require_columns(table: Table, given: SignalMap, needed: Sequence[str] = (OUT
 
 
 def _wanted(table: Table, plant: type[Plant], given: SignalMap) -> tuple[dict[str, PlantSignal], list[str]]:
-    loop, sources = LoopNames.of(plant), given.sources
+    """The plant's signals that are taken from the table, and notes on those that are not there.
+
+    Raises:
+        RecordingError: a column that is needed is not mapped.
+    """
+    loop = LoopNames.of(plant)
+    sources = given.sources
     require_columns(table, given, (*loop.outputs, *loop.inputs))
-    outputs, signals = plant.outputs.values(), {}
-    for name, y in zip(loop.outputs, outputs, strict=True):
-        signals[name] = PlantSignal("reading", y.unit, *y.span)
-    for name, u in zip(loop.inputs, plant.drives.values(), strict=True):
-        signals[name] = PlantSignal("held", u.unit, *u.limits)
-    closed = [name for name in loop.references if name in sources]
-    if closed and len(closed) < len(loop.references):
-        left = next(name for name in loop.references if name not in sources)
-        raise RecordingError(f"--map: {closed[0]} is given, but not {left}; give all set-points, or none")
-    for name, y in zip(closed, outputs, strict=False):
-        signals[name] = PlantSignal("set", y.unit)
+    outputs = plant.outputs.values()
+    signals = {}
     notes = []
+    for name, output in zip(loop.outputs, outputs, strict=True):
+        signals[name] = PlantSignal("reading", output.unit, *output.span)
+    for name, drive in zip(loop.inputs, plant.drives.values(), strict=True):
+        signals[name] = PlantSignal("held", drive.unit, *drive.limits)
+    if _has_references(loop, sources):
+        for name, output in zip(loop.references, outputs, strict=False):
+            signals[name] = PlantSignal("set", output.unit)
     for name, disturbance in plant.disturbances.items():
         if name in sources:
             signals[name] = PlantSignal("reading", disturbance.unit)
         else:
             value = f"{disturbance.default:g} {disturbance.unit}".strip()
             notes.append(f"{name} is not in the table: the plant's default, {value}, is used.")
-    if not closed:
+    if not _has_references(loop, sources):
         notes.append(
             "The table has no set-point: the loop is treated as unknown, the twin is driven by the input."
         )
     return signals, notes
+
+
+def _has_references(loop: LoopNames, sources: Mapping[str, SignalSource]) -> bool:
+    """Whether all set-points are mapped.
+
+    Raises:
+        RecordingError: some are, others not.
+    """
+    mapped = [name for name in loop.references if name in sources]
+    missing = [name for name in loop.references if name not in sources]
+    if mapped and missing:
+        raise RecordingError(
+            f"--map: {mapped[0]} is given, but not {missing[0]}; give all set-points, or none"
+        )
+    return bool(mapped)
 
 
 def times_of(table: Table, source: SignalSource | None, period: float | None) -> Times:
@@ -286,24 +350,49 @@ def _hint(signal: str, known: PlantSignal, values: FloatArray) -> str:
     return "map another column, give its unit, or widen the plant's range if the values are right"
 
 
-def _samples(plant: type[Plant], done: Resampled, start: int) -> list[Sample]:
-    columns, size, loop = done.columns, done.index.size, LoopNames.of(plant)
+def _samples(plant: type[Plant], resampled: Resampled, start: int) -> list[Sample]:
+    """Samples whose first is stamped `start`, ns since 1970."""
+    loop = LoopNames.of(plant)
+    columns = dict(resampled.columns)
     # Without set-points the twin is driven by the inputs and ignores the references, which must be finite.
-    usual = {name: columns[y][0] for name, y in zip(loop.references, loop.outputs, strict=True)}
-    usual |= {name: d.default for name, d in plant.disturbances.items()}
+    for reference, output in zip(loop.references, loop.outputs, strict=True):
+        columns.setdefault(reference, np.full(resampled.index.size, columns[output][0]))
+    for name, disturbance in plant.disturbances.items():
+        columns.setdefault(name, np.full(resampled.index.size, disturbance.default))
+    return [
+        Sample(*row)
+        for row in zip(
+            resampled.index.tolist(),
+            _stamps(resampled, start).tolist(),
+            *(_rows(columns, names, resampled.index.size) for names in loop),
+            _rows(columns, list(plant.disturbances), resampled.index.size),
+            strict=True,
+        )
+    ]
 
-    def rows(names: Sequence[str]) -> list[Signals]:
-        each = [columns[name] if name in columns else np.full(size, usual[name]) for name in names]
-        return list(map(tuple, np.array(each).reshape(len(each), size).T.tolist()))
 
-    stamps, late = np.empty(size, dtype=np.int64), 0
-    for stretch in done.stretches:
+def _rows(columns: Mapping[str, FloatArray], names: Sequence[str], size: int) -> list[Signals]:
+    """The values of these columns by row; `size` is the number of rows, also of no columns."""
+    values = np.array([columns[name] for name in names]).reshape(len(names), size)
+    return list(map(tuple, values.T.tolist()))
+
+
+def _stamps(resampled: Resampled, start: int) -> NDArray[np.int64]:
+    """Stamps of the samples, ns since 1970, shape (M,).
+
+    After a clock was set back, that of the session does not go back: the stretch begins as many periods after
+    the one before as the indices skip, and all later ones are put off as much.
+    """
+    period = resampled.period
+    stamps = np.empty(resampled.index.size, dtype=np.int64)
+    put_off = 0
+    for stretch in resampled.stretches:
         first = stretch.start
-        begin = start + round(float(done.time[first] - done.time[0]) * 1e9) + late
-        if first and begin <= stamps[first - 1]:  # after a clock was set back, the session's does not go back
-            missing = int(done.index[first] - done.index[first - 1])
-            behind = int(stamps[first - 1]) + round(missing * done.period * 1e9) - begin
-            begin, late = begin + behind, late + behind
-        stamps[stretch] = [begin + round(k * done.period * 1e9) for k in range(stretch.stop - first)]
-    signals = [*map(rows, loop), rows(list(plant.disturbances))]
-    return [Sample(*row) for row in zip(done.index.tolist(), stamps.tolist(), *signals, strict=True)]
+        begin = start + round(float(resampled.time[first] - resampled.time[0]) * 1e9) + put_off
+        if first and begin <= stamps[first - 1]:
+            skipped = int(resampled.index[first] - resampled.index[first - 1])
+            follows = int(stamps[first - 1]) + round(skipped * period * 1e9)
+            put_off += follows - begin
+            begin = follows
+        stamps[stretch] = [begin + round(k * period * 1e9) for k in range(stretch.stop - first)]
+    return stamps

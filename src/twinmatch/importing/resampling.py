@@ -108,8 +108,11 @@ class Resampled:
     def _splits(self) -> str:
         if not self.gaps:
             return ""
-        lengths, back = ([gap for gap in self.gaps if (gap < 0) == past] for past in (False, True))
-        causes = [f"{what} of {_list(of)} s" for what, of in (("gaps", lengths), ("steps back", back)) if of]
+        causes = []
+        if lengths := [gap for gap in self.gaps if gap >= 0]:
+            causes.append(f"gaps of {_list(lengths)} s")
+        if steps_back := [gap for gap in self.gaps if gap < 0]:
+            causes.append(f"steps back of {_list(steps_back)} s")
         return f"; split into {len(self.gaps) + 1} stretches by {' and '.join(causes)}"
 
 
@@ -157,39 +160,40 @@ def resample(
     _refuse_standing(stamps, place, row, split=gaps == "split")
     usual = usual_step(steps)
     limit = bridged_up_to(stamps, longest)
-    within = (steps > 0) & (steps <= limit)
-    cuts = np.flatnonzero(~within)
+    is_bridged = (steps > 0) & (steps <= limit)
+    cuts = np.flatnonzero(~is_bridged)
     if cuts.size and gaps == "refuse":
         _refuse_gap(steps, cuts, limit, place, row)
-    kept = steps[within]
+    bridged_steps = steps[is_bridged]
     stretches = np.split(stamps, cuts + 1)
     if period is None:
-        ticks = float(np.sum(np.rint(kept / usual)))  # number of periods, including those of lost rows
-        period = _period(stretches, sum(float(part[-1] - part[0]) for part in stretches) / ticks)
+        period = _default_period(stretches, bridged_steps, usual)
     elif not (np.isfinite(period) and period >= _CROWDED * usual):
         raise RecordingError(
             f"{place}: a period of {period:g} s does not fit rows {usual:g} s apart; give at least half of "
             "that"
         )
-    clocks, found, squares = [], [], 0.0
-    for part, rows in zip(stretches, np.split(np.arange(stamps.size), cuts + 1), strict=True):
-        clock, bare = _clock(part, period)
-        pieces = {name: column[rows] for name, column in values.items()}
-        if not bare:
-            places = (part - clock[0]) / period
-            squares += float(np.sum(np.square(places - np.rint(places))))
-            pieces = {name: _MOVES[kinds[name]](part, v, clock, period) for name, v in pieces.items()}
+    clocks = []
+    pieces = []
+    squares = 0.0
+    for stretch, rows in zip(stretches, np.split(np.arange(stamps.size), cuts + 1), strict=True):
+        clock, on_clock = _clock(stretch, period)
+        piece = {name: column[rows] for name, column in values.items()}
+        if not on_clock:
+            ticks = (stretch - clock[0]) / period
+            squares += float(np.sum(np.square(ticks - np.rint(ticks))))
+            piece = {name: _MOVES[kinds[name]](stretch, v, clock, period) for name, v in piece.items()}
         clocks.append(clock)
-        found.append(pieces)
+        pieces.append(piece)
     return Resampled(
         time=np.concatenate(clocks),
         index=_numbers(clocks, period),
-        columns={name: np.concatenate([pieces[name] for pieces in found]) for name in values},
+        columns={name: np.concatenate([piece[name] for piece in pieces]) for name in values},
         period=period,
         rows=stamps.size,
-        steps=(float(kept.min()), usual, float(kept.max())),
+        steps=(float(bridged_steps.min()), usual, float(bridged_steps.max())),
         jitter=period * float(np.sqrt(squares / stamps.size)),
-        bridged=tuple(np.flatnonzero((steps > _USUAL * usual) & within).tolist()),
+        bridged=tuple(np.flatnonzero((steps > _USUAL * usual) & is_bridged).tolist()),
         gaps=tuple(steps[cuts].tolist()),
     )
 
@@ -307,20 +311,29 @@ def _refuse_gap(
     )
 
 
-def _period(stretches: list[FloatArray], mean: float) -> float:
-    """The default period, from the mean period of the rows: the roundest one that the rows keep exactly, or
-    else the roundest within `ROUNDED`."""
+def _default_period(stretches: list[FloatArray], steps: FloatArray, usual: float) -> float:
+    """The roundest period that the rows keep exactly, or else the roundest within `ROUNDED` of their mean.
+
+    `steps` are those between rows within the stretches, s; those with lost rows count as several periods.
+    """
+    periods = float(np.sum(np.rint(steps / usual)))
+    mean = sum(float(stretch[-1] - stretch[0]) for stretch in stretches) / periods
     rounded = (float(f"{mean:.{digits}g}") for digits in range(1, _DIGITS + 1))
     near = [period for period in rounded if abs(period - mean) <= ROUNDED * mean]
-    return next((period for period in near if all(_clock(s, period)[1] for s in stretches)), near[0])
+    kept = (period for period in near if _all_on_clock(stretches, period))
+    return next(kept, near[0])
+
+
+def _all_on_clock(stretches: list[FloatArray], period: float) -> bool:
+    return all(on_clock for _, on_clock in (_clock(stretch, period) for stretch in stretches))
 
 
 def _clock(stamps: FloatArray, period: float) -> tuple[FloatArray, bool]:
     """The ticks, and whether the rows are on them."""
     ticks = round(float(np.floor((stamps[-1] - stamps[0]) / period + _ON_CLOCK))) + 1
     clock = stamps[0] + period * np.arange(ticks)
-    bare = clock.size == stamps.size and bool(np.all(np.abs(stamps - clock) <= _ON_CLOCK * period))
-    return clock, bare
+    on_clock = clock.size == stamps.size and bool(np.all(np.abs(stamps - clock) <= _ON_CLOCK * period))
+    return clock, on_clock
 
 
 def _reading(stamps: FloatArray, values: FloatArray, clock: FloatArray, _period: float) -> FloatArray:

@@ -218,12 +218,7 @@ def _parse(path: Path, lines: Iterator[tuple[int, str]]) -> Table:
         raise RecordingError(msg)
     divider = stated[1] if stated else max(",;\t", key=head[0][1].count)
     (first_place, titles), *beginning = _rows(path, iter(head), divider)
-    if all(number(title) is not None for title in titles):
-        names = ("time", "output", "input", *(f"other {k}" for k in range(1, 4)))[: len(titles)]
-        raise RecordingError(
-            f"{path}, line {first_place}: has numbers; the first line must name the columns: write "
-            f"one above it, such as {divider.join(names)}"
-        )
+    _require_names(path, first_place, titles, divider)
     _check_titles(path, titles)
     titles, skipped = _with_units(titles, [cells for _, cells in beginning[:2]])
     decimal = _decimal([cells for _, cells in beginning], quoted=divider == ",")
@@ -234,8 +229,18 @@ def _parse(path: Path, lines: Iterator[tuple[int, str]]) -> Table:
             read.rows(_rows(path, iter(block), divider, first=(first_place, len(titles))))
     distinct = _distinct(titles)
     columns = dict(zip(distinct, read.columns(), strict=True))
-    odd = {title: others for title, others in zip(distinct, read.texts, strict=True) if others}
-    return Table(path, columns, read.places, texts=odd)
+    texts = {title: cells for title, cells in zip(distinct, read.texts, strict=True) if cells}
+    return Table(path, columns, read.places, texts=texts)
+
+
+def _require_names(path: Path, place: int, titles: Sequence[str], divider: str) -> None:
+    if any(number(title) is None for title in titles):
+        return
+    names = ("time", "output", "input", *(f"other {k}" for k in range(1, 4)))[: len(titles)]
+    raise RecordingError(
+        f"{path}, line {place}: has numbers; the first line must name the columns: write "
+        f"one above it, such as {divider.join(names)}"
+    )
 
 
 class _Cells:
@@ -343,16 +348,23 @@ def _with_units(titles: list[str], cells: list[list[str]]) -> tuple[list[str], i
 
     Its cells begin with letters or symbols, some are known units, and the next line has numbers there.
     """
-    units = [cell.strip() for cell in cells[0]]
-    given = [k for k, unit in enumerate(units) if unit.lower() not in _WORDS]
-    known = [bool(unit) and measure(unit).known for unit in units]
-    texts = all(number(units[k], ",") is None and not units[k][0].isdigit() for k in given)
-    if not texts or not any(known) or not any(number(cells[1][k], ",") is not None for k in given):
+    below, next_line = cells
+    units = [cell.strip() for cell in below]
+    stated = [k for k, unit in enumerate(units) if unit.lower() not in _WORDS]
+    is_unit = [bool(unit) and measure(unit).known for unit in units]
+    if not any(is_unit) or any(_begins_as_number(units[k]) for k in stated):
         return titles, 0
-    both = zip(titles, units, known, strict=True)
-    return [
-        f"{title} ({unit})" if use and not split_title(title)[1] else title for title, unit, use in both
-    ], 1
+    if all(number(next_line[k], ",") is None for k in stated):
+        return titles, 0
+    with_units = []
+    for title, unit, known in zip(titles, units, is_unit, strict=True):
+        has_unit = bool(split_title(title)[1])
+        with_units.append(f"{title} ({unit})" if known and not has_unit else title)
+    return with_units, 1
+
+
+def _begins_as_number(text: str) -> bool:
+    return number(text, ",") is not None or text[0].isdigit()
 
 
 def _decimal(rows: Sequence[Sequence[str]], *, quoted: bool) -> str:

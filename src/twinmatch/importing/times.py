@@ -41,7 +41,9 @@ _FORM: Final = re.compile(
 
 _ZONE: Final = re.compile(r":\d{2}.*[+-](?!00:?00)\d{2}:?\d{2}$")
 """A time zone other than UTC."""
-_COUNTS = ((1e17, 1e9), (1e14, 1e6), (1e11, 1e3), (1e8, 1.0))
+_SINCE_1970: Final = 1e8
+"""Times from here on, s, are counted from 1970: it was reached in 1973."""
+_COUNTS: Final = ((1e17, 1e9), (1e14, 1e6), (1e11, 1e3), (_SINCE_1970, 1.0))
 """Size from which a number is a count since 1970, and its units per second."""
 
 
@@ -85,23 +87,31 @@ def read_times(table: Table, title: str, unit: str = "", scale: float = 1.0) -> 
         order = order_of(texts.values()) if is_local(next(iter(texts.values()))) else ""
         return _since(_dates(table, title, texts, order))._replace(order=order)
     values = table.values(title) * scale
-    unit = unit or table.unit(title) or unit_in(title)
-    if not unit:
-        _require_no_days(table, title, values)
     size = float(np.max(np.abs(values[np.isfinite(values)]), initial=0.0))
+    unit = unit or table.unit(title) or unit_in(title)
     if unit:
-        try:
-            per_second = 1.0 / conversion(unit, "s").scale
-        except TwinmatchError:
-            msg = f"{table.path}: {title!r} is in {unit}, not a unit of time; write time='{title}; unit=s'"
-            raise RecordingError(msg) from None
+        per_second = _per_second(table, title, unit)
     else:
+        _require_no_days(table, title, values)
         per_second = next((count for least, count in _COUNTS if size >= least), 1.0)
     if per_second == 1.0 / _DAY and _may_be_days(values):
         return _since((values - _EXCEL) * _DAY)
-    if size / per_second >= 1e8:
+    if size / per_second >= _SINCE_1970:
         return _since(values / per_second)
     return Times(values / per_second, None)
+
+
+def _per_second(table: Table, title: str, unit: str) -> float:
+    """How many of this unit are a second.
+
+    Raises:
+        RecordingError: it is not a unit of time.
+    """
+    try:
+        return 1.0 / conversion(unit, "s").scale
+    except TwinmatchError:
+        msg = f"{table.path}: {title!r} is in {unit}, not a unit of time; write time='{title}; unit=s'"
+        raise RecordingError(msg) from None
 
 
 def unit_in(title: str) -> str:
