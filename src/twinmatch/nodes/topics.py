@@ -19,8 +19,8 @@ from twinmatch.sessions import Qos
 from twinmatch.signals import NANOSECONDS
 
 EVERYTHING = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE)
-"""For readers that must not miss a message. Where the network is restricted to this machine, their queue has no
-limit; elsewhere the middleware's applies, and a full queue makes the writer wait."""
+"""For readers that must not miss a message. Their queue has no limit where the network is restricted to this
+machine; elsewhere that of the middleware applies, and a full queue makes the writer wait."""
 
 DEPTH = 1000
 """Messages that a writer keeps for readers that are late, and queue of the recorder for each topic: at rate 0
