@@ -19,7 +19,7 @@ import numpy as np
 from twinmatch.adding.noise import noise_of
 from twinmatch.dynamics import Plant
 from twinmatch.importing.mapped import require_columns, times_of, with_titles
-from twinmatch.importing.resampling import Kind, repeated, resample
+from twinmatch.importing.resampling import Kind, Resampled, repeated, resample
 from twinmatch.importing.tables import Table, split_title
 from twinmatch.sampling.sources import SignalMap, SignalSource
 from twinmatch.sessions.files import RecordingError
@@ -28,6 +28,10 @@ from twinmatch.units import is_readable, measure
 
 _SPIKE: Final = 10.0
 """Distance from the median of its neighbours, in noises, from which a reading is a spike."""
+_FEWEST_BLOCKS: Final = 20
+"""Fewest blocks from which a model is estimated."""
+_MOVES: Final = 5.0
+"""Standard deviation of the changes from block to block, in those of the noise, that shows the plant."""
 _MOST: Final = 1e100
 """Size from which squares of values are not numbers any longer."""
 _KNOWN: Final = ("time", "output", "input", "reference")
@@ -113,58 +117,98 @@ def propose(table: Table, given: SignalMap) -> Proposal:
     """
     require_columns(table, given)
     sources = {name: with_titles(table, source) for name, source in given.sources.items()}
-    signals = {name: _values(table, source) for name, source in sources.items() if name != "time"}
-    times = times_of(table, sources.get("time"), given.period)
-    kinds: dict[str, Kind] = {**dict.fromkeys(signals, "reading"), "input": "held", "reference": "set"}
-    kept = np.flatnonzero(np.all([np.isfinite(v) for v in (times.seconds, *signals.values())], axis=0))
-    kept = np.setdiff1d(kept, repeated(kept, times.seconds, *signals.values()))
-    done = resample(
-        times.seconds[kept],
-        {name: values[kept] for name, values in signals.items()},
-        kinds,
-        given.period,
-        gaps="split",
-        place=str(table.path),
-        row=lambda i: f"{table.row} {table.lines[int(kept[i])]}",
-    )
-    for name, values in done.columns.items():
-        if not np.abs(values).max() < _MOST:
-            raise RecordingError(f"{table.path}: {name} reaches {np.abs(values).max():g}; correct its values")
-    y, u = done.columns["output"], done.columns["input"]
-    others = [name for name in given.sources if name not in _KNOWN]
-    part = max(done.stretches, key=lambda stretch: stretch.stop - stretch.start)  # no rate across a gap
-    beside = [done.columns[n][part] for n in others]
-    noise = noise_of(y[part], [u[part], *beside])
-    gain, lag, rest = _first_order(_without_spikes(y[part], noise), u[part], beside, noise, done.period)
-    wanted = _unit(table, sources, "output")
-    around = next((name for name in others if _alike(_unit(table, sources, name), wanted)), None)
-    if around is not None:  # it is taken as the steady-state output without input
-        rest = float(done.columns[around].mean())
+    resampled = _resampled(table, sources, given.period)
+    disturbance_names = [name for name in given.sources if name not in _KNOWN]
+    reading = resampled.columns["output"]
+    drive = resampled.columns["input"]
+    noise, model = _estimated(resampled, disturbance_names)
+    output_unit = _unit(table, sources, "output")
+    around = next((n for n in disturbance_names if _alike(_unit(table, sources, n), output_unit)), None)
+    if around is not None:
+        model = model._replace(rest=float(resampled.columns[around].mean()))
+    drive_range = _range_of(drive)
     taken: list[str] = []
-    output, input_ = (_signal(table, sources, s, taken) for s in ("output", "input"))
-    span, reach = float(np.ptp(y)) or 1.0, _range_of(u)
-    ends = [rest, *(rest + gain * limit for limit in reach)]
-    low, high = _round_out(min(float(y.min()), *ends) - span, max(float(y.max()), *ends) + span)
-    disturbances = []
-    for name in others:
-        values = done.columns[name]
-        word, unit = _word(name, taken), _unit(table, sources, name)
-        disturbances.append(Signal(word, unit, float(values.min()), float(values.max())))
-    names = dict(zip(others, (d.name for d in disturbances), strict=True))
+    output_name = _signal_name(sources, "output", taken)
+    input_name = _signal_name(sources, "input", taken)
+    disturbances = {}
+    for name in disturbance_names:
+        values = resampled.columns[name]
+        unit = _unit(table, sources, name)
+        disturbances[name] = Signal(_word(name, taken), unit, float(values.min()), float(values.max()))
+    own_names = {name: disturbance.name for name, disturbance in disturbances.items()}
     return Proposal(
-        output=Signal(*output, low, high),
-        input=Signal(*input_, *reach),
-        disturbances=tuple(disturbances),
+        output=Signal(output_name, output_unit, *_output_range(reading, drive_range, model)),
+        input=Signal(input_name, _unit(table, sources, "input"), *drive_range),
+        disturbances=tuple(disturbances.values()),
         noise=noise,
-        period=done.period,
-        gain=gain,
-        lag=lag,
-        rest=rest,
-        sources={names.get(signal, signal): source for signal, source in given.sources.items()},
+        period=resampled.period,
+        gain=model.gain,
+        lag=model.lag,
+        rest=model.rest,
+        sources={own_names.get(signal, signal): source for signal, source in given.sources.items()},
         table=table.path.name,
         has_reference="reference" in given.sources,
-        split=bool(done.gaps),
+        split=bool(resampled.gaps),
     )
+
+
+def _resampled(table: Table, sources: Mapping[str, SignalSource], period: float | None) -> Resampled:
+    """All signals on one clock, from the rows that have all of them.
+
+    Raises:
+        RecordingError: the rows cannot be resampled, or values are too large for squares.
+    """
+    signals = {name: _values(table, source) for name, source in sources.items() if name != "time"}
+    times = times_of(table, sources.get("time"), period)
+    columns = (times.seconds, *signals.values())
+    rows = np.flatnonzero(np.all([np.isfinite(column) for column in columns], axis=0))
+    rows = np.setdiff1d(rows, repeated(rows, *columns))
+    kinds: dict[str, Kind] = {**dict.fromkeys(signals, "reading"), "input": "held", "reference": "set"}
+    resampled = resample(
+        times.seconds[rows],
+        {name: values[rows] for name, values in signals.items()},
+        kinds,
+        period,
+        gaps="split",
+        place=str(table.path),
+        row=lambda i: f"{table.row} {table.lines[int(rows[i])]}",
+    )
+    for name, values in resampled.columns.items():
+        largest = np.abs(values).max()
+        if not largest < _MOST:
+            raise RecordingError(f"{table.path}: {name} reaches {largest:g}; correct its values")
+    return resampled
+
+
+class _FirstOrder(NamedTuple):
+    """A first-order model."""
+
+    gain: float
+    lag: float
+    """s"""
+    rest: float
+    """Steady-state output without input."""
+
+
+def _estimated(resampled: Resampled, disturbances: Sequence[str]) -> tuple[float, _FirstOrder]:
+    """The output's noise and the model, from the longest stretch: across a gap there are no rates."""
+    longest = max(resampled.stretches, key=lambda stretch: stretch.stop - stretch.start)
+    reading = resampled.columns["output"][longest]
+    drive = resampled.columns["input"][longest]
+    others = [resampled.columns[name][longest] for name in disturbances]
+    noise = noise_of(reading, [drive, *others])
+    return noise, _first_order(_without_spikes(reading, noise), drive, others, noise, resampled.period)
+
+
+def _output_range(
+    reading: FloatArray, drive_range: tuple[float, float], model: _FirstOrder
+) -> tuple[float, float]:
+    """Round numbers around all readings and steady states, as far beyond them as the readings go."""
+    span = float(np.ptp(reading)) or 1.0
+    steady = [model.rest, *(model.rest + model.gain * limit for limit in drive_range)]
+    low = min(float(reading.min()), *steady)
+    high = max(float(reading.max()), *steady)
+    return _round_out(low - span, high + span)
 
 
 def _values(table: Table, source: SignalSource) -> FloatArray:
@@ -173,14 +217,13 @@ def _values(table: Table, source: SignalSource) -> FloatArray:
     return np.asarray(np.mean(columns, axis=0), dtype=np.float64)
 
 
-def _signal(
-    table: Table, sources: Mapping[str, SignalSource], signal: str, taken: list[str]
-) -> tuple[str, str]:
-    """Name and unit."""
-    title = split_title(sources[signal].places[0])[0]
-    title = _ROLES[signal] if title.lower() in _KNOWN and title.lower() != signal else title
-    name = _word(title if re.search(r"[a-zA-Z]{3}", title) else signal, taken)
-    return name, _unit(table, sources, signal)
+def _signal_name(sources: Mapping[str, SignalSource], signal: str, taken: list[str]) -> str:
+    """A name after the signal's column."""
+    title, _ = split_title(sources[signal].places[0])
+    if title.lower() in _KNOWN and title.lower() != signal:
+        title = _ROLES[signal]
+    has_a_word = re.search(r"[a-zA-Z]{3}", title)
+    return _word(title if has_a_word else signal, taken)
 
 
 def _unit(table: Table, sources: Mapping[str, SignalSource], signal: str) -> str:
@@ -213,27 +256,42 @@ def _range_of(values: FloatArray) -> tuple[float, float]:
 
 
 def _first_order(
-    y: FloatArray, u: FloatArray, others: Sequence[FloatArray], noise: float, period: float
-) -> tuple[float, float, float]:
-    """Gain, lag (s) and steady-state output of the difference equation; a guess if it has none."""
-    span, reach = float(np.ptp(y)) or 1.0, float(np.ptp(u)) or 1.0
-    guess = span / reach, 0.1 * y.size * period, float(y[0])
+    reading: FloatArray, drive: FloatArray, others: Sequence[FloatArray], noise: float, period: float
+) -> _FirstOrder:
+    """The model of the difference equation, of the shortest blocks that show it; a guess if none do."""
     for block in (2**k for k in range(12)):
-        if y.size < 20 * block:
+        if reading.size < _FEWEST_BLOCKS * block:
             break
-        cut = y.size - y.size % block
-        means = [signal[:cut].reshape(-1, block).mean(axis=1) for signal in (y, u, *others)]
-        before, after = means[0][:-1], means[0][1:]
-        if np.std(after - before) < 5 * noise / math.sqrt(block):
-            continue
-        table = np.column_stack([np.ones(before.size), before, *(m[:-1] for m in means[1:])])
-        slopes = np.linalg.lstsq(table, after - before, rcond=None)[0]
-        back = -float(slopes[1])
-        if 0.0 < back < 1.0 and abs(slopes[2]) > 0:
-            lag = -block * period / math.log1p(-back)
-            guess = float(slopes[2]) / back, lag, float(slopes[0]) / back
-            break
-    return rounded(guess[0]), rounded(guess[1]), rounded(guess[2], 3)
+        whole = reading.size - reading.size % block
+        means = [signal[:whole].reshape(-1, block).mean(axis=1) for signal in (reading, drive, *others)]
+        model = _of_blocks(means, noise / math.sqrt(block), block * period)
+        if model is not None:
+            return model
+    span = float(np.ptp(reading)) or 1.0
+    reach = float(np.ptp(drive)) or 1.0
+    return _rounded_model(span / reach, 0.1 * reading.size * period, float(reading[0]))
+
+
+def _of_blocks(means: Sequence[FloatArray], noise: float, period: float) -> _FirstOrder | None:
+    """The model of means of the output, the input and disturbances over blocks, by least squares.
+
+    `noise` is that of the means, and `period` the length of a block, s. None if the output does not move
+    beyond its noise, or does not tend to where the input has it.
+    """
+    before = means[0][:-1]
+    changes = means[0][1:] - before
+    if np.std(changes) < _MOVES * noise:
+        return None
+    table = np.column_stack([np.ones(before.size), before, *(signal[:-1] for signal in means[1:])])
+    constant, by_output, by_input, *_ = np.linalg.lstsq(table, changes, rcond=None)[0]
+    back = -float(by_output)
+    if not (0.0 < back < 1.0 and abs(by_input) > 0):
+        return None
+    return _rounded_model(float(by_input) / back, -period / math.log1p(-back), float(constant) / back)
+
+
+def _rounded_model(gain: float, lag: float, rest: float) -> _FirstOrder:
+    return _FirstOrder(rounded(gain), rounded(lag), rounded(rest, 3))
 
 
 def _without_spikes(values: FloatArray, noise: float) -> FloatArray:
