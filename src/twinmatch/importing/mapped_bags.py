@@ -199,7 +199,7 @@ class _Rows(NamedTuple):
         return f"{name} ({self.sources[name].text})"
 
     def _refuse(self, name: str, hole: Hole, reading: int) -> None:
-        """Refuse a hole, unless the clock was set back in it, which is told as a gap of the rows."""
+        """Refuse a hole, unless the clock was set back in it, which the rows then show as a gap."""
         seconds = min(hole.end, float(self.times[-1])) - hole.begin
         if seconds >= APART / 2:
             return

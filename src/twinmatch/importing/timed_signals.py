@@ -56,7 +56,7 @@ class TimedSignal(NamedTuple):
     def means(self, times: FloatArray, longest: float | None) -> FloatArray:
         """Means from each of these times to the next; before a gap and at the end, over a median step.
 
-        `longest` is the longest step that is no gap, s; that of `bridged_up_to` if not given.
+        `longest` is the longest step that counts as covered, s; that of `bridged_up_to` if not given.
         """
         steps = np.diff(times)
         median_step = float(np.median(steps))
