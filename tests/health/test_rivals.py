@@ -9,6 +9,7 @@ import pytest
 
 from benchmarks.abroad import Order
 from tests.support.abroad import KINDS, AbroadPlant
+from tests.support.watched import Watched, watched
 from twinmatch.dynamics import begin, simulate_driven
 from twinmatch.health import Alarm, HealthSettings, Monitor
 from twinmatch.health.changes import ChangeDetector, Kind
@@ -64,13 +65,16 @@ def test_a_slow_error_of_the_equations_hides_no_shift() -> None:
     assert sure[Cause.DRIVE] > 5.0 * unsure[Cause.DRIVE]
 
 
+def watch(samples: list[Sample]) -> Monitor:
+    """A monitor that has seen a kit; what runs have in common until something happens is judged once."""
+    return watched("kit", lambda: Watched(Monitor(HealthSettings.of(TCLab))), samples).monitor
+
+
 def alarms(mishap: str, seed: int) -> tuple[list[Alarm], list[Alarm]]:
     """Of a kit in its loop to which something happens: those meanwhile, and those after it."""
     when = Order("kit", seed, 0.0, (mishap,), alone=True).onset(mishap)
     plant = AbroadPlant(KINDS["kit"], seed, (), (150.0, 400.0), closed=True, mishap=when)
-    monitor = Monitor(HealthSettings.of(TCLab))
-    for sample in islice(plant.run(when.stop + 100), when.stop + 100):
-        monitor.push(sample)
+    monitor = watch(list(plant.run(when.stop + 100)))
     return [a for a in monitor.alarms if when.start <= a.flagged < when.stop], [
         a for a in monitor.alarms if a.flagged >= when.stop
     ]
