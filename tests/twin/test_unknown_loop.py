@@ -21,7 +21,7 @@ from twinmatch.signals import Sample
 from twinmatch.twin import Twin, TwinSettings
 
 SETTINGS = TwinSettings.of(Box, period=PERIOD)
-RECORDINGS = {"step test": step_test(2400, 2), "switched": switched(1600, 1)}
+RECORDINGS = {"step test": step_test(1800, 2), "switched": switched(1600, 1)}
 
 
 @pytest.fixture(scope="module", params=list(RECORDINGS))

@@ -92,12 +92,17 @@ def effects_of_causes(
     push = _STEP * (high - low)
     places = np.arange(inputs.size)
     onsets = np.arange(2, inputs.size - 2)
-    simulated = onsets[onsets % _EVERY == 0]
     after = places >= onsets[:, None]
+
+    def more(changed: FloatArray | float) -> FloatArray:
+        """How far the output leaves the expected path if the drive gets another input from an onset on."""
+        runs = [moved(np.where(places >= onset, changed, inputs)) for onset in onsets if onset % _EVERY == 0]
+        return np.array(runs) - expected
+
     return Effects(
         missed,
-        dead=np.array([moved(np.where(places >= onset, drive.rest, inputs)) - expected for onset in simulated]),
-        pushed=np.array([moved(np.where(places >= onset, inputs + push, inputs)) - expected for onset in simulated]),
+        dead=more(drive.rest),
+        pushed=more(inputs + push),
         shifted=after.astype(np.float64),
         frozen=np.where(after, readings - readings[onsets - 1][:, None], missed),
         noise=twin.model.plant.output.noise,
