@@ -142,7 +142,7 @@ def moving(rng: np.random.Generator, samples: int, overlap: int) -> FloatArray:
 @pytest.mark.parametrize("overlap", [1, 10])
 def test_of_two_that_are_equally_good_none_is_better_but_by_chance(overlap: int) -> None:
     """The promise is one in twenty. The one with twice the error is found out."""
-    rng, alarms, found, runs = np.random.default_rng(7), 0, 0, 200
+    rng, alarms, found, runs = np.random.default_rng(7), 0, 0, 400
     for _ in range(runs):
         shared, *own = (moving(rng, 150, overlap) for _ in range(4))
         one, other, baseline = (shared + 0.5 * each for each in own)
