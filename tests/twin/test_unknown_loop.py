@@ -116,7 +116,7 @@ def test_a_session_file_gives_the_same_verdicts_bit_for_bit(judged: Judgement, t
 
 def test_what_comes_depends_on_the_input_that_is_asked_for() -> None:
     twin = Twin(SETTINGS)
-    for sample in RECORDINGS["step test"][:900]:
+    for sample in RECORDINGS["step test"][:670]:
         twin.push(sample)
     outlook = twin.discriminator.forecaster.outlook()
     held, off = what_if(outlook, Question()), what_if(outlook, Question(times=(0.0,), levels=(0.0,)))
