@@ -35,15 +35,16 @@ FIRST = (
 APART = ("tests/test_golden.py", "tests/docs/test_examples.py")
 """Files whose tests share nothing and take long: each is run by whichever worker is free."""
 TOGETHER = (
-    "tests/fmu/",
-    "tests/offline/archive/",
-    "tests/offline/backtest/",
-    "tests/offline/test_controller",
-    "tests/showing/report/",
-    "tests/system/subscribers/",
-    "tests/twin/",
+    ("tests/fmu/",),
+    ("tests/offline/archive/",),
+    ("tests/offline/backtest/",),
+    ("tests/offline/test_controller",),
+    ("tests/showing/page/test_foreign", "tests/showing/page/test_page_in_browser"),
+    ("tests/showing/page/test_several", "tests/showing/report/", "tests/showing/test_several"),
+    ("tests/system/subscribers/",),
+    ("tests/twin/",),
 )
-"""Files that share what takes long to make, by how their paths begin: one worker runs them all."""
+"""Files that share what takes long to make, by how their paths begin: one worker runs all of a group."""
 
 TOOK = PROJECT / "build" / "durations.json"
 """What each test took when it ran last."""
@@ -144,7 +145,8 @@ class ByFile(LoadFileScheduling):
     def _split_scope(self, nodeid: str) -> str:
         if nodeid.startswith(APART):
             return nodeid
-        return next((f for f in TOGETHER if nodeid.startswith(f)), str(super()._split_scope(nodeid)))
+        group = next((group for group in TOGETHER if nodeid.startswith(group)), None)
+        return group[0] if group is not None else str(super()._split_scope(nodeid))
 
 
 def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> LoadFileScheduling | None:

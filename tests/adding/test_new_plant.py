@@ -497,7 +497,9 @@ def test_a_recording_of_several_loops_is_checked_over_all_of_them() -> None:
     assert float(lines["apart"].split("(")[1].split(" ")[0]) > 10.0
 
 
-@pytest.mark.parametrize("name", [FIRST, SECOND])
+@pytest.mark.parametrize(
+    "name", [FIRST, pytest.param(SECOND, marks=pytest.mark.long("judges one more published run as a whole"))]
+)
 def test_check_and_verdict_name_the_same_structure(name: str, tmp_path: Path) -> None:
     """Of those that are watched beside a plant; the others are compared by the check alone."""
     if not (OTHERS / "incubator" / f"{name}.csv").exists():

@@ -85,14 +85,15 @@ class Host:
 
     def hold(self, pwm: int, seconds: float, repeat: float = 0.25) -> bool:
         """Command for so long, again after `repeat` seconds each; false once the board has switched off."""
+        on = self.board.drive().enabled
         for n in range(round(seconds / TICK)):
             if n % round(repeat / TICK) == 0:
                 self.wire.send(seal(self._numbered("P", pwm)))
-            on = self.board.drive().enabled
             drive = self.board.advance(TICK)
             self.pins.append(drive.pwm)
             if on and not drive.enabled:
                 return False
+            on = drive.enabled
         return True
 
     def open_again(self) -> None:
@@ -126,6 +127,7 @@ def host(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Ite
         yield made
 
 
+@pytest.mark.long("eight minutes of full drive on the simulated processor")
 def test_the_image_as_it_is_flashed_ends_full_drive_after_eight_minutes() -> None:
     board = boards.make("simavr")
     with closing(Host(board)) as host:

@@ -81,7 +81,7 @@ def test_a_healthy_servo_raises_no_alarm(error: float) -> None:
     """Nor does one whose twin has its friction ten per cent wrong."""
     truth = Servo.model().parameters(k=51.6, t=0.12, dry=1430.0, soft=1.0)
     twin = truth.replace(dry=error * 1430.0, soft=10.0)
-    run = turns(truth, 6000)
+    run = turns(truth, 3000)
     monitor = Monitor(HealthSettings.of(Servo, PERIOD))
     for k, (y, u) in enumerate(zip(run.output, run.input, strict=True)):
         stamp = round(k * PERIOD * 1e9)

@@ -43,7 +43,7 @@ def test_a_change_is_named_and_hardly_ever_called_another(kind: str, least: int)
 
 def test_a_hand_on_the_plate_is_a_disturbance_and_no_fault_of_drive_or_losses() -> None:
     told: Counter[Fault] = Counter()
-    for seed in range(6):
+    for seed in range(4):
         still = np.full(800, rig.profile(seed + 1000, 600)[400])
         reference = np.concatenate([rig.profile(seed + 1000, 400), still])
         for heat in ("heat+4", "heat-4"):
@@ -52,7 +52,7 @@ def test_a_hand_on_the_plate_is_a_disturbance_and_no_fault_of_drive_or_losses() 
             told.update(alarm.fault for alarm in alarms)
             assert all(alarm.last is not None and 540 <= alarm.first <= 640 for alarm in alarms)
     assert set(told) == {Fault.DISTURBANCE}
-    assert told[Fault.DISTURBANCE] >= 10
+    assert told[Fault.DISTURBANCE] >= 7  # of eight
 
 
 def test_the_sentence_says_what_has_changed_by_how_much_and_where_to_look() -> None:

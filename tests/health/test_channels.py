@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from functools import lru_cache
 from itertools import islice
 
 import numpy as np
@@ -12,6 +13,7 @@ from scipy.stats import binom
 
 from benchmarks.bank.kits import BEGINS, run, typical
 from tests.support.recorded_kits import kit_rows
+from tests.support.watched import copied
 from twinmatch.health import Fault
 from twinmatch.health.channels import ChannelMonitor
 from twinmatch.health.evidence import Competition
@@ -41,6 +43,19 @@ def watched(samples: Iterator[Sample], size: int, period: float = 1.0) -> Channe
     return monitor
 
 
+@lru_cache(maxsize=1)
+def _before_anything_happens() -> ChannelMonitor:
+    return watched(run(21, "nothing"), BEGINS)
+
+
+def kit_21(mishap: str = "nothing") -> tuple[ChannelMonitor, Iterator[Sample]]:
+    """A monitor that has seen a kit until something happens to it, and the samples from then on.
+
+    The kit is the same until then, whatever happens.
+    """
+    return copied(_before_anything_happens()), islice(run(21, mishap), BEGINS, None)
+
+
 def changed(sample: Sample, signal: str, channel: int, factor: float = 1.0, more: float = 0.0) -> Sample:
     """The sample with another output or input of one channel."""
     values = {"outputs": list(sample.outputs), "inputs": list(sample.inputs)}
@@ -52,7 +67,10 @@ def changed(sample: Sample, signal: str, channel: int, factor: float = 1.0, more
 def test_a_sensor_that_is_off_is_named_with_its_channel() -> None:
     """Twenty-five minutes of steps in both loops, and nothing is said; then T2 reads 5 °C too much, and the
     loop cools what it takes for too warm."""
-    (alarm,) = watched(run(21, "T2 +5 °C"), BEGINS + 15).alarms
+    monitor, samples = kit_21("T2 +5 °C")
+    for sample in islice(samples, 15):
+        monitor.push(sample)
+    (alarm,) = monitor.alarms
     assert (alarm.fault, alarm.signal, alarm.last) == (Fault.SENSOR_DRIFT, "second_temperature", None)
     assert alarm.first >= BEGINS - 2  # onsets are two seconds apart
     assert abs(alarm.size - 5.0) < 1.0
@@ -144,16 +162,15 @@ def test_a_gap_and_a_lost_reading_say_nothing_of_the_plant() -> None:
 
 
 def test_while_no_sensor_is_right_none_is_read_through() -> None:
-    monitor, told = ChannelMonitor(typical(), 1.0), []
-    for sample in islice(run(21, "nothing"), BEGINS + 60):
-        off = sample
-        if sample.index >= BEGINS:
-            off = changed(sample, "outputs", 0, more=5.0)
+    monitor, samples = kit_21()
+    told = []
+    for sample in islice(samples, 60):
+        off = changed(sample, "outputs", 0, more=5.0)
         if sample.index >= BEGINS + 20:
             off = changed(off, "outputs", 1, more=-5.0)
         monitor.push(off)
         told.append({each.signal for each in monitor.estimates})
-    assert told[BEGINS + 19] == {"temperature"}
+    assert told[19] == {"temperature"}
     assert told[-1] == set()
     assert [alarm.signal for alarm in monitor.alarms[-2:]] == ["temperature", "second_temperature"]
     assert monitor.alarms[-1].reason.endswith("; no sensor is right, so none can be read through")
@@ -171,10 +188,10 @@ def test_beside_a_sensor_that_is_read_through_none_is_rehearsed() -> None:
 
 def test_an_impossible_sensor_is_read_through_by_the_newest_filter() -> None:
     """No filter has taken such readings, so the best one needs no forecast from before them."""
-    monitor, estimates = ChannelMonitor(typical(), 1.0), []
-    for sample in islice(run(21, "nothing"), BEGINS + 30):
-        off = changed(sample, "outputs", 0, more=math.nan) if sample.index >= BEGINS else sample
-        monitor.push(off)
+    monitor, samples = kit_21()
+    estimates = []
+    for sample in islice(samples, 30):
+        monitor.push(changed(sample, "outputs", 0, more=math.nan))
         estimates += [(each, sample.outputs[0]) for each in monitor.estimates]
     first, _ = estimates[0]
     assert (first.signal, monitor.competition.through[0].rehearsed) == ("temperature", 0)
@@ -183,11 +200,9 @@ def test_an_impossible_sensor_is_read_through_by_the_newest_filter() -> None:
 
 def test_a_drive_that_is_given_back_ends_no_reading_through() -> None:
     """Drive 2 and sensor 2 have one number; the drive works again, the sensor still lies."""
-    monitor = ChannelMonitor(typical(), 1.0)
-    for sample in islice(run(21, "nothing"), BEGINS + 420):
-        off = sample
-        if sample.index >= BEGINS:
-            off = changed(off, "outputs", 1, more=5.0)
+    monitor, samples = kit_21()
+    for sample in islice(samples, 420):
+        off = changed(sample, "outputs", 1, more=5.0)
         if BEGINS + 60 <= sample.index < BEGINS + 180:
             off = changed(off, "inputs", 1, factor=3.0)
         monitor.push(off)

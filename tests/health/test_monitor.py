@@ -50,9 +50,9 @@ def test_no_alarm_and_no_suspicion_in_a_healthy_hour(
 
 @pytest.mark.parametrize("number", [*HEALTHY, 1])
 def test_no_alarm_whatever_twin_is_nominal(number: int, recorded_hour: Callable[[int], Window]) -> None:
-    samples = samples_of(recorded_hour(number))
+    half = samples_of(recorded_hour(number))[: 300 * len(FOREIGN)]  # each twin is nominal once
     monitor = Monitor()
-    for s in samples:
+    for s in half:
         given = None if s.index < 225 else FOREIGN[(s.index // 300 + number) % len(FOREIGN)]
         monitor.push(s, given)
     assert monitor.alarms == ()
@@ -63,7 +63,7 @@ def test_another_matched_twin_does_as_the_first_one(
     number: int, recorded_hour: Callable[[int], Window]
 ) -> None:
     settings = HealthSettings(reference=FOREIGN[number % 2])
-    monitor, _ = rig.watch(samples_of(recorded_hour(number)), settings=settings)
+    monitor, _ = rig.watch(samples_of(recorded_hour(number))[:1800], settings=settings)
     assert [a for a in monitor.alarms if a.fault is not Fault.DRIFT] == []
 
 
@@ -148,7 +148,7 @@ def test_what_is_repaired_is_healthy_again_and_stays_in_the_record(kind: str) ->
 
 def test_healthy_steps_saturation_and_corrections_of_the_camera_are_not_faults() -> None:
     for seed in range(3):
-        samples, _ = rig.run(rig.profile(seed, 2400), rig=rig.some_rig(seed), seed=seed)
+        samples, _ = rig.run(rig.profile(seed, 1200), rig=rig.some_rig(seed), seed=seed)
         assert max(abs(s.input) for s in samples) == 255.0
         monitor, _ = rig.watch(samples)
         assert monitor.alarms == ()

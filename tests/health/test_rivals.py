@@ -9,11 +9,12 @@ import pytest
 
 from benchmarks.abroad import Order
 from tests.support.abroad import KINDS, AbroadPlant
+from tests.support.watched import Watched, watched
 from twinmatch.dynamics import begin, simulate_driven
 from twinmatch.health import Alarm, HealthSettings, Monitor
 from twinmatch.health.changes import ChangeDetector, Kind
 from twinmatch.health.lagged_effect import LaggedEffect
-from twinmatch.health.rivals import Cause, costs_of_causes
+from twinmatch.health.rivals import Cause, costs_of_causes, effects_of_causes
 from twinmatch.plants import TCLab
 from twinmatch.signals import FloatArray, Sample
 
@@ -44,7 +45,8 @@ def test_what_has_happened_explains_the_readings_best(cause: Cause) -> None:
         onset, size = int(draw.integers(8, 30)), float(draw.choice([-1.0, 1.0]))
         given = np.where(np.arange(SIZE) < STEP, 60.0, float(draw.choice([85.0, 95.0])))
         came = readings(cause, onset, size, given, seed)
-        costs = costs_of_causes(KIT, START, given, came, rows=ROWS, period=1.0, slow_error=seed % 2 == 0)
+        effects = effects_of_causes(KIT, START, given, came, rows=ROWS, period=1.0)
+        costs = costs_of_causes(effects, slow_error=seed % 2 == 0)
         assert min(costs.values()) == 0.0
         if cause is Cause.DRIVE:
             assert costs[cause] < 10.0, (seed, costs)
@@ -57,21 +59,22 @@ def test_a_slow_error_of_the_equations_hides_no_shift() -> None:
     """Readings shift by 4 °C on a plant that becomes 2 °C warmer than its equations expect."""
     given = np.full(SIZE, 60.0)
     came = readings(Cause.SHIFTED, 40, -1.0, given, 1) + 2.0 * np.arange(SIZE) / SIZE
-    sure, unsure = (
-        costs_of_causes(KIT, START, given, came, rows=ROWS, period=1.0, slow_error=slow)
-        for slow in (True, False)
-    )
+    effects = effects_of_causes(KIT, START, given, came, rows=ROWS, period=1.0)
+    sure, unsure = (costs_of_causes(effects, slow_error=slow) for slow in (True, False))
     assert sure[Cause.SHIFTED] == unsure[Cause.SHIFTED] == 0.0
     assert sure[Cause.DRIVE] > 5.0 * unsure[Cause.DRIVE]
+
+
+def watch(samples: list[Sample]) -> Monitor:
+    """A monitor that has seen a kit; what runs have in common until something happens is judged once."""
+    return watched("kit", lambda: Watched(Monitor(HealthSettings.of(TCLab))), samples).monitor
 
 
 def alarms(mishap: str, seed: int) -> tuple[list[Alarm], list[Alarm]]:
     """Of a kit in its loop to which something happens: those meanwhile, and those after it."""
     when = Order("kit", seed, 0.0, (mishap,), alone=True).onset(mishap)
     plant = AbroadPlant(KINDS["kit"], seed, (), (150.0, 400.0), closed=True, mishap=when)
-    monitor = Monitor(HealthSettings.of(TCLab))
-    for sample in islice(plant.run(when.stop + 100), when.stop + 100):
-        monitor.push(sample)
+    monitor = watch(list(plant.run(when.stop + 100)))
     return [a for a in monitor.alarms if when.start <= a.flagged < when.stop], [
         a for a in monitor.alarms if a.flagged >= when.stop
     ]

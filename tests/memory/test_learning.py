@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 
@@ -62,14 +63,20 @@ def of_day(day: int, **changed: float) -> Lesson:
     return of_structure(lessons_of(judged(hours, name=f"day {day}")))
 
 
-def of_structure(lessons: list[Lesson], name: str = RICH) -> Lesson:
+def of_structure(lessons: Sequence[Lesson], name: str = RICH) -> Lesson:
     return next(lesson for lesson in lessons if lesson.structure == name)
+
+
+@cache
+def of_hour(seed: int) -> tuple[Lesson, ...]:
+    """What an hour of the simulated rig teaches, without verdicts."""
+    return tuple(lessons_of(judged(hour(seed))))
 
 
 def test_covariances_say_how_far_the_parameters_are_off():
     errors = []
     for seed in range(16):
-        learned = of_structure(lessons_of(judged(hour(seed))))
+        learned = of_structure(of_hour(seed))
         off = learned.values - np.array([TRUE[name] for name in learned.free])
         errors.append(off @ np.linalg.solve(np.array(learned.covariance), off) / off.size)
     # χ² / n has the mean 1 over 16 · 6 numbers, ± 0.15; a covariance from 24 blocks is less exact.
@@ -77,7 +84,7 @@ def test_covariances_say_how_far_the_parameters_are_off():
 
 
 def test_an_hour_determines_the_conductance_to_a_hundredth():
-    learned = of_structure(lessons_of(judged(hour(1))))
+    learned = of_structure(of_hour(1))
     assert learned.deviations[learned.free.index("conductance")] < 0.01
     assert learned.parameters["conductance"] == pytest.approx(0.75, abs=0.02)
     assert learned.samples == 3600
@@ -88,7 +95,7 @@ def test_an_hour_determines_the_conductance_to_a_hundredth():
 
 def test_the_structures_worth_keeping_are_kept():
     window = hour(2)
-    names = {lesson.structure for lesson in lessons_of(judged(window))}
+    names = {lesson.structure for lesson in of_hour(2)}
     assert {RICH, "sink with mass, free ambient"} >= names - {"held sink", "sink with mass"}
     chosen = verdict(1800, structure="sink with mass, switched drive")
     learned = of_structure(lessons_of(judged(window, chosen)), "sink with mass, switched drive")
@@ -115,7 +122,7 @@ def test_lost_samples_count_nowhere():
     seen[1000:1010] = seen[2500:2504] = False
     outputs = np.where(seen, window.output, 500.0)
     with_gaps = replace(window, outputs=outputs, seen=seen)
-    learned, whole = (of_structure(lessons_of(judged(one))) for one in (with_gaps, window))
+    learned, whole = of_structure(lessons_of(judged(with_gaps))), of_structure(of_hour(4))
     assert learned.samples == 3586
     assert learned.outputs[0][1] < 100.0
     assert np.all(np.abs(learned.values - whole.values) < whole.deviations)

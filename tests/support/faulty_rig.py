@@ -7,6 +7,7 @@ correction, as the real one's do.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -97,8 +98,8 @@ def run(
         last = seen
         pwm = pid.step(float(wanted), seen)[0]
         samples.append(Sample(k, k, float(wanted), seen, pwm))
-        since = 0.0 if broken is None else (k - broken.start) * period
-        states = advance(_now(rig, what, since), states, pwm, period)
+        since = (k - broken.start) * period if broken is not None and "~" in what else 0.0
+        states = advance(_now(rig, what, min(since, SLOWLY)), states, pwm, period)
         if broken is not None and what.startswith("heat"):
             states[0] += float(what[4:]) * period / broken.length
     return samples, truth
@@ -113,7 +114,9 @@ def _offset(what: str, since: float) -> float:
     return 12.0 if what == "reading-offset" else 0.0
 
 
+@lru_cache(maxsize=64)
 def _now(rig: Parameters, what: str, since: float = 0.0) -> Parameters:
+    """The rig while something is broken, so many seconds after it broke."""
     if what == "drive-lost":
         return rig.replace(current_limit=1e-9)
     if what.startswith("supply"):

@@ -16,6 +16,7 @@ from twinmatch.sessions import samples_of
 from twinmatch.signals import FloatArray, Window
 from twinmatch.twin import Twin, TwinSettings
 
+PARAMETERS = rig()
 HORIZONS = (10, 60, 300)
 EVERY = 30
 MEMORY = 1800.0
@@ -52,7 +53,7 @@ def ever_trusted(seed: int, seconds: int = 3600, better: float = 1.0) -> Iterato
             ledger.add(twins, errors[:, None], baselines, place)
         for name in twins if now % 120 == 0 else ():
             skills = [tuple(skill.tolist()) for part in ledger.skills(name) for skill in part]
-            score = ForecastScore(name, rig(), 0, 0, 0.0, (), 0.0, *skills)
+            score = ForecastScore(name, PARAMETERS, 0, 0, 0.0, (), 0.0, *skills)
             doubts = score.doubts(HORIZONS, trusted[name])
             trusted[name] = tuple(float(h) for h in HORIZONS if h not in doubts)
             ever[name] |= bool(trusted[name])

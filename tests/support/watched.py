@@ -17,6 +17,8 @@ from twinmatch.dynamics.store import Kernels
 from twinmatch.dynamics.tracker import Tracker
 from twinmatch.health import Health, HealthSettings, Monitor, Refusals
 from twinmatch.health.changes import ChangeDetector
+from twinmatch.health.earned import Record
+from twinmatch.health.lagged_effect import ErrorModel, TrackedSample
 from twinmatch.signals import Sample
 
 
@@ -33,11 +35,23 @@ class Watched:
         self.healths.append(self.monitor.push(settled))
 
 
-_SEEN: dict[tuple[str, tuple[Sample, ...]], Watched] = {}
-"""Monitors of a kind that have seen these samples and no more, of every run that was watched."""
-_KEPT = 150
-"""One is kept after so many samples."""
-_SHARED = (Kernels, Parameters, Tracker, HealthSettings, Health, Sample)
+_BLOCK = 150
+"""A monitor is kept after each block of so many samples."""
+
+
+@dataclass
+class _Seen:
+    """A monitor that has seen some samples and no more, and those that have seen one block more."""
+
+    watched: Watched
+    later: dict[tuple[Sample, ...], _Seen] = field(default_factory=dict)
+
+
+_SEEN: dict[str, _Seen] = {}
+"""Monitors of a kind that have seen nothing yet, and from there on all runs that were watched."""
+_SHARED = (
+    ErrorModel, Health, HealthSettings, Kernels, Parameters, Record, Sample, TrackedSample, Tracker
+)  # fmt: skip
 """Never change, and are shared by a monitor and its copies."""
 
 
@@ -77,14 +91,18 @@ def watched(
 ) -> Watched:
     """Watch samples, to the first after which something holds; `begin` gives the monitor of this kind."""
     samples = tuple(samples)
-    seen = len(samples) // _KEPT * _KEPT
-    while seen and (kind, samples[:seen]) not in _SEEN:
-        seen -= _KEPT
-    found: Watched = copied(_SEEN[kind, samples[:seen]]) if seen else begin()
-    for count, sample in enumerate(samples[seen:], seen + 1):
-        if until(found.monitor):
+    if kind not in _SEEN:
+        _SEEN[kind] = _Seen(begin())
+    seen, place = _SEEN[kind], 0
+    while samples[place : place + _BLOCK] in seen.later:
+        seen = seen.later[samples[place : place + _BLOCK]]
+        place += _BLOCK
+    latest: Watched = copied(seen.watched)
+    for count, sample in enumerate(samples[place:], place + 1):
+        if until(latest.monitor):
             break
-        found.push(sample)
-        if count % _KEPT == 0:
-            _SEEN[kind, samples[:count]] = copied(found)
-    return found
+        latest.push(sample)
+        if count % _BLOCK == 0:
+            block = samples[count - _BLOCK : count]
+            seen = seen.later.setdefault(block, _Seen(copied(latest)))
+    return latest

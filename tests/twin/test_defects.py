@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from tests.support.steps import drive_lost, quarter_of_an_hour
+from tests.support.watched import copied
 from twinmatch.comparing import TrustLevel, Verdict
 from twinmatch.defects import DefectWarning
 from twinmatch.errors import TwinmatchError
@@ -80,6 +81,21 @@ def samples() -> list[Sample]:
     return quarter_of_an_hour()
 
 
+@pytest.fixture(scope="module")
+def before(samples: list[Sample]) -> Twin:
+    """A twin that has seen what comes before a part breaks; each test continues with a copy."""
+    twin = Twin()
+    for sample in samples[:BREAKS]:
+        twin.push(sample)
+    return twin
+
+
+@pytest.fixture
+def twin(before: Twin) -> Twin:
+    copy: Twin = copied(before)
+    return copy
+
+
 def run(samples: Sequence[Sample], broken: Broken, twin: Twin, at: int = BREAKS) -> list[Verdict]:
     """The verdicts on these samples; the part breaks at one of them."""
     verdicts: list[Verdict] = []
@@ -95,11 +111,11 @@ def defective(verdicts: Sequence[Verdict]) -> list[Verdict]:
 
 @pytest.mark.parametrize("part", PARTS)
 def test_the_verdict_says_where_a_part_failed_and_the_run_continues(
-    part: str, samples: list[Sample], monkeypatch: pytest.MonkeyPatch
+    part: str, samples: list[Sample], twin: Twin, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    broken, twin = Broken(monkeypatch, part, ZeroDivisionError("a slip")), Twin()
+    broken = Broken(monkeypatch, part, ZeroDivisionError("a slip"))
     with pytest.warns(DefectWarning, match="ZeroDivisionError: a slip; please report it") as warned:
-        verdicts = run(samples[:ENDS], broken, twin)
+        verdicts = run(samples[BREAKS:ENDS], broken, twin)
     assert broken.raised == 1
     assert len(warned) == 1
     (said,) = defective(verdicts)
@@ -114,21 +130,21 @@ def test_the_verdict_says_where_a_part_failed_and_the_run_continues(
 
 
 def test_without_a_test_the_same_defect_is_a_warning_and_here_an_error(
-    samples: list[Sample], monkeypatch: pytest.MonkeyPatch
+    samples: list[Sample], twin: Twin, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """So no test of this suite passes while a verdict could not be made."""
     broken = Broken(monkeypatch, "twin.engine.verdict_of", ZeroDivisionError("a slip"))
     with pytest.raises(DefectWarning, match="a slip"):
-        run(samples[:ENDS], broken, Twin())
+        run(samples[BREAKS:ENDS], broken, twin)
 
 
 def test_a_match_that_a_defect_prevents_is_refused_in_words(
-    samples: list[Sample], monkeypatch: pytest.MonkeyPatch
+    samples: list[Sample], twin: Twin, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("twinmatch.twin.matcher._logged", {})
-    broken, twin = Broken(monkeypatch, "twin.matcher.match", ZeroDivisionError("a slip")), Twin()
+    broken = Broken(monkeypatch, "twin.matcher.match", ZeroDivisionError("a slip"))
     with pytest.warns(DefectWarning, match="a window could not be matched"):
-        verdicts = run(samples[:ENDS], broken, twin)
+        verdicts = run(samples[BREAKS:ENDS], broken, twin)
     (refused,) = [verdict for verdict in verdicts if verdict.match]
     assert refused.match == "refused"
     assert "because of a defect in" in refused.reason
@@ -136,12 +152,12 @@ def test_a_match_that_a_defect_prevents_is_refused_in_words(
 
 
 def test_candidates_start_over_behind_a_sample_that_was_half_taken(
-    samples: list[Sample], monkeypatch: pytest.MonkeyPatch
+    samples: list[Sample], twin: Twin, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """From then on they are those of a twin to which nothing was said before, bit for bit."""
-    broken, twin = Broken(monkeypatch, "twin.forecaster.Forecaster.push", ZeroDivisionError()), Twin()
+    broken = Broken(monkeypatch, "twin.forecaster.Forecaster.push", ZeroDivisionError())
     with pytest.warns(DefectWarning):
-        verdicts = run(samples, broken, twin)
+        verdicts = run(samples[BREAKS:], broken, twin)
     fresh = Twin()
     later = [verdict for sample in samples[BREAKS + 1 :] for verdict in fresh.push(sample).verdicts]
     assert [verdict.sample for verdict in later] == [v.sample for v in verdicts if v.sample > BREAKS]
@@ -152,23 +168,25 @@ def test_candidates_start_over_behind_a_sample_that_was_half_taken(
     assert newest.leader == expected.leader
 
 
-def test_a_failing_verdict_costs_nothing_else(samples: list[Sample], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failing_verdict_costs_nothing_else(
+    samples: list[Sample], twin: Twin, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """To say what is known changes nothing of it: all other verdicts are as without the defect."""
-    twin = Twin()
-    whole = [verdict for sample in samples[:ENDS] for verdict in twin.push(sample).verdicts]
+    undisturbed = copied(twin)
+    whole = [verdict for sample in samples[BREAKS:ENDS] for verdict in undisturbed.push(sample).verdicts]
     broken = Broken(monkeypatch, "twin.engine.verdict_of", ZeroDivisionError())
     with pytest.warns(DefectWarning):
-        verdicts = run(samples[:ENDS], broken, Twin())
+        verdicts = run(samples[BREAKS:ENDS], broken, twin)
     (said,) = defective(verdicts)
     assert [repr(v) for v in verdicts if v is not said] == [repr(v) for v in whole if v.sample != said.sample]
 
 
 def test_a_defect_at_every_sample_is_logged_once_and_said_in_the_interval_of_verdicts(
-    samples: list[Sample], monkeypatch: pytest.MonkeyPatch
+    samples: list[Sample], twin: Twin, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     broken = Broken(monkeypatch, "twin.engine.Monitor.push", ZeroDivisionError(), once=False)
     with pytest.warns(DefectWarning) as warned:
-        verdicts = run(samples[:ENDS], broken, Twin())
+        verdicts = run(samples[BREAKS:ENDS], broken, twin)
     assert len(warned) == 1
     assert broken.raised == ENDS - BREAKS
     assert [verdict.sample for verdict in verdicts if verdict.sample >= BREAKS] == [295, 355, 415, 475]
@@ -187,8 +205,8 @@ def test_a_fault_whose_watch_failed_stays_on(monkeypatch: pytest.MonkeyPatch) ->
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt(), SystemExit(3), TwinmatchError("twin.yaml: no such")])
 def test_who_ends_the_run_ends_it(
-    error: BaseException, samples: list[Sample], monkeypatch: pytest.MonkeyPatch
+    error: BaseException, samples: list[Sample], twin: Twin, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     broken = Broken(monkeypatch, "twin.forecaster.Forecaster.push", error)
     with pytest.raises(type(error)):
-        run(samples[:ENDS], broken, Twin())
+        run(samples[BREAKS:ENDS], broken, twin)

@@ -121,7 +121,7 @@ def test_a_real_kit_is_trusted_in_a_loop_of_another_law(tmp_path_factory: pytest
     assert terms.settings.plant is TCLabBoth
     assert terms.settings.law is None
     assert "not those of the loop in the plant file" in terms.source
-    verdicts = verdicts_of(terms.settings, session.samples[:2400])
+    verdicts = verdicts_of(terms.settings, session.samples[:1800])
     assert not any(verdict.fault for verdict in verdicts)
     later = [verdict.level.value for verdict in verdicts if verdict.sample >= 1200]
     assert later.count("trusted") >= 0.8 * len(later)

@@ -21,7 +21,7 @@ from twinmatch.signals import Sample
 from twinmatch.twin import Twin, TwinSettings
 
 SETTINGS = TwinSettings.of(Box, period=PERIOD)
-RECORDINGS = {"step test": step_test(2400, 2), "switched": switched(1600, 1)}
+RECORDINGS = {"step test": step_test(1800, 2), "switched": switched(1600, 1)}
 
 
 @pytest.fixture(scope="module", params=list(RECORDINGS))
@@ -77,6 +77,7 @@ def test_the_band_holds_what_it_promises(judged: Judgement) -> None:
     assert np.mean(inside) == pytest.approx(0.93, abs=0.06)
 
 
+@pytest.mark.long("forecasts over three hours of another session, of two kinds")
 @pytest.mark.parametrize("kind", list(RECORDINGS))
 def test_bands_hold_on_samples_of_another_session(kind: str) -> None:
     """Forecasts of the leader five minutes ahead, against the same plant on another day.
@@ -115,7 +116,7 @@ def test_a_session_file_gives_the_same_verdicts_bit_for_bit(judged: Judgement, t
 
 def test_what_comes_depends_on_the_input_that_is_asked_for() -> None:
     twin = Twin(SETTINGS)
-    for sample in RECORDINGS["step test"][:900]:
+    for sample in RECORDINGS["step test"][:670]:
         twin.push(sample)
     outlook = twin.discriminator.forecaster.outlook()
     held, off = what_if(outlook, Question()), what_if(outlook, Question(times=(0.0,), levels=(0.0,)))

@@ -12,6 +12,7 @@ from twinmatch.dynamics.observer import Observer
 from twinmatch.dynamics.plant import Model, Parameters, Plant
 from twinmatch.dynamics.simulation import (
     advance,
+    advance_side_by_side,
     begin,
     quantities,
     read,
@@ -53,6 +54,7 @@ def _use(parameters: Parameters) -> None:
     output = read(parameters, begin(parameters, sum(model.plant.output.span) / 2))
     states = begin(parameters, output)
     quantities(parameters, advance(parameters, states, rest, period), rest)
+    advance_side_by_side([parameters], states[None], rest, period)
     model.kernels.slopes_at(parameters.vector, states, model.rest, model.disturbances)
     # The kernel of the energy balance.
     model.kernels.parts(

@@ -27,7 +27,7 @@ from twinmatch.dynamics.observer import Observer, RandomWalk
 from twinmatch.dynamics.pace import slow_scale
 from twinmatch.health.balance import Movement
 from twinmatch.health.earned import NOTHING, Record
-from twinmatch.health.rivals import Cause, costs_of_causes
+from twinmatch.health.rivals import Cause, costs_of_causes, effects_of_causes
 from twinmatch.health.traces import FOLLOWS, DriveEffect
 from twinmatch.signals import FloatArray, Sample
 
@@ -269,10 +269,15 @@ class LaggedEffect(DriveEffect):
         self._observer: Observer | None = None
         self._followed = 0  # samples since a gap
         self._past: deque[TrackedSample] = deque(maxlen=2 * self._spans[-1] + 1)
+        # Their inputs and disturbances as arrays: to collect them at each sample would take longer than to
+        # simulate.
+        self._inputs = np.zeros(0)
+        self._rows = np.zeros((0, self._parameters.model.disturbances.size))
         self._standing: FloatArray | None = None
         self._reading = math.nan
         self.rival: Cause | None = None
         """What explains the newest readings far better than a drive without effect, if that seems missing."""
+        self._compared = False  # whether that has been asked of the newest readings
 
     @property
     def earned(self) -> bool:
@@ -349,15 +354,17 @@ class LaggedEffect(DriveEffect):
                 observer.parameters, states, sample.input, sample.output, row, self._errors, settled
             )
         )
+        self._inputs = np.append(self._inputs, sample.input)[-len(self._past) :]
+        self._rows = np.append(self._rows, row[None, :], axis=0)[-len(self._past) :]
         self._followed += 1
         observer.predict(sample.input)
         return Movement(0.0, moved, change - moved)
 
     def _estimate(self, output: float) -> None:
         """Estimate the drive's effect over every stretch that ends now."""
-        self.share, self.rival = math.nan, None
+        self.share, self.rival, self._compared = math.nan, None, False
         past, learned = list(self._past), list(self._errors)
-        inputs, rows = (np.array(of) for of in zip(*((m.input, m.disturbances) for m in past), strict=True))
+        inputs, rows = self._inputs, self._rows
         for k, length in enumerate(self._spans):
             first = len(past) - 1 - length
             if first < 0:
@@ -417,7 +424,8 @@ class LaggedEffect(DriveEffect):
         ):
             return
         if share < FOLLOWS[0] and not self._frozen:
-            self.rival = self.rival or self._better_cause()
+            if not self._compared:
+                self.rival, self._compared = self._better_cause(), True
             if self.rival is not None:
                 return
         self.share, self.length, self.expected = share, len(stretch), effect
@@ -432,14 +440,17 @@ class LaggedEffect(DriveEffect):
         first = past[0]
         if not first.settled:
             return None
-        inputs, rows, readings = (
-            np.array(of) for of in zip(*((m.input, m.disturbances, m.output) for m in past), strict=True)
+        readings = np.array([sample.output for sample in past])
+        effects = effects_of_causes(
+            first.parameters,
+            first.states,
+            self._inputs[-len(past) :],
+            readings,
+            rows=self._rows[-len(past) :],
+            period=self._period,
         )
         for slow_error, causes in ((True, {*Cause}), (False, {Cause.FROZEN})):
-            costs = costs_of_causes(
-                first.parameters, first.states, inputs, readings,
-                rows=rows, period=self._period, slow_error=slow_error,
-            )  # fmt: skip
+            costs = costs_of_causes(effects, slow_error=slow_error)
             best, second = sorted(costs, key=costs.__getitem__)[:2]
             if best is Cause.FROZEN and costs[second] < _FAR_BETTER:
                 best = second  # under other losses, too, a plant comes to rest

@@ -9,6 +9,7 @@ states estimated before, and the squares that it leaves are compared.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from enum import Enum, auto
 from typing import Final
 
@@ -40,7 +41,25 @@ class Cause(Enum):
     """The readings stand still."""
 
 
-def costs_of_causes(
+@dataclass(frozen=True)
+class Effects:
+    """What each cause would have done to the last N readings, in the output's unit."""
+
+    missed: FloatArray
+    """Readings minus what the equations expect under the recorded inputs, shape (N,)."""
+    dead: FloatArray
+    """Paths of a drive at rest minus the expected one, a row per onset that is tried, shape (k, N)."""
+    pushed: FloatArray
+    """The same of a push, of which the size is unknown, shape (k, N)."""
+    shifted: FloatArray
+    """Readings shifted by one unit, a row per onset, shape (n, N)."""
+    frozen: FloatArray
+    """What readings that stand still from an onset on leave, a row per onset, shape (n, N)."""
+    noise: float
+    """Of a reading, 1 σ."""
+
+
+def effects_of_causes(
     twin: Parameters,
     states: FloatArray,
     inputs: FloatArray,
@@ -48,9 +67,8 @@ def costs_of_causes(
     *,
     rows: FloatArray,
     period: float,
-    slow_error: bool = True,
-) -> dict[Cause, float]:
-    """How badly each cause explains the last N readings, in nats beyond the best one.
+) -> Effects:
+    """Simulate what each cause would have done, with every onset that is tried.
 
     Args:
         twin: the plant as it was before.
@@ -59,7 +77,6 @@ def costs_of_causes(
         readings: of the output, shape (N,).
         rows: disturbances, shape (N, m).
         period: sample time, s.
-        slow_error: whether the equations may err by an amount that grows evenly.
 
     Raises:
         PlantError: the equations have no solution there.
@@ -69,37 +86,60 @@ def costs_of_causes(
         return simulate_driven(twin, given, states=states, period=period, disturbances=rows).output
 
     expected = moved(inputs)
-    low, high = twin.model.plant.drive.limits
-    places, left = np.arange(float(inputs.size)), dict.fromkeys(Cause, np.inf)
+    missed = readings - expected
+    drive = twin.model.plant.drive
+    low, high = drive.limits
+    push = _STEP * (high - low)
+    places = np.arange(inputs.size)
+    onsets = np.arange(2, inputs.size - 2)
+    after = places >= onsets[:, None]
+
+    def more(changed: FloatArray | float) -> FloatArray:
+        """How far the output leaves the expected path if the drive gets another input from an onset on."""
+        runs = [moved(np.where(places >= onset, changed, inputs)) for onset in onsets if onset % _EVERY == 0]
+        return np.array(runs) - expected
+
+    return Effects(
+        missed,
+        dead=more(drive.rest),
+        pushed=more(inputs + push),
+        shifted=after.astype(np.float64),
+        frozen=np.where(after, readings - readings[onsets - 1][:, None], missed),
+        noise=twin.model.plant.output.noise,
+    )
+
+
+def costs_of_causes(effects: Effects, *, slow_error: bool = True) -> dict[Cause, float]:
+    """How badly each cause explains the readings, in nats beyond the best one.
+
+    Args:
+        effects: of the causes.
+        slow_error: whether the equations may err by an amount that grows evenly.
+    """
+    size = effects.missed.size
+    places = np.arange(float(size))
     ramp = slow_error * places / math.sqrt(places @ places)
 
-    def no_ramp(path: FloatArray) -> FloatArray:
-        """A path without what a slow error of the equations explains of it."""
-        return path - (path @ ramp) * ramp
+    def no_ramp(paths: FloatArray) -> FloatArray:
+        """Paths, shape (…, N), without what a slow error of the equations explains of them."""
+        return paths - (paths @ ramp)[..., None] * ramp
 
-    missed = readings - expected
-    off = no_ramp(missed)
-    for onset in range(2, inputs.size - 2):
-        after = places >= onset
-        shift = no_ramp(np.where(after, 1.0, 0.0))
-        _keep(left, Cause.SHIFTED, off - _size(off, shift) * shift)
-        _keep(left, Cause.FROZEN, no_ramp(np.where(after, readings - readings[onset - 1], missed)))
-        if onset % _EVERY:
-            continue
-        dead = no_ramp(moved(np.where(after, twin.model.plant.drive.rest, inputs)) - expected)
-        _keep(left, Cause.DRIVE, off - np.clip(_size(off, dead), *_LOST) * dead)
-        push = no_ramp(moved(np.where(after, inputs + _STEP * (high - low), inputs)) - expected)
-        _keep(left, Cause.PUSH, off - _size(off, push) * push)
-    usual = max(twin.model.plant.output.noise**2, min(left.values()) / inputs.size)
+    off = no_ramp(effects.missed)
+    left = {
+        Cause.DRIVE: _least_squares_left(off, no_ramp(effects.dead), _LOST),
+        Cause.PUSH: _least_squares_left(off, no_ramp(effects.pushed)),
+        Cause.SHIFTED: _least_squares_left(off, no_ramp(effects.shifted)),
+        Cause.FROZEN: float((no_ramp(effects.frozen) ** 2).sum(axis=1).min()),
+    }
     best = min(left.values())
+    usual = max(effects.noise**2, best / size)
     return {cause: (squares - best) / (2.0 * usual * _LASTING) for cause, squares in left.items()}
 
 
-def _size(off: FloatArray, pattern: FloatArray) -> float:
-    """The multiple of a pattern that explains most of what is off."""
-    return float(off @ pattern / max(float(pattern @ pattern), 1e-300))
-
-
-def _keep(left: dict[Cause, float], cause: Cause, rest: FloatArray) -> None:
-    """Note the squares that a cause leaves, if these are the least so far."""
-    left[cause] = min(left[cause], float(rest @ rest))
+def _least_squares_left(
+    off: FloatArray, patterns: FloatArray, sizes: tuple[float, float] = (-math.inf, math.inf)
+) -> float:
+    """The squares that the best multiple, within a range, of the best of some patterns leaves."""
+    best = patterns @ off / np.maximum((patterns**2).sum(axis=1), 1e-300)
+    rest = off - np.clip(best, *sizes)[:, None] * patterns
+    return float((rest**2).sum(axis=1).min())

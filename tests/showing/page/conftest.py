@@ -161,8 +161,9 @@ class Browser:
         return [name for name in names if not name.startswith(own)]
 
 
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+@pytest.fixture(scope="session")
+def opened_browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    """One for all pages: to start it takes longer than to load a page."""
     pytest.importorskip("selenium", reason="selenium is not installed; it is in the extra 'test'")
     for program in ("chromium", "chromedriver"):
         if shutil.which(program) is None:
@@ -170,3 +171,11 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
     opened = Browser(tmp_path_factory.mktemp("profile"))
     yield opened
     opened.driver.quit()
+
+
+@pytest.fixture(scope="module")
+def browser(opened_browser: Browser) -> Iterator[Browser]:
+    """The browser for the pages of one module, which it leaves before their servers end."""
+    yield opened_browser
+    opened_browser.driver.get("about:blank")
+    opened_browser.warnings()  # not the next module's
