@@ -82,7 +82,9 @@ RUNS = {
     IMPORT: Runs("samples", {"BAG": "bag", "SESSION": "imported"}, needs=("bag",)),
     f"{TW} replay SESSION": Runs("Leader: ", SHORT),
     f"{TW} replay SESSION --json out.json --figure verdict.png": Runs("Leader: ", SHORT),
-    f"{TW} replay FOLDER --out RESULTS": Runs("1 session judged", {"FOLDER": "sessions", "RESULTS": "results"}),
+    f"{TW} replay FOLDER --out RESULTS": Runs(
+        "1 session judged", {"FOLDER": "sessions", "RESULTS": "results"}
+    ),
     f"{TW} forecast SESSION --at SAMPLE": Runs(r"leader.*confidence", SHORT),
     f"{TW} try-controller SESSION --loop law.json": Runs(
         "law.json: safe for all that the data allow", LONGER, needs=("law",)
