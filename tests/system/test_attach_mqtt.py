@@ -19,6 +19,7 @@ from tests.support.waiting import PATIENCE, wait_for
 from twinmatch.links.mqtt_client import Broker
 from twinmatch.offline.verification import verify_session
 from twinmatch.sessions import read_session
+from twinmatch.sessions.metadata import parameters_of
 from twinmatch.sessions.recording import repair_session
 
 PAGE = (PROJECT / "docs" / "mqtt.md").read_text(encoding="utf-8")
@@ -111,6 +112,10 @@ def test_where_ros_is_installed_the_graph_listens_to_the_broker(home: Home) -> N
     assert run.end(signal.SIGINT) == 0
     session = read_session(home.folder / "first")
     assert {"/twin/model_score", "/twin/forecast", "/plant/sample", "/diagnostics"} <= {*session.counts}
+    assert not session.has_reference, "the thermostat publishes none"
+    twin = parameters_of(session.records, "/discriminator")
+    assert twin is not None
+    assert twin["loop"] == "unknown", "the twin is driven"
 
 
 def test_a_broker_that_is_gone_is_a_gap_and_a_run_that_is_killed_leaves_a_session_that_is_repaired(
