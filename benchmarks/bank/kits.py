@@ -31,7 +31,7 @@ def typical() -> Parameters:
     return TCLabBoth.model(TCLabBoth.followed).typical()
 
 
-def run(seed: int, mishap: str, size: int = SIZE) -> Iterator[Sample]:
+def run(seed: int, mishap: str, size: int = SIZE, begins: int = BEGINS) -> Iterator[Sample]:
     """One of many kits, whose parameters differ by up to a quarter, in a room that becomes warmer and colder
     by 0.8 K; its set-points step every few minutes."""
     random, base = np.random.default_rng(seed), typical()
@@ -50,7 +50,7 @@ def run(seed: int, mishap: str, size: int = SIZE) -> Iterator[Sample]:
             which, level = int(random.integers(0, 3)), random.uniform(30.0, 60.0, 2)
             wanted = np.where((np.arange(2) == which) | (which == 2), level, wanted)
             steps_at = k + int(random.uniform(200.0, 500.0))
-        on = mishap if BEGINS <= k < ENDS else "nothing"
+        on = mishap if begins <= k < ENDS else "nothing"
         now = kit.replace(ambient=room + 0.8 * math.sin(2.0 * math.pi * k / 3600.0 + phase))
         if on.startswith("losses"):
             now = now.replace(losses=2.5 * kit["losses"])

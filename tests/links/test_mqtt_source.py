@@ -5,7 +5,10 @@ from __future__ import annotations
 import itertools
 import json
 import random
+import threading
+import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +20,7 @@ from tests.support.foreign_rig import Oven
 from tests.support.oven import HOLD, PERIOD, oven_file
 from tests.support.places import PROJECT
 from tests.support.processes import no_plant_files
-from tests.support.waiting import wait_for
+from tests.support.waiting import PATIENCE, wait_for
 from twinmatch.links.mqtt_client import Broker, BrokerError
 from twinmatch.links.mqtt_source import listing, open_source, parse_place
 from twinmatch.links.sources import protocol_of
@@ -72,7 +75,8 @@ class InStep:
         self._marked_topic = places["reference"].partition(":")[0]
         self._mark = mark
         self._acknowledged: set[int] = set()
-        self.rig.on_publish = lambda _client, _data, mid, *_: self._acknowledged.add(mid)
+        self._more_acknowledged = threading.Condition()
+        self.rig.on_publish = lambda _client, _data, mid, *_: self._acknowledge(mid)
         # amqtt loses a client that is still joining when another one subscribes.
         self.publish("oven/ping", "1")
         opened, self.received = source_of(values), 0
@@ -110,7 +114,15 @@ class InStep:
     def publish(self, topic: str, payload: str | bytes, *, retain: bool = False) -> None:
         """Send, and wait until the broker has it; a client that has lost its connection sends it later."""
         sent = self.rig.publish(topic, payload, 1, retain)
-        wait_for(lambda: sent.mid in self._acknowledged, "the broker's answer")
+        with self._more_acknowledged:
+            answered = self._more_acknowledged.wait_for(lambda: sent.mid in self._acknowledged, PATIENCE)
+        assert answered, "the broker does not answer"
+
+    def _acknowledge(self, message: int) -> None:
+        """The broker has a message; called by the client's thread."""
+        with self._more_acknowledged:
+            self._acknowledged.add(message)
+            self._more_acknowledged.notify()
 
     def tick(self, number: int, messages: dict[str, str | bytes], *, more: int = 0) -> list[Sample]:
         """The samples of a tick at which these are sent, and `more` messages that were sent before."""
@@ -123,7 +135,7 @@ class InStep:
             self.source.poll()
             return self.received >= wanted
 
-        wait_for(arrived, lambda: f"{wanted - self.received} messages")
+        wait_for(arrived, lambda: f"{wanted - self.received} messages", meanwhile=lambda: time.sleep(0.001))
         self.now += self._step // 5
         return self.listener.samples()
 
@@ -162,13 +174,15 @@ def test_samples_through_a_broker_are_those_of_the_rig_and_lead_to_its_numbers(
     assert matches[-1].parameters["gain"] == pytest.approx(0.5, rel=0.02)
 
 
+@pytest.mark.parametrize("broker", KINDS[:1], indirect=True)  # a payload is the same from any
 def test_a_session_sent_through_a_broker_is_judged_as_it_was_recorded(broker: RunningBroker) -> None:
-    """Bit for bit: JSON has all digits of a number."""
+    """Bit for bit: JSON has all digits of a number. One step and what follows it is enough for a match."""
     session = read_session(PROJECT / "bags" / "four_setpoints")
     places = {"reference": "rig/wanted", "output": "rig/plate:temperature", "input": "rig/pwm"}
     stepped = InStep(broker, "peltier", session.period, places)
     samples = []
-    served = session.samples[:900]
+    # as they are counted by somebody who begins to listen at the first of them
+    served = [replace(sample, index=k) for k, sample in enumerate(session.samples[170:410])]
     for sample in served:
         told: dict[str, str | bytes] = {
             "rig/wanted": repr(sample.reference),
@@ -221,15 +235,15 @@ def test_a_broker_that_is_killed_and_comes_back_leaves_a_gap_and_a_word(
     assert behind.output == 25.0
 
 
-def test_ten_thousand_malformed_messages_end_nothing(stepped: InStep) -> None:
+def test_thousands_of_malformed_messages_end_nothing(stepped: InStep) -> None:
     assert len(stepped.tick(0, said(30.0, 20.0, 10.0))) == 1
     nonsense, before = random.Random(5), stepped.received
-    for k in range(10_000):
+    for k in range(2_000):
         payload = nonsense.randbytes(nonsense.randint(0, 40)) if k % 3 else b'{"t": {"now": "unavailable"}}'
         stepped.rig.publish("oven/room", payload, 0)
-    wait_for(lambda: stepped.source.poll() or stepped.received - before >= 10_000, "the nonsense")
+    wait_for(lambda: stepped.source.poll() or stepped.received - before >= 2_000, "the nonsense")
     assert stepped.listener.failed is None
-    assert "10000 messages on oven/room without a number" in stepped.source.trouble("oven/room")
+    assert "2000 messages on oven/room without a number" in stepped.source.trouble("oven/room")
     assert stepped.listener.samples() == []
     [sample] = stepped.tick(5, said(30.0, 21.0, 10.0))
     assert (sample.index, sample.output) == (5, 21.0)
@@ -245,15 +259,16 @@ NOT_NUMBERS: tuple[Callable[[], str], ...] = (
 )
 
 
-@pytest.mark.parametrize("payload", NOT_NUMBERS)
-def test_what_lacks_a_number_makes_no_sample_once_the_reading_is_stale(
-    stepped: InStep, payload: Callable[[], str]
-) -> None:
-    assert len(stepped.tick(0, said(30.0, 20.0, 10.0))) == 1
-    samples = [stepped.tick(n, said(30.0, 0.0, 10.0) | {"oven/room": payload()}) for n in range(1, 7)]
-    assert samples[-1] == []
-    [sample] = stepped.tick(7, said(30.0, 22.0, 10.0))
-    assert (sample.index, sample.output) == (7, 22.0)
+def test_what_lacks_a_number_makes_no_sample_once_the_reading_is_stale(stepped: InStep) -> None:
+    numbers = itertools.count()
+    for payload in NOT_NUMBERS:
+        assert len(stepped.tick(next(numbers), said(30.0, 20.0, 10.0))) == 1, payload()
+        for _ in range(6):
+            samples = stepped.tick(next(numbers), said(30.0, 0.0, 10.0) | {"oven/room": payload()})
+        assert samples == [], payload()
+        number = next(numbers)
+        [sample] = stepped.tick(number, said(30.0, 22.0, 10.0))
+        assert (sample.index, sample.output) == (number, 22.0), payload()
 
 
 def test_a_clock_that_is_set_back_and_forth_leaves_gaps(stepped: InStep) -> None:

@@ -93,7 +93,8 @@ def listener() -> Iterator[Listener]:
 
 @pytest.fixture(scope="session")
 def steps() -> list[Sample]:
-    return quarter_of_an_hour()
+    """The steps of a simulated rig, until shortly after its second match."""
+    return quarter_of_an_hour()[:680]
 
 
 @pytest.fixture(scope="session")

@@ -96,12 +96,9 @@ def taken(messages: list[LoopSample]) -> list[tuple[float, float, float]]:
     return [(m.reference[0], m.output[0], m.input[0]) for m in messages]
 
 
-@pytest.mark.parametrize("options", [(), ("--stamped",)])
-def test_each_tick_of_the_rig_is_a_sample_of_the_same_three_numbers(
-    beside: Beside, options: tuple[str, ...]
-) -> None:
-    rig = beside.rig(*options)
-    beside.sampler(output="/oven/temperature:temperature" if options else MAP["output"])
+def test_each_tick_of_the_rig_is_a_sample_of_the_same_three_numbers(beside: Beside) -> None:
+    rig = beside.rig("--stamped")
+    beside.sampler(output="/oven/temperature:temperature")
     beside.wait_for_samples(60)
     said = {tuple(line) for line in rig.json}
     pairs = taken(beside.samples)
@@ -349,17 +346,6 @@ MISFITS: tuple[tuple[dict[str, str], str], ...] = (
 )
 
 
-def test_what_does_not_fit_is_one_line_and_exit_code_2(beside: Beside) -> None:
-    rig = beside.rig()
-    rig.wait_until(lambda: rig.json, "its first samples")
-    for given, words in MISFITS:
-        sampler = beside.sampler(wait_timeout="5.0", **given)
-        assert sampler.wait() == 2
-        assert re.search(words, sampler.text)
-        assert sampler.text.count("\n") == 1
-    assert not beside.samples
-
-
 OF_BOTH: tuple[tuple[dict[str, str], str], ...] = (
     ({"map.second_temperature": ""}, "map.second_temperature is missing; give its topic and field"),
     (
@@ -373,17 +359,20 @@ OF_BOTH: tuple[tuple[dict[str, str], str], ...] = (
 )
 
 
-def test_what_does_not_fit_two_loops_is_one_line_and_exit_code_2(
-    beside: Beside, start: Any, tmp_path: Path
-) -> None:
+def is_refused(sampler: Inside, words: str) -> None:
+    assert sampler.wait() == 2, words
+    assert re.search(words, sampler.text)
+    assert sampler.text.count("\n") == 1
+
+
+def test_what_does_not_fit_is_one_line_and_exit_code_2(beside: Beside, start: Any, tmp_path: Path) -> None:
     rig = beside.rig()
     rig.wait_until(lambda: rig.json, "its first samples")
+    for given, words in MISFITS:
+        is_refused(beside.sampler(wait_timeout="5.0", **given), words)
     for given, words in OF_BOTH:
         values = dict.fromkeys(BOTH, "/oven/heater") | {"wait_timeout": 5.0} | given
-        sampler = sampler_of_both(start, tmp_path, **values)
-        assert sampler.wait() == 2
-        assert re.search(words, sampler.text)
-        assert sampler.text.count("\n") == 1
+        is_refused(sampler_of_both(start, tmp_path, **values), words)
     assert not beside.samples
 
 

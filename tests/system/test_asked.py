@@ -77,6 +77,7 @@ class Graph:
         return str(self.twin[-1].decision)
 
 
+@pytest.mark.long("a run that has to learn a twin before experiments and laws are answered, three times")
 def test_one_thing_moves_the_plant_at_a_time_and_returns_to_where_it_was(
     live_run: Callable[..., LiveRun],  # noqa: F811
     processes: Processes,

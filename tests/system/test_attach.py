@@ -88,22 +88,6 @@ def test_from_the_topics_of_a_foreign_rig_to_verdicts_that_verify(
     assert found_again.identical, found_again.difference
 
 
-def test_without_a_set_point_the_twin_is_driven_and_the_session_says_so(
-    processes: Processes, attach: Callable[..., Process], tmp_path: Path
-) -> None:
-    processes.python(RIG, "--period", PERIOD, "--hold", HOLD, "--no-set-point")
-    run = attach("--map", *ENTRIES[1:])
-    with listening() as listener:
-        verdicts = listener.hear(ModelScore, "twin/model_score", 10)
-        listener.spin_until(lambda: verdicts, lambda: run.text, FIRST)
-    assert run.end(signal.SIGINT) == 0
-    session = read_session(tmp_path / "run")
-    assert not session.has_reference
-    twin = parameters_of(session.records, "/discriminator")
-    assert twin is not None
-    assert twin["loop"] == "unknown"
-
-
 @pytest.mark.parametrize(
     ("options", "words"),
     [
@@ -121,19 +105,3 @@ def test_what_cannot_be_used_is_one_line(options: tuple[str, ...], words: str, t
     assert done.returncode == 2
     assert words in done.stderr
     assert "Traceback" not in done.stderr
-
-
-def test_a_topic_that_has_no_publisher_ends_it_with_those_there_are(
-    processes: Processes, attach: Callable[..., Process], tmp_path: Path
-) -> None:
-    processes.python(RIG, "--period", PERIOD).said(r"^\[")
-    config = tmp_path / "my_rig.yaml"
-    config.write_text(
-        "sampler:\n  ros__parameters:\n    wait_timeout: 5.0\n    map:\n"
-        "      output: /oven/temp\n      input: /oven/heater\n"
-    )
-    run = attach("--config", config)
-    assert run.wait() == 2
-    assert "no publisher on /oven/temp" in run.text
-    assert "/oven/temperature (std_msgs/msg/Float64)" in run.text
-    assert "sampler rejected its configuration or input" in run.text

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import shlex
 import signal
 import sys
 from pathlib import Path
@@ -15,7 +16,7 @@ pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; r
 pytest.importorskip("rosbags", reason="rosbags is not installed; it is in the extra 'bags'")
 
 from tests.support.places import LAUNCH_SCRIPTS, PROJECT
-from tests.support.processes import Process, Processes
+from tests.support.processes import Process, Processes, run_twinmatch
 from tests.support.waiting import PATIENCE
 from twinmatch.sessions import read_session
 
@@ -57,7 +58,9 @@ def test_the_page_leads_from_a_rig_to_a_verdict_and_through_a_bag(
         (take, "of oven, from first"),
         (judge, "the set-point did not move"),
     ):
-        done = shell(processes, tmp_path, command)
-        assert done.wait(4 * PATIENCE) == 0, done.text
-        assert words in done.text, done.text
+        program, *arguments = shlex.split(command)
+        assert program == "twinmatch"
+        done = run_twinmatch(*arguments, folder=tmp_path)
+        assert done.returncode == 0, done.stderr
+        assert words in done.stdout, done.stdout
     assert len(read_session(tmp_path / "from_bag").samples) >= recorded

@@ -61,7 +61,8 @@ class Runs(NamedTuple):
     """Whether the command itself starts nodes."""
 
 
-SHORT = {"SESSION": "short", "SAMPLE": "600"}
+SHORT = {"SESSION": "short", "SAMPLE": "405"}
+LONGER = {"SESSION": "longer"}
 SHIPPED_SHORT = {"bags/four_setpoints": "short"}
 FREE = {"--dashboard": "--dashboard 0"}
 VERDICT = r"^ *\d+ +(unknown|doubtful|trusted|fault)"
@@ -81,15 +82,15 @@ RUNS = {
     IMPORT: Runs("samples", {"BAG": "bag", "SESSION": "imported"}, needs=("bag",)),
     f"{TW} replay SESSION": Runs("Leader: ", SHORT),
     f"{TW} replay SESSION --json out.json --figure verdict.png": Runs("Leader: ", SHORT),
-    f"{TW} replay FOLDER --out RESULTS": Runs("1 session judged", {"FOLDER": "bags", "RESULTS": "results"}),
+    f"{TW} replay FOLDER --out RESULTS": Runs(
+        "1 session judged", {"FOLDER": "sessions", "RESULTS": "results"}
+    ),
     f"{TW} forecast SESSION --at SAMPLE": Runs(r"leader.*confidence", SHORT),
     f"{TW} try-controller SESSION --loop law.json": Runs(
-        "law.json: safe for all that the data allow", {"SESSION": "bags/four_setpoints"}, needs=("law",)
+        "law.json: safe for all that the data allow", LONGER, needs=("law",)
     ),
-    f"{TW} experiment SESSION": Runs(
-        "characters for structure are expected", {"SESSION": "bags/four_setpoints"}
-    ),
-    f"{TW} backtest SESSION": Runs("persistence", SHORT),
+    f"{TW} experiment SESSION": Runs("characters for structure are expected", LONGER),
+    f"{TW} backtest SESSION": Runs("persistence", LONGER),
     f"{TW} verify SESSION": Runs(
         "are identical, bit for bit", {"SESSION": "attached --plant my_plant.py"}, needs=("attached",)
     ),
@@ -146,11 +147,16 @@ def test_a_misspelt_option_would_be_found() -> None:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Looks like the project to the commands, and is written into; its session is shorter."""
+    """Looks like the project to the commands, and is written into; its session is shorter.
+
+    The first candidate comes at sample 400, the second at 600.
+    """
     made = tmp_path_factory.mktemp("readme")
     samples = read_session(SHIPPED).samples
     write_session(made / "bags" / SHIPPED.name, samples[:1300])
-    write_session(made / "short", samples[:700])
+    write_session(made / "longer", samples[:700])
+    write_session(made / "short", samples[:410])
+    write_session(made / "sessions" / "one", samples[:410])
     for name in ("launch_scripts", "config"):
         (made / name).symlink_to(PROJECT / name)
     (made / ".venv").symlink_to(sys.prefix)

@@ -9,7 +9,7 @@ candidates goes with how differently they behave.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
@@ -33,9 +33,15 @@ from twinmatch.signals import FloatArray, Sample, Window
 from twinmatch.twin import Outcome, Twin, TwinSettings, choose_structure
 
 HEALTHY = (1, 2, 5, 9, 14, 20)
+SHORTEST = 2
+"""The healthy hour that costs least to judge; the others take a minute."""
+OTHERS = tuple(number for number in HEALTHY if number != SHORTEST)
+ALL_HOURS = pytest.mark.long("judges six real hours, and forecasts from every twentieth sample of them")
 LOST_DRIVE = 27
 AHEAD, EVERY = 300, 20
 AT = (10, 60, 300)
+BEGINNING = 400
+"""Samples within which the first window of an hour is complete."""
 SETTINGS = TwinSettings()
 NOISE = np.array([[SETTINGS.noise.output], [SETTINGS.noise.input]])
 BACKTESTED = Choices(every=300.0)
@@ -131,45 +137,63 @@ def hours(hour: Callable[[int], Hour]) -> list[Hour]:
     return [hour(number) for number in HEALTHY]
 
 
-@pytest.mark.parametrize("number", HEALTHY)
-def test_a_healthy_hour_has_a_nominal_twin_that_follows_it(number: int, hour: Callable[[int], Hour]) -> None:
-    judgement = hour(number).judgement
-    identified = [v for v in judgement.verdicts if not v.stands]
-    assert len(identified) >= 8
-    assert judgement.summary.nominal is not None
-    assert judgement.summary.fit_y >= 0.97
-    assert judgement.summary.fit_u >= 0.75
-    assert not any(v.level is TrustLevel.FAULT for v in judgement.verdicts)
+NUMBERS = [pytest.param([SHORTEST], id="shortest"), pytest.param(OTHERS, id="others", marks=ALL_HOURS)]
 
 
-@pytest.mark.parametrize("number", [*HEALTHY, LOST_DRIVE])
-def test_results_are_the_golden_ones(number: int, hour: Callable[[int], Hour]) -> None:
+@pytest.mark.parametrize("numbers", NUMBERS)
+def test_a_healthy_hour_has_a_nominal_twin_that_follows_it(
+    numbers: Sequence[int], hour: Callable[[int], Hour]
+) -> None:
+    for number in numbers:
+        judgement = hour(number).judgement
+        identified = [v for v in judgement.verdicts if not v.stands]
+        assert len(identified) >= 8, number
+        assert judgement.summary.nominal is not None, number
+        assert judgement.summary.fit_y >= 0.97, number
+        assert judgement.summary.fit_u >= 0.75, number
+        assert not any(v.level is TrustLevel.FAULT for v in judgement.verdicts), number
+
+
+@pytest.mark.parametrize(
+    "numbers",
+    [
+        pytest.param([SHORTEST], id="shortest"),
+        pytest.param([*OTHERS, LOST_DRIVE], id="others", marks=ALL_HOURS),
+    ],
+)
+def test_results_are_the_golden_ones(numbers: Sequence[int], hour: Callable[[int], Hour]) -> None:
     """What `twinmatch replay --json` writes; forecasts that are asked for beside it move no bit."""
-    found = hour(number).judgement
-    told = json.loads(json.dumps(document(found.name, found.verdicts, found.summary, found.matches)))
-    different, compared = compare(f"rig_{number}", digest({"replay": told}))
-    assert not different, f"compared: {compared}"
+    for number in numbers:
+        judgement = hour(number).judgement
+        told = document(judgement.name, judgement.verdicts, judgement.summary, judgement.matches)
+        as_read = json.loads(json.dumps(told))
+        different, compared = compare(f"rig_{number}", digest({"replay": as_read}))
+        assert not different, f"hour {number}, compared: {compared}"
 
 
 def test_the_frozen_sensor_at_the_start_of_an_hour_gives_no_candidate(
-    hour: Callable[[int], Hour],
+    recorded_hour: Callable[[int], Window],
 ) -> None:
     """The first 30 s of recording 1: the camera is frozen, then lags; the window that has them is refused."""
-    judgement = hour(1).judgement
-    first = judgement.matches[0].match
+    samples = samples_of(recorded_hour(1))[:BEGINNING]
+    first = judge_samples("beginning", samples, SETTINGS).matches[0].match
     assert first.samples[0] < 30
     assert not first.accepted
 
 
-def test_a_lost_drive_is_reported_in_time_and_never_matched(hour: Callable[[int], Hour]) -> None:
+def test_a_lost_drive_is_reported_in_time_and_never_matched(recorded_hour: Callable[[int], Window]) -> None:
     """Recording 27: lost at 2155 s, visible from about 2235 s, to be reported by 2355 s."""
-    judgement = hour(LOST_DRIVE).judgement
+    samples = samples_of(recorded_hour(LOST_DRIVE))[1500:2700]
+    judgement = judge_samples("lost drive", samples, SETTINGS)
     for report in judgement.matches:
         if report.match.samples[1] > 2155:
             assert not report.match.accepted
+    assert any(report.match.accepted for report in judgement.matches), "it is healthy before"
     assert all(v.level is not TrustLevel.FAULT for v in judgement.verdicts if v.sample <= 2155)
     assert any(v.level is TrustLevel.FAULT for v in judgement.verdicts if 2155 < v.sample <= 2355)
-    assert all(v.level is TrustLevel.FAULT for v in judgement.verdicts if v.sample > 2355)
+    after = [v for v in judgement.verdicts if v.sample > 2355]
+    assert after
+    assert all(v.level is TrustLevel.FAULT for v in after)
 
 
 def frozen(hour: Window, first: int, last: int) -> Window:
@@ -180,12 +204,14 @@ def frozen(hour: Window, first: int, last: int) -> Window:
 
 
 def test_a_sensor_that_freezes_in_a_real_hour_is_reported(recorded_hour: Callable[[int], Window]) -> None:
-    samples = samples_of(frozen(recorded_hour(9), 1000, 1600))[:2000]
+    samples = samples_of(frozen(recorded_hour(9), 400, 700))[:900]
     verdicts = judge_samples("frozen", samples, TwinSettings()).verdicts
     told = next(v for v in verdicts if v.level is TrustLevel.FAULT)
     assert told.fault == "sensor-frozen"
-    assert 1000 < told.sample <= 1030
-    assert all(v.level is not TrustLevel.FAULT for v in verdicts if v.sample > 1650)
+    assert 400 < told.sample <= 430
+    after = [v for v in verdicts if v.sample > 750]
+    assert after
+    assert all(v.level is not TrustLevel.FAULT for v in after)
 
 
 def test_structures_are_compared_where_controller_and_twins_are_at_their_end(
@@ -197,19 +223,20 @@ def test_structures_are_compared_where_controller_and_twins_are_at_their_end(
     assert all(np.isfinite(score.held_back).all() for score in choice.scores)
 
 
-def test_the_leader_is_hardly_worse_than_the_best_in_hindsight(hours: list[Hour]) -> None:
-    leading, best = (np.concatenate([getattr(h, n) for h in hours]) for n in ("leading", "best"))
+@ALL_HOURS
+def test_the_leader_is_hardly_worse_than_the_best_in_hindsight_and_right_when_it_is_decided(
+    hours: list[Hour],
+) -> None:
+    leading = np.concatenate([hour.leading for hour in hours])
+    best = np.concatenate([hour.best for hour in hours])
+    decided = np.concatenate([hour.decided for hour in hours])
     assert np.mean(leading / best) <= 1.04
     assert np.median(leading) <= 1.35  # 1.29 was measured; the nominal twin has 1.66
-
-
-def test_when_it_is_decided_it_is_right(hours: list[Hour]) -> None:
-    leading, best = (np.concatenate([getattr(h, n) for h in hours]) for n in ("leading", "best"))
-    decided = np.concatenate([h.decided for h in hours])
     assert decided.mean() > 0.2, "a twin that never decides is right by silence"
     assert np.mean((leading <= 1.03 * best)[decided]) >= 0.9
 
 
+@ALL_HOURS
 def test_bands_hold_what_they_promise(hours: list[Hour]) -> None:
     shares = np.array([np.mean(h.inside, axis=0) for h in hours])
     together = np.mean(np.concatenate([np.array(h.inside) for h in hours]), axis=0)
@@ -217,13 +244,14 @@ def test_bands_hold_what_they_promise(hours: list[Hour]) -> None:
     assert shares.min() >= 0.78, shares
 
 
+@ALL_HOURS
 def test_the_gap_goes_with_how_differently_two_candidates_behave(hours: list[Hour]) -> None:
     gaps, apart = (np.concatenate([getattr(h, n) for h in hours]) for n in ("gaps", "apart"))
     assert spearmanr(gaps, apart).statistic >= 0.6
     assert gaps.max() < 0.9
 
 
-@pytest.mark.parametrize("number", [2, 20])
+@pytest.mark.parametrize("number", [SHORTEST, pytest.param(20, marks=ALL_HOURS)])
 def test_the_leader_beats_everybody(number: int, hour: Callable[[int], Hour]) -> None:
     """Over five minutes: a smaller error than any peer, near the best twin, an honest band."""
     found = hour(number)
