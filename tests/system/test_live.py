@@ -328,6 +328,20 @@ def whole(session: Path) -> int:
     return len(kept)
 
 
+@pytest.mark.long(
+    "a whole graph beside a disk that fills up; its parts are tested at the recorder and the launcher"
+)
+def test_a_disk_that_fills_up_ends_the_run(live_run: Callable[..., LiveRun], tmp_path: Path) -> None:
+    with small_disk(tmp_path / "disk", 64_000) as disk:
+        run = live_run(disk=disk, ends=False)
+        fill_up(run, disk)
+        assert run.process.wait() == 1, run.text
+        assert whole(run.session) >= 10
+    assert "rejected its configuration" not in run.text
+    assert "restarting" not in run.text
+    assert "ended: recorder can no longer write the session" in run.text
+
+
 def test_without_a_disk_the_operator_may_drive_on_and_a_camera_whose_readings_fall_ends_the_heat(
     live_run: Callable[..., LiveRun], tmp_path: Path
 ) -> None:
