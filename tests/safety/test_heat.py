@@ -25,8 +25,9 @@ from tests.support.liar import (
     lie_to_both,
     whole_kit,
 )
-from tests.support.lie_generator import SET_POINTS, draw_lie, follow
+from tests.support.lie_generator import SET_POINTS, LieOutcome, LieRun, Surroundings, draw_lie, follow
 from tests.support.peltier_oracle import integrated
+from twinmatch.nodes.tclab_bridge import SECOND, TCLabBridge
 from twinmatch.safety import Accusations, BudgetLimits, FaultKind, HeatBudget, OutputGuard
 from twinmatch.safety.ceiling import CAUTION, Ceiling
 from twinmatch.safety.limits import SafetyError
@@ -158,6 +159,92 @@ def test_no_lie_of_the_generator_gets_a_plate_too_hot(seed: int) -> None:
     outcome = follow(draw_lie(seed))
     assert outcome.fault
     assert outcome.beyond <= 0.0
+
+
+def surrounded(bench: Bench, level: float, surroundings: Surroundings) -> LieOutcome:
+    """How a healthy plant fares at a set-point."""
+    references = np.full((surroundings.losses.size, 1), level)
+    kind = "rig" if bench is RIG else "kit"
+    plant = bench.typical.replace(ambient=293.0)
+    return follow(LieRun(0, kind, plant, "constant", references, surroundings))
+
+
+SINCE = np.arange(1800) - 900
+
+
+@pytest.mark.parametrize(
+    ("bench", "level", "surroundings"),
+    [
+        (KIT, 58.0, Surroundings("draught", np.zeros(1800), np.where(SINCE < 0, 1.0, 1.5))),
+        (RIG, 31.0, Surroundings("cools", -12.0 * np.clip(SINCE / 120.0, 0.0, 1.0), np.ones(1800))),
+    ],
+    ids=["a kit in a draught", "a rig in a room that cools within two minutes"],
+)
+def test_what_surrounds_a_healthy_plant_ends_nothing(
+    bench: Bench, level: float, surroundings: Surroundings
+) -> None:
+    """Both were called a contradiction."""
+    outcome = surrounded(bench, level, surroundings)
+    assert not outcome.fault
+    assert outcome.seconds == SINCE.size
+
+
+@pytest.mark.parametrize("heater", [0, 1])
+def test_no_healthy_heater_runs_out_of_budget_in_a_draught(heater: int) -> None:
+    """The weakest kit of the spread, held at 60 °C for as long as it likes."""
+    budget = TCLabBridge.guards_of_both(TCLabBridge.LIMITS)[heater].limits.budget
+    weakest = KIT.typical.replace(
+        losses=1.25 * 1.5 * KIT.typical["losses"],
+        heating=0.75 * (SECOND if heater else 1.0) * KIT.typical["heating"],
+        ambient=288.15,
+    )
+    needed = weakest["losses"] * 10e-4 * (60.0 - 15.0) / weakest["heating"]  # % over a surface of 10 cm²
+    assert HeatBudget(budget).take(3600.0, needed, 60.0, 60.0) is None
+
+
+def test_a_strong_plant_that_is_known_gets_less_hot_by_an_early_lie() -> None:
+    """Though both of the measured parameters are 5 % off towards a plant that needs more drive."""
+    plant = KIT.typical.replace(losses=9.0, heating=0.01, ambient=296.0)
+    known = ", ".join(
+        f"{name} = {value:.5g}"
+        for name, value in (
+            ("losses", 1.05 * plant["losses"]),
+            ("heating", 0.95 * plant["heating"]),
+            ("ambient", plant["ambient"]),
+            ("exchange", 0.001),  # it has no second heater
+        )
+    )
+    highest = []
+    for measured in ("", known):
+        limits = replace(KIT.bridge.LIMITS, observer=ObserverLimits(known=measured))
+        guard = OutputGuard(limits, KIT.bridge.observer(limits))
+        ending = lie_to(KIT, guard, plant, [45.0] * 1500, drifting(-0.03), begins=10)
+        highest.append(ending.highest)
+    assert highest[1] < highest[0] - 1.0
+    assert highest[1] <= highest_allowed(45.0)
+
+
+@pytest.mark.parametrize(
+    ("known", "message"),
+    [
+        ("losses", "known has 'losses'; write it as losses = 11.3"),
+        ("losses = a lot", "known has 'losses = a lot'"),
+        ("size = 3", "known names 'size'; parameters: losses, heating"),
+        ("losses = nan", "losses = nan; allowed: 1 to 60"),
+        ("losses = 11, heating = 5", "heating = 5; allowed: 0.001 to 0.05"),
+    ],
+)
+def test_what_is_known_of_a_plant_is_checked(known: str, message: str) -> None:
+    with pytest.raises(SafetyError, match=message):
+        TCLabBridge.observer(replace(TCLabBridge.LIMITS, observer=ObserverLimits(known=known)))
+
+
+def test_of_a_known_kit_each_heater_has_its_power() -> None:
+    known = ObserverLimits(known="heating = 0.012, second_heating = 0.004")
+    limits = replace(TCLabBridge.LIMITS, observer=known)
+    first, second = TCLabBridge.guards_of_both(limits)
+    assert first.limits.observer.measured() == {"heating": 0.012, "second_heating": 0.004}
+    assert second.limits.observer.measured() == {"second_heating": 0.012, "heating": 0.004}
 
 
 def test_the_generator_draws_the_same_runs_from_the_same_seed() -> None:

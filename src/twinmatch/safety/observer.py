@@ -46,7 +46,7 @@ DIFFER: Final = 0.6
 ROOMS_DIFFER: Final = 2.0
 """… and of one that is not relative, such as the room: 15 to 28 °C."""
 KNOWN_TO: Final = 0.1
-"""Relative error of a parameter that was measured."""
+"""Error of a parameter that was measured, relative or in its scale: of a room a degree."""
 DRAUGHT: Final = 0.5
 """Part by which a draught raises the losses …"""
 COOLS: Final = 12.0
@@ -197,10 +197,10 @@ class DriveObserver:
         """Standard deviations of the weights before the first reading, shape (size,)."""
         deviations = np.full(size, DIFFER)
         for place, name in enumerate(self._typical.model.structure.free):
-            if not self._typical.model.declared[name].relative:
-                deviations[place] = ROOMS_DIFFER
-            elif name in self._measured:
+            if name in self._measured:
                 deviations[place] = DIFFER * min(1.0, KNOWN_TO / self.limits.spread)
+            elif not self._typical.model.declared[name].relative:
+                deviations[place] = ROOMS_DIFFER
         return deviations
 
     def _how_surroundings_change(self, size: int) -> FloatArray:
