@@ -50,7 +50,7 @@ KNOWN_TO: Final = 0.1
 DRAUGHT: Final = 0.5
 """Part by which a draught raises the losses …"""
 COOLS: Final = 12.0
-"""… and temperature by which a room cools, K, that are no contradiction: the drive is limited, not ended."""
+"""… and temperature by which a room cools, K: within both the drive is limited, not ended."""
 LOST: Final = 600.0
 """Time without a look after which the observer begins again, s."""
 
