@@ -25,6 +25,7 @@ from twinmatch.safety import (
     BudgetLimits,
     FaultKind,
     GuardLimits,
+    ObserverLimits,
     OutputGuard,
     RunawayLimits,
     StandIn,
@@ -41,8 +42,16 @@ _DEADLINE = "Zero after this time without a command from this node, by the wall 
 
 SECOND = 0.6
 """Power of heater 2 by that of heater 1: 0.75 as published, 0.55 of a recorded kit, 0.5 by the firmware."""
+_SWAPPED = {"heating": "second_heating", "second_heating": "heating"}
 MAX_SILENCE = 0.3
 """Longest time between two commands to a kit, wall s: well within the deadline of the process at its port."""
+
+
+def _seen_from_heater_2(limits: ObserverLimits) -> ObserverLimits:
+    """The observer's limits with what is measured of a kit as heater 2 sees it."""
+    measured = limits.measured().items()
+    known = ", ".join(f"{_SWAPPED.get(name, name)} = {value!r}" for name, value in measured)
+    return replace(limits, known=known)
 
 
 class KitDriver(DriverThread[KitLink]):
@@ -106,8 +115,8 @@ class TCLabBridge(GatedNode):
         # A heater at full power gains 8 °C in 30 s at first, and 2 °C near its highest temperature.
         runaway=RunawayLimits(gain=1.5, gain_time=30.0, full_drive=95.0),
         # Typical heaters are held by 1.3 % per °C; a degree costs 235 %·s, and the reading lags by 18 s.
-        # With all parameters 25 % on the wrong side, a set-point uses two thirds of it.
-        budget=BudgetLimits(hold=2.5, least=6000.0, each=400.0),
+        # With all parameters 25 % on the wrong side, and half as much again in a draught, it is 3.3 % per °C.
+        budget=BudgetLimits(hold=3.3, least=6000.0, each=400.0),
     )
     PLANT: ClassVar = TCLab
     STRUCTURE: ClassVar = "sensor lag, neighbour"
@@ -163,6 +172,8 @@ class TCLabBridge(GatedNode):
             named = replace(
                 limits, thing=f"{which} heater", sensor=f"{which} sensor", budget=spent, runaway=runaway
             )
+            if which == "second":
+                named = replace(named, observer=_seen_from_heater_2(limits.observer))
             seen = kit.replace(heating=own, second_heating=other)
             made.append(OutputGuard(named, cls.observer(named, seen)))
         return made

@@ -15,15 +15,17 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
 from twinmatch.dynamics import Parameters, advance_side_by_side, begin
+from twinmatch.dynamics.pace import time_constant
 from twinmatch.safety.ceiling import Ceiling
 from twinmatch.safety.likeness import PERIOD, Likeness
-from twinmatch.safety.limits import positive
+from twinmatch.safety.limits import SafetyError, positive
 from twinmatch.settings import setting
 from twinmatch.signals import FloatArray
 
@@ -43,6 +45,12 @@ DIFFER: Final = 0.6
 """Standard deviation of a parameter that is equally likely anywhere within the spread, in spreads …"""
 ROOMS_DIFFER: Final = 2.0
 """… and of one that is not relative, such as the room: 15 to 28 °C."""
+KNOWN_TO: Final = 0.1
+"""Error of a parameter that was measured, relative or in its scale: of a room a degree."""
+DRAUGHT: Final = 0.5
+"""Part by which a draught raises the losses …"""
+COOLS: Final = 12.0
+"""… and temperature by which a room cools, K: within both the drive is limited, not ended."""
 LOST: Final = 600.0
 """Time without a look after which the observer begins again, s."""
 
@@ -59,9 +67,30 @@ class ObserverLimits:
     margin: float = setting(
         13.0, "How far the drive may take the plant beyond set-point and reading.", "{y}", 1.0, 150.0
     )
+    known: str = setting(
+        "", "Measured parameters of this plant, such as `losses = 11.3, heating = 0.0088`: right to a tenth."
+    )
 
     def __post_init__(self) -> None:
-        positive("observer", vars(self))
+        numbers = {name: value for name, value in vars(self).items() if name != "known"}
+        positive("observer", numbers)
+        self.measured()
+
+    def measured(self) -> dict[str, float]:
+        """The measured parameters by name, in their units.
+
+        Raises:
+            SafetyError: the text is not a list of names with numbers.
+        """
+        values = {}
+        for part in filter(str.strip, self.known.split(",")):
+            name, _, number = part.partition("=")
+            try:
+                values[name.strip()] = float(number)
+            except ValueError:
+                message = f"observer limits: known has {part.strip()!r}; write it as losses = 11.3"
+                raise SafetyError(message) from None
+        return values
 
 
 class DriveObserver:
@@ -93,6 +122,8 @@ class DriveObserver:
         self.limits = limits or ObserverLimits()
         self.estimate = math.nan
         """Output to which the drive has taken the plant, in its unit; NaN before the first comparison."""
+        self._measured = self.limits.measured()
+        typical = _with_measured(typical, self._measured)
         self._typical, self._thing, self._sensor, self._highest = typical, thing, sensor, highest
         self._unit = typical.model.plant.output.unit
         self._sides = list(_either_side(typical, self.limits.spread))
@@ -156,18 +187,32 @@ class DriveObserver:
         self._states, self._outputs = np.array(states), np.full(len(states), reading)
         self._z = Likeness(np.ones(len(states) // 2))
         self._deviations = self._how_plants_differ(len(states) // 2)
+        self._surroundings = self._how_surroundings_change(len(states) // 2)
         self.ceiling = Ceiling(self.limits.margin, self._deviations)
         self._waiting = deque()
-        self._passed = self._drive = self._doubted = 0.0
+        self._passed = self._drive = self._doubted = self._explained = 0.0
         self._compared = 0
 
     def _how_plants_differ(self, size: int) -> FloatArray:
         """Standard deviations of the weights before the first reading, shape (size,)."""
         deviations = np.full(size, DIFFER)
         for place, name in enumerate(self._typical.model.structure.free):
-            if not self._typical.model.declared[name].relative:
+            if name in self._measured:
+                deviations[place] = DIFFER * min(1.0, KNOWN_TO / self.limits.spread)
+            elif not self._typical.model.declared[name].relative:
                 deviations[place] = ROOMS_DIFFER
         return deviations
+
+    def _how_surroundings_change(self, size: int) -> FloatArray:
+        """What a draught or a room that cools adds to each weight, shape (size,)."""
+        changes = np.zeros(size)
+        for place, name in enumerate(self._typical.model.structure.free):
+            declared = self._typical.model.declared[name]
+            if declared.role == "losses":
+                changes[place] = DRAUGHT / (1.0 + DRAUGHT) / self.limits.spread
+            elif declared.role == "room":
+                changes[place] = COOLS / (self.limits.spread * declared.scale)
+        return changes
 
     def _step(self, drive: float, disturbances: FloatArray | None) -> None:
         self._states, outputs = advance_side_by_side(self._twins, self._states, drive, PERIOD, disturbances)
@@ -181,8 +226,12 @@ class DriveObserver:
         self.estimate = estimate = typical + moved
         band = max(self.limits.band, SIGMAS * deviation)
         off = reading - estimate
-        beyond = off < -band or off > HOTTER * band or estimate - band > self._highest
-        self.ceiling.take(slopes, typical, reading, reference, learns=believed and not beyond)
+        hotter = off > HOTTER * band or estimate - band > self._highest
+        beyond = hotter or off < -band
+        self.ceiling.take(
+            slopes, typical, reading, reference, learns=believed and not beyond,
+            at_least=estimate if off < -band else -math.inf,
+        )  # fmt: skip
         if not believed:
             self._waiting.clear()
             self._doubted = 0.0
@@ -191,10 +240,33 @@ class DriveObserver:
         self._compared += 1
         while len(self._waiting) > min(LEARNED_AFTER / PERIOD, self._compared / 2):
             self._learn(*self._waiting.popleft())
-        self._doubted = self._doubted + PERIOD if beyond else 0.0
+        colder = self._much_colder(slopes, off, band) or self._limited_in_vain(slopes, reading)
+        self._doubted = self._doubted + PERIOD if hotter or colder else 0.0
         if self._doubted < self.limits.patience:
             return None
         return self.contradicts(reading, estimate, band)
+
+    def _much_colder(self, slopes: FloatArray, off: float, band: float) -> bool:
+        """Whether neither a draught nor a room that cools explains how far a reading is below the estimate:
+        both take the plant's time constant, while a sensor may slip at once."""
+        if off > -band / 2:
+            self._explained = 0.0
+            return False
+        at_last = self._surroundings_explain(slopes)
+        more = at_last * PERIOD / time_constant(self._typical.model.plant)
+        self._explained = min(at_last, self._explained + more)
+        return off < -(band + self._explained)
+
+    def _limited_in_vain(self, slopes: FloatArray, reading: float) -> bool:
+        """Whether they do not explain either how cold a limited drive leaves the reading."""
+        ceiling = self.ceiling
+        band = max(self.limits.band, SIGMAS * ceiling.deviation)
+        coldest = ceiling.estimate - band - self._surroundings_explain(slopes)
+        return ceiling.share < 1.0 and reading < coldest
+
+    def _surroundings_explain(self, slopes: FloatArray) -> float:
+        """By how much a draught or a room that cools lowers the output at last, in its unit."""
+        return float(np.max(np.abs(slopes) * self._surroundings))
 
     def _learn(self, slopes: FloatArray, off: float) -> None:
         """Learn from a reading; one that contradicted the drive teaches nothing."""
@@ -211,6 +283,22 @@ class DriveObserver:
             f"{reading:.1f} {unit}: the drive is lost{other}, or the {sensor} does not see the {thing}; "
             "check both"
         )
+
+
+def _with_measured(typical: Parameters, measured: Mapping[str, float]) -> Parameters:
+    """The typical plant with the measured parameters.
+
+    Raises:
+        SafetyError: the plant has no such parameter, or it cannot have this value.
+    """
+    declared = typical.model.declared
+    for name, value in measured.items():
+        if name not in typical:
+            raise SafetyError(f"observer limits: known names {name!r}; parameters: {', '.join(typical)}")
+        low, high = declared[name].bounds
+        if not low <= value <= high:  # true for NaN too
+            raise SafetyError(f"observer limits: known has {name} = {value:g}; allowed: {low:g} to {high:g}")
+    return typical.replace(**measured)
 
 
 def _either_side(typical: Parameters, spread: float) -> list[tuple[Parameters, Parameters]]:
